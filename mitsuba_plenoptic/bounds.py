@@ -1,4 +1,4 @@
-"""Bounds of a camera's numbers, and the checks that refuse what is beyond them, with an `InputError`."""
+"""Bounds of a camera's parameters, and the checks that refuse what is beyond them, with an `InputError`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, require_count, require_number, require_pair, shown
+from .errors import InputError, require_count, require_number, require_pair, short_repr
 
 SHORTEST, LONGEST = 1e-9, 1e9
 """Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
 
-Between them no product or quotient of a camera's numbers leaves what a float holds.
+Between them no product or quotient of a camera's parameters leaves what a float holds.
 """
 
 MOST_PIXELS = 2**20
@@ -34,7 +34,7 @@ STRONGEST_ABERRATION = 1000.0
 """Waves, root mean square over the pupil, of one of them at most."""
 
 FULL_TURN = 360.0
-"""Bound of a rotation in degrees, either way."""
+"""Bound of a rotation in degrees, in either direction."""
 
 STEEPEST_TILT = 5.0
 """Degrees by which an array may be tilted."""
@@ -46,7 +46,7 @@ MOST_STRETCH = 10.0
 """One pitch over the other, at most."""
 
 MOST_JITTER = 0.1
-"""Standard deviation of lenses' places, over the pitch, and of their focal lengths, over these, at most."""
+"""Standard deviation of lenses' positions, over the pitch, and of their focal lengths, over these, at most."""
 
 MOST_SEED = 2**32 - 1
 """Seed of an array's irregularities at most."""
@@ -83,14 +83,14 @@ def require_pitches(name: str, value: Any) -> tuple[float, float]:
     """Return the pitches along the rows of a lattice and across them, which one number gives both."""
     pitches = require_lengths(name, value)
     if len(pitches) not in (1, 2):
-        raise InputError(f"{name} = {shown(value)}: it must be one number, or two, along the rows and across them")
+        raise InputError(f"{name} = {short_repr(value)}: it must be one number, or two, along the rows and across them")
     if max(pitches) > MOST_STRETCH * min(pitches):
         raise InputError(f"{name} = {pitches}: neither may be more than {MOST_STRETCH:g} times the other")
     return pitches[0], pitches[-1]
 
 
 def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    """Return a pair of numbers of pixels, whole ones from `minimum` to 1048576."""
+    """Return a pair of counts of pixels, integers from `minimum` to 1048576."""
     columns, rows = (
         require_count(name, count, minimum=minimum, maximum=MOST_PIXELS)
         for count in require_pair(name, value, "(columns, rows)")
@@ -99,7 +99,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a place in the plane of the microlenses, a pair of numbers within 1e9 of the axis."""
+    """Return a position in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y
@@ -109,7 +109,7 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
     """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
-        raise InputError(f"{name} = {shown(value)}: it must be at most {MOST_ABERRATIONS} numbers")
+        raise InputError(f"{name} = {short_repr(value)}: it must be at most {MOST_ABERRATIONS} numbers")
     bound = STRONGEST_ABERRATION
     return require_numbers(name, value, count=len(value), minimum=-bound, maximum=bound)
 
@@ -118,13 +118,15 @@ def require_response(name: str, value: Any) -> tuple[float, ...]:
     """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
-        raise InputError(f"{name} = {shown(value)}: it must be two or more pairs of an angle in degrees and a response")
+        raise InputError(
+            f"{name} = {short_repr(value)}: it must be two or more pairs of an angle in degrees and a response"
+        )
     numbers = require_numbers(name, value, count=len(value), minimum=0, maximum=WIDEST_ANGLE)
     angles, responses = numbers[::2], numbers[1::2]
     if numbers and (angles[0] != 0 or any(a >= b for a, b in itertools.pairwise(angles))):
-        raise InputError(f"{name} = {shown(value)}: its angles must rise from 0")
+        raise InputError(f"{name} = {short_repr(value)}: its angles must rise from 0")
     if any(response > 1 for response in responses):
-        raise InputError(f"{name} = {shown(value)}: its responses must be from 0 to 1")
+        raise InputError(f"{name} = {short_repr(value)}: its responses must be from 0 to 1")
     return numbers
 
 
@@ -134,7 +136,7 @@ def require_numbers(
     """Return a given count of numbers as a tuple, each within bounds."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
-        raise InputError(f"{name} = {shown(value)}: it must be {count} numbers")
+        raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")
     return tuple(require_number(name, number, minimum=minimum, maximum=maximum) for number in value)
 
 

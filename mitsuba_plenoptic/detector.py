@@ -1,4 +1,4 @@
-"""What an image sensor makes of a noise-free capture: photon noise, dark noise, saturation and digital numbers."""
+"""An image sensor's effect on a noise-free capture: photon noise, dark noise, saturation and digital numbers."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .errors import InputError, require_choice, require_count, require_number, shown, suggest_keywords
+from .camera import PlenopticCamera
+from .errors import InputError, refuse_if, require_choice, require_count, require_number, short_repr, suggest_keywords
 from .io.captures import Capture
-from .mosaic import MOSAICS, filters, require_demosaiced
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
@@ -161,18 +162,19 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
         has not three channels.
     """
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
-        raise InputError(f"expose({shown(capture)}, {shown(detector)}): it takes a Capture and a Detector")
+        raise InputError(f"expose({short_repr(capture)}, {short_repr(detector)}): it takes a Capture and a Detector")
     photons = _positive("photons", photons)
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)
     require_demosaiced(capture)
-    if "exposure" in capture.metadata:
-        raise InputError("capture: a detector has recorded it already; expose what was rendered")
+    refuse_if("exposure" in capture.metadata, "capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
-        if image.ndim != 3 or image.shape[2] != 3:
-            raise InputError(f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three")
+        refuse_if(
+            image.ndim != 3 or image.shape[2] != 3,
+            f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three",
+        )
         image = np.take_along_axis(image, filters(capture.camera, detector.mosaic)[..., None], 2)[..., 0]
         extra, wavelength = {"wavelength": wavelength}, None
     assert detector.gain is not None and detector.black_level is not None
@@ -187,3 +189,29 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     exposure = {**asdict(detector), "photons": photons, "seed": seed, "saturated_pixels": saturated, **extra}
     metadata = {**capture.metadata, "exposure": exposure}
     return replace(capture, image=result, wavelength=wavelength, noise=None, metadata=metadata)
+
+
+MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
+"""Bayer's mosaic and its turns (Bayer 1976, US patent 3971065), by the filters of the first two rows of two pixels."""
+
+
+def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
+    """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
+    tile = np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)
+    left, top = camera.crop_offset
+    rows, columns = camera.shape
+    return np.asarray(tile[np.ix_((np.arange(rows) + top) % 2, (np.arange(columns) + left) % 2)])
+
+
+def mosaic_of(capture: Capture) -> str | None:
+    """Return the mosaic that a capture was recorded through and still has, None if it has none."""
+    exposure = capture.metadata.get("exposure")
+    mosaic = exposure.get("mosaic") if isinstance(exposure, dict) else None
+    return mosaic if mosaic in MOSAICS and capture.image.ndim == 2 else None
+
+
+def require_demosaiced(capture: Capture) -> None:
+    """Refuse a capture whose pixels have colours of their own, for work that takes them for one."""
+    mosaic = mosaic_of(capture)
+    if mosaic is not None:
+        raise InputError(f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

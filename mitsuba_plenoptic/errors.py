@@ -32,13 +32,28 @@ _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = _LONGEST_VALUE - 4
 
 
 class InputError(ValueError):
-    """A user's mistake, told in one line that names the thing, its value and the rule.
+    """A user's mistake, described in one line that names the thing, its value and the rule.
 
     Whatever files and arguments put into the message, it stays one line of printable characters.
     """
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message, _LONGEST))
+
+
+def refuse_if(broken: object, message: str) -> None:
+    """Raise an `InputError` where a rule is broken; the message is made in any case, so it must be quick to make."""
+    if broken:
+        raise InputError(message)
+
+
+@contextlib.contextmanager
+def naming(thing: object) -> Iterator[None]:
+    """Begin the message of an `InputError` with the thing that it is about, such as the path of a file."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{thing}: {error}") from None
 
 
 def printable(text: str, longest: int | None = None) -> str:
@@ -53,13 +68,16 @@ def printable(text: str, longest: int | None = None) -> str:
     )
 
 
-def shown(value: Any) -> str:
+def short_repr(value: Any) -> str:
     """Show a value in a message: its representation, shortened."""
     try:
         text = _SHORT.repr(value)
     except Exception as error:  # such as an int of more digits than Python prints
         text = f"{type(value).__name__} ({error})"
     return printable(" ".join(text.split()), _LONGEST_VALUE)
+
+
+# The former name, for modules that still import it.
 
 
 _options: Mapping[str, str] | None = None
@@ -129,13 +147,13 @@ def require_number(
 ) -> float:
     """Return `value` as a float."""
     if isinstance(value, (bool, np.bool_, str, bytes, bytearray)) or value is None:
-        raise InputError(f"{name} = {shown(value)}: it must be a number")
+        raise InputError(f"{name} = {short_repr(value)}: it must be a number")
     try:
         number = float(value)
     except OverflowError:
-        raise InputError(f"{name} = {shown(value)}: it must be finite") from None
+        raise InputError(f"{name} = {short_repr(value)}: it must be finite") from None
     except (TypeError, ValueError):
-        raise InputError(f"{name} = {shown(value)}: it must be a number") from None
+        raise InputError(f"{name} = {short_repr(value)}: it must be a number") from None
     if math.isnan(number) or (finite and math.isinf(number)):
         raise InputError(f"{name} = {number:g}: it must be finite")
     if positive and number <= 0:
@@ -151,7 +169,7 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
     """Return a word that is one of the choices."""
     if not isinstance(value, str) or value not in choices:
         rule = f"it must be one of {', '.join(choices)}"
-        raise InputError(f"{name} = {shown(value)}: {rule}{did_you_mean(value, choices)}")
+        raise InputError(f"{name} = {short_repr(value)}: {rule}{did_you_mean(value, choices)}")
     return value
 
 
@@ -167,24 +185,24 @@ def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
     try:
         first, second = value
     except (TypeError, ValueError):
-        raise InputError(f"{name} = {shown(value)}: it must be a pair {meaning}") from None
+        raise InputError(f"{name} = {short_repr(value)}: it must be a pair {meaning}") from None
     return first, second
 
 
 def require_flag(name: str, value: Any) -> bool:
     """Return a truth value as a bool; a word such as "no", which Python takes for true, is refused."""
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{name} = {shown(value)}: it must be True or False")
+        raise InputError(f"{name} = {short_repr(value)}: it must be True or False")
     return bool(value)
 
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:
-    """Return a whole number within bounds as an int."""
+    """Return an integer within bounds as an int."""
     number = require_number(name, value)
     if number != int(number):
-        raise InputError(f"{name} = {shown(value)}: it must be a whole number")
+        raise InputError(f"{name} = {short_repr(value)}: it must be a whole number")
     if number < minimum:
-        raise InputError(f"{name} = {shown(int(number))}: it must be at least {minimum}")
+        raise InputError(f"{name} = {short_repr(int(number))}: it must be at least {minimum}")
     if maximum is not None and number > maximum:
-        raise InputError(f"{name} = {shown(int(number))}: it must be at most {maximum}")
+        raise InputError(f"{name} = {short_repr(int(number))}: it must be at most {maximum}")
     return int(number)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from .camera import PlenopticCamera
-from .errors import InputError, require_count, require_number, shown, suggest_keywords
+from .errors import InputError, require_count, require_number, short_repr, suggest_keywords
 from .prescription import Prescription, paraxial
 from .thin_lens import vergence
 
@@ -46,8 +46,8 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     Raises
     ------
     InputError
-        If the camera has no such lens, the group is none, its surfaces would cross others, or there is no place for it
-        at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
+        If the camera has no such lens, the group does not exist, its surfaces would cross others, or there is no room
+        for it at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
     """
     lens = camera.prescription
     if lens is None:
@@ -101,15 +101,15 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
     """Return the indices of a group's first and last surface."""
     count = len(lens.surfaces)
     if not isinstance(group, (tuple, list, np.ndarray)) or len(group) != 2:
-        raise InputError(f"group = {shown(group)}: it must be the numbers of its first and its last surface")
+        raise InputError(f"group = {short_repr(group)}: it must be the numbers of its first and its last surface")
     first, last = (require_count("group", number, maximum=count) - 1 for number in group)
     if first > last:
-        raise InputError(f"group = {shown(group)}: the first surface must not follow the last")
+        raise InputError(f"group = {short_repr(group)}: the first surface must not follow the last")
     if first == 0 and last == count - 1:
-        raise InputError(f"group = {shown(group)}: it is the whole lens; focus_distance moves the array instead")
+        raise InputError(f"group = {short_repr(group)}: it is the whole lens; focus_distance moves the array instead")
     for number in (first - 1, last):
         if 0 <= number < count and lens.surfaces[number].glass is not None:
-            raise InputError(f"group = {shown(group)}: glass follows surface {number + 1}: a group moves in air")
+            raise InputError(f"group = {short_repr(group)}: glass follows surface {number + 1}: a group moves in air")
     return first, last
 
 

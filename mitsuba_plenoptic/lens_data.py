@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar, Self
 
-from .errors import InputError, shown
+from .errors import InputError, short_repr
 from .thin_lens import conjugate_distance, image_distance
 
 SINGLE = 1e-6
@@ -177,4 +177,4 @@ def require_alone(camera: Any) -> None:
         if any(values):
             raise InputError(f"{name} = {values}: a main_lens brings its own; leave it out")
     if camera.glass is not None:
-        raise InputError(f"glass = {shown(camera.glass.to_plain())}: a main_lens brings its own; leave it out")
+        raise InputError(f"glass = {short_repr(camera.glass.to_plain())}: a main_lens brings its own; leave it out")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from .bounds import require_length
-from .errors import InputError, require_choice, require_known, require_number, shown, suggest_keywords
+from .errors import InputError, refuse_if, require_choice, require_known, require_number, short_repr, suggest_keywords
 from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
 
 ARRANGEMENTS = ("image", "fourier")
@@ -53,7 +53,7 @@ class Objective(LensData):
     Raises
     ------
     InputError
-        If a number is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
+        If a value is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
     """
 
     mark = "magnification"
@@ -77,29 +77,28 @@ class Objective(LensData):
         checked("magnification", maximum=_STRONGEST)
         checked("immersion", minimum=1, maximum=_LARGEST_INDEX)
         checked("numerical_aperture")
-        if self.numerical_aperture >= self.immersion:
-            raise InputError(
-                f"main_lens: numerical_aperture = {self.numerical_aperture:g}: it must be less than the index of the "
-                f"immersion, {self.immersion:g}"
-            )
-        if self.image_aperture > _WIDEST:
-            raise InputError(
-                f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
-                f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial"
-            )
+        refuse_if(
+            self.numerical_aperture >= self.immersion,
+            f"main_lens: numerical_aperture = {self.numerical_aperture:g}: it must be less than the index of the "
+            f"immersion, {self.immersion:g}",
+        )
+        refuse_if(
+            self.image_aperture > _WIDEST,
+            f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
+            f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
+        )
         put("tube_focal_length", require_length("main_lens: tube_focal_length", self.tube_focal_length))
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
         name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
         if self.arrangement == "fourier":
-            if given is None:
-                raise InputError(f"{name}: it is missing; arrangement = fourier needs the lens before the array")
+            refuse_if(given is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
             put("fourier_focal_length", require_length(name, given))
         elif given is not None:
-            raise InputError(f"{name} = {shown(given)}: it is for arrangement = fourier; leave it out")
+            raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
 
     @property
     def name(self) -> str:
-        """What messages call it: ``20x/0.5 objective``."""
+        """Its name in messages: ``20x/0.5 objective``."""
         return f"{self.magnification:g}x/{self.numerical_aperture:g} objective"
 
     @property
@@ -225,7 +224,7 @@ class Objective(LensData):
         return 2 * self.magnification * abs(distance) * math.tan(self.half_angle)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return it as numbers and words by name, for `from_plain`, files and headers."""
+        """Return it as plain values by name, for `from_plain`, files and headers."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -244,10 +243,8 @@ class Objective(LensData):
             If a name is unknown or missing, or a value is out of range.
         """
         known = [field.name for field in fields(cls)]
-        if not isinstance(value, dict):
-            raise InputError(f"main_lens = {shown(value)}: an objective has {', '.join(known)}")
+        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: an objective has {', '.join(known)}")
         require_known("main_lens: ", value, known)
         for name in known[:2]:
-            if name not in value:
-                raise InputError(f"main_lens: {name}: it is missing from the objective")
+            refuse_if(name not in value, f"main_lens: {name}: it is missing from the objective")
         return cls(**value)

@@ -8,8 +8,8 @@
     Like the first Lytro (F01), unfocused. From the metadata that such a camera writes into its files, as the test of
     imageio's reader for them quotes it (``tests/test_lytro.py``): 3280 x 3280 pixels of 1.4 um; hexagonal rows of
     lenses 14 um apart, turned by -0.000859 rad; 25 um from lenses to pixels; main lens of 6.84 mm at f/1.92. Ours:
-    microlenses focused at infinity, as in Ng's design (2006, "Digital Light Field Photography"), as the files tell no
-    focal length of them; hexagonal apertures that fill the plane; thin lenses, so that the f-number gives the
+    microlenses focused at infinity, as in Ng's design (2006, "Digital Light Field Photography"), as the files do not
+    state their focal length; hexagonal apertures that fill the plane; thin lenses, so that the f-number gives the
     diameter; focused at 230 mm; no filter mosaic.
 
 ``raytrix``

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from .bounds import LONGEST
-from .errors import InputError
+from .errors import refuse_if
 
 
 def vergence(focal_length: Any, distance: Any) -> Any:
@@ -35,14 +35,14 @@ def conjugate_distance(focal_length: float, distance: float) -> float:
 
 def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:
     """Return the distance behind a thin lens at which an object at `distance` is in focus."""
-    if not distance > focal_length:
-        raise InputError(f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}")
-    if LONGEST < distance < math.inf:
-        raise InputError(f"{name} = {distance:g}: it must be at most {LONGEST:g}")
+    refuse_if(
+        not distance > focal_length, f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}"
+    )
+    refuse_if(LONGEST < distance < math.inf, f"{name} = {distance:g}: it must be at most {LONGEST:g}")
     power = vergence(focal_length, distance)
-    if power * LONGEST < 1:
-        raise InputError(
-            f"{name} = {distance!r}: its image lies too far behind a lens of focal length {focal_length:g}, at more "
-            f"than {LONGEST:g}"
-        )
+    refuse_if(
+        power * LONGEST < 1,
+        f"{name} = {distance!r}: its image lies too far behind a lens of focal length {focal_length:g}, at more "
+        f"than {LONGEST:g}",
+    )
     return 1 / power

@@ -49,7 +49,7 @@ def stopped_before(unwanted):
         yield sums
 
 
-class Keeper:
+class CheckpointStore:
     """Keeps every snapshot of a job, or hands it to a function, and lets the job go on from one."""
 
     def __init__(self, start=None, save=None):

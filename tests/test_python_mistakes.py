@@ -45,7 +45,7 @@ def test_what_is_no_capture_or_no_plain_data_is_not_written(tmp_path):
     with pytest.raises(InputError, match="capture of type ndarray: it must be a Capture"):
         mp.write_capture(path, IMAGE)
     for fact in ({1, 2}, np.ones(3)):
-        with pytest.raises(InputError, match=r"raw\.exr: what is told about the image must be plain data"):
+        with pytest.raises(InputError, match=r"raw\.exr: its attributes must be plain data"):
             mp.write_capture(path, Capture(IMAGE, CAMERA, metadata={"fact": fact}))
     assert list(tmp_path.iterdir()) == []
 

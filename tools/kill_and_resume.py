@@ -89,7 +89,7 @@ def main() -> int:
                 output.unlink()
                 moment *= 0.9
             size = checkpoint.stat().st_size // 1024 if checkpoint.exists() else 0
-            resumed = "going on from there" in finish(start(output, "--resume"))
+            resumed = "resuming from there" in finish(start(output, "--resume"))
             same = output.read_bytes() == clean.read_bytes()
             left = sorted(path.name for path in Path(name).iterdir() if path not in (clean, output))
             worst |= not same or bool(left) or resumed != bool(size)

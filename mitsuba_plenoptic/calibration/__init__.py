@@ -1,12 +1,12 @@
-"""Calibration of a real camera: its numbers from corners of a board, its micro-images' centres from white images."""
+"""Calibration of a real camera: its parameters from corners of a board, its micro-images' centres from white images."""
 
 from .blur import Blur
 from .boards import board_scene
 from .detect import camera_centres, detect_corners, write_corners
 from .files import read_camera, write_calibration
-from .fit import Calibration, Evaluation, calibrate, evaluate, left_out_errors
-from .observations import Board, LensIndex, Table, joined, read_centres, read_corners
-from .residuals import ResidualMap, residual_map
+from .fit import calibrate, cross_validate, evaluate
+from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
+from .result import Calibration, Evaluation, ResidualMap, residual_map
 from .white import Centres, find_centres, write_centres
 
 __all__ = [
@@ -21,11 +21,11 @@ __all__ = [
     "board_scene",
     "calibrate",
     "camera_centres",
+    "concatenate",
+    "cross_validate",
     "detect_corners",
     "evaluate",
     "find_centres",
-    "joined",
-    "left_out_errors",
     "read_camera",
     "read_centres",
     "read_corners",

@@ -1,6 +1,6 @@
-"""Least squares for one camera and many poses of a board (bundle adjustment), with what the data say of each number.
+"""Least squares for one camera and many poses of a board (bundle adjustment), with what the data say of each parameter.
 
-Levenberg and Marquardt's method with exact derivatives. Each pose's own six numbers are eliminated by an orthogonal
+Levenberg and Marquardt's method with exact derivatives. Each pose's own six parameters are eliminated by an orthogonal
 (QR) step before the camera's are solved for, so that normal equations, which square the condition, are never formed
 (B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 6).
 """
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..runtime.limits import single_threaded_blas
 from .model import NAMES, Observations, predict, predict_centres
 
@@ -90,7 +90,7 @@ _MOST_DAMPING = 1e10
 
 @dataclass(frozen=True)
 class Problem:
-    """What is fitted."""
+    """Observations that are fitted together."""
 
     # Corners seen through lenses.
     corners: Observations
@@ -156,7 +156,7 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Solution:
+class Adjusted:
     """Numbers that fit best."""
 
     # (17,).
@@ -177,16 +177,18 @@ def adjust(
     weights: np.ndarray | None = None,
     *,
     most_steps: int = _MOST_STEPS,
-) -> Solution:
-    """Minimise the weighted sum of squares over some of the camera's numbers and all poses.
+) -> Adjusted:
+    """Minimise the weighted sum of squares over some of the camera's parameters and all poses.
 
     Shapes: `weights` (n,).
     """
     chosen = np.array([NAMES.index(name) for name in free], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights
     cost = problem.cost(numbers, poses, weights)
-    if not np.isfinite(cost):
-        raise InputError("calibration: the camera cannot see the board at the start: its numbers do not fit the data")
+    refuse_if(
+        not np.isfinite(cost),
+        "calibration: the camera cannot see the board at the start: its numbers do not fit the data",
+    )
     damping, steps = 1e-3, 0
     camera_scale, pose_scale = np.zeros(len(chosen)), np.zeros((len(poses), 6))
     while steps < most_steps:
@@ -206,12 +208,12 @@ def adjust(
                 break
             damping *= 8
             if damping > _MOST_DAMPING:
-                return Solution(numbers, poses, cost, steps)
+                return Adjusted(numbers, poses, cost, steps)
         gain = cost - new_cost
         numbers, poses, cost, damping = new, new_poses, new_cost, max(damping / 10, 1e-12)
         if gain <= _DONE * cost:
             break
-    return Solution(numbers, poses, cost, steps)
+    return Adjusted(numbers, poses, cost, steps)
 
 
 def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -249,8 +251,8 @@ def _solve(
     return step, np.array(pose_steps)
 
 
-def information(problem: Problem, solution: Solution, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
-    """Return R with R^T R the information (inverse covariance for unit deviations) on the free numbers.
+def information(problem: Problem, solution: Adjusted, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
+    """Return R with R^T R the information (inverse covariance for unit deviations) on the free parameters.
 
     The poses are not held: what they leave undecided is not counted.
     """

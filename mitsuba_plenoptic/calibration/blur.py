@@ -8,7 +8,7 @@ radius
 
 in the plane of the detector, which changes its sign where the point is in focus. With z/a known from a calibration, the
 radii of the lenses of one type lie on a line. What programs call the radius of a blur differs by a factor, and in its
-sign; the slope of the line tells both, and its place where z/a = 0, over the slope, tells z/f.
+sign; the slope of the line gives both, and its value at z/a = 0, divided by the slope, gives z/f.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lattice.base import Lattice
-from .adjustment import Solution
+from .adjustment import Adjusted
 from .model import AT, Observations
 from .observations import placed
 
-# The part of the radii's variance that may be left, and the least part of that which curves in place of lines leave:
+# The part of the radii's variance that may be left, and the least part of that which curves instead of lines leave:
 # radii without a sign are bent where they are in focus.
 _LEFT = 0.1
 _STRAIGHT = 0.5
@@ -38,12 +38,12 @@ _LEAST_SPREAD = 0.01
 
 @dataclass(frozen=True)
 class Blur:
-    """What blur radii tell of a camera's microlenses.
+    """Focal lengths of a camera's microlenses from blur radii.
 
     Attributes
     ----------
     focal_lengths, deviations : tuple of float
-        Of each type of lenses in mm, and their standard deviations, with those of the camera's numbers.
+        Of each type of lenses in mm, and their standard deviations, with those of the camera's parameters.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
         they mean the whole disc.
@@ -64,7 +64,7 @@ def fit_blur(
     poses: np.ndarray,
     lattice: Lattice,
     types: int,
-    moved: Sequence[Solution] = (),
+    moved: Sequence[Adjusted] = (),
 ) -> Blur:
     """Fit the focal lengths of the microlenses to signed blur radii.
 
@@ -77,8 +77,10 @@ def fit_blur(
         column, _ = lattice.unit_centre(0.0, row)
         kind = np.asarray(lattice.lens_type(np.round(seen.lens[:, 0] - column), row), dtype=int)
     counts = np.bincount(kind, minlength=types)
-    if (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD:
-        raise InputError("corners: rho: blur radii are given, but of too few lenses or all at one depth to tell focus")
+    refuse_if(
+        (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD,
+        "corners: rho: blur radii are given, but of too few lenses or all at one depth to determine focus",
+    )
     matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
     line = np.linalg.lstsq(matrix, radius)[0]
     left = radius - matrix @ line
@@ -95,8 +97,7 @@ def fit_blur(
     scale = line[-1]
     over = 1 - line[:-1] / scale
     z = float(numbers[AT["detector_distance"]])
-    if not (over > 0).all():
-        raise InputError("corners: rho: the focal lengths that fit the blur radii best are not positive")
+    refuse_if(not (over > 0).all(), "corners: rho: the focal lengths that fit the blur radii best are not positive")
     # Observations of one corner of one picture err together, as such radii are mostly found from its depth.
     group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
     inverse = np.linalg.inv(matrix.T @ matrix)
@@ -110,7 +111,7 @@ def fit_blur(
     camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
     for number in range(types):
-        # Of z/f = 1 - place / slope.
+        # Of z/f = 1 - position / slope.
         slope = np.zeros(types + 1)
         slope[number], slope[-1] = -1 / scale, line[number] / scale**2
         own = slope @ covariance @ slope * (z / over[number] ** 2) ** 2
@@ -126,7 +127,7 @@ def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> 
     return ratios
 
 
-# Points of a lens along each axis, places of a micro-image along each axis, and how far beyond its rim these reach.
+# Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
 _POINTS = 42
 _PLACES = 65
 _BEYOND = 1.25

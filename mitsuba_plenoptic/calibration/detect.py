@@ -1,8 +1,8 @@
 """Corners of a checkerboard in raw pictures of a focused plenoptic camera, as `calibrate` takes them.
 
 OpenCV finds the board in a view of the whole scene (`board_view`). From there each corner is looked for in all the
-micro-images that should show it, and met in each to a fraction of a pixel (`saddle`); what is found tells better where
-to look.
+micro-images that should show it, and met in each to a fraction of a pixel (`saddle`); the corners found show more
+exactly where to look.
 """
 
 from __future__ import annotations
@@ -14,34 +14,33 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..io.captures import require_pixels
 from ..io.files import atomic_output
 from ..lightfield.grid import lens_types
 from ..runtime.limits import require_memory
 from .blur import CutBlur
-from .boards import BoardView, Picture, find_board
+from .boards import BoardView, Picture, Saddles, find_board, find_saddles
 from .model import predict_centres
 from .numbers import numbers_of
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
-from .saddle import Saddles, find_saddles
 
 # Pixels of less than this fraction of the light in the middle of micro-images are not used.
 _DARK = 0.25
 
 # Micro-images are evenly lit as far from their centres as they give this fraction of their middle's light on average.
-# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than so much of
-# the micro-images' radius, there is too little without the rest.
+# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than this
+# fraction of the micro-images' radius, there is too little without the rest.
 _EVEN, _LEAST_EVEN = 0.97, 0.6
 
-# Corners nearer than so many pixels to a micro-image's rim are not looked for.
+# Corners nearer than this to a micro-image's rim, in pixels, are not searched for.
 _RIM = 3.0
 
 # How often corners are looked for, from where they were found the time before.
 _PASSES = 3
 
-# What is kept: a deviation of so many pixels at most, a fraction of the median contrast at least, and a place that the
-# other lenses agree with within so many times the typical distance, or so many pixels.
+# Limits of an accepted corner: its deviation in pixels at most, its fraction of the median contrast at least, and how
+# far it may lie from where the other lenses see it: a multiple of the typical distance, or pixels.
 _DEVIATION = 0.5
 _CONTRAST = 0.3
 _OUTLIER, _NEAR = 6.0, 0.3
@@ -97,12 +96,12 @@ def detect_corners(
     picture = _picture(image, white, centres, name)
     found = find_board(picture, board)
     corner, lens, saddles = _refined(picture, found, camera)
-    if not len(corner):
-        raise InputError(
-            f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply"
-        )
+    refuse_if(
+        not len(corner),
+        f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
+    )
     columns = {index: centres[index][lens] for index in ("k", "l")}
-    columns |= {"u": saddles.place[:, 0], "v": saddles.place[:, 1]}
+    columns |= {"u": saddles.position[:, 0], "v": saddles.position[:, 1]}
     columns |= {"cluster": corner, "frame": np.full(len(corner), frame)}
     return Table(name, {column: columns[column] for column in CORNER_COLUMNS})
 
@@ -156,8 +155,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
     if inside.sum() < 16:
         raise InputError(f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least")
     full = float(np.median(light[row[inside], column[inside]]))
-    if not full > 0:
-        raise InputError("white: it is dark in the middle of its micro-images")
+    refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)
     weight[weight < _DARK] = 0
     divided = values / np.where(weight > 0, light / full, 1)
@@ -188,8 +186,7 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
 
 def _grey(name: str, image: np.ndarray) -> np.ndarray:
     values = np.asarray(image, dtype=np.float64)
-    if values.ndim not in (2, 3):
-        raise InputError(f"{name} of shape {values.shape}: it must be an image")
+    refuse_if(values.ndim not in (2, 3), f"{name} of shape {values.shape}: it must be an image")
     require_pixels(name, values)
     return values if values.ndim == 2 else values.mean(axis=2)
 
@@ -197,13 +194,13 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 def _refined(
     picture: Picture, found: BoardView, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return of each corner that is seen through a lens the corner, the lens and the place."""
+    """Return of each corner that is seen through a lens the corner, the lens and the position."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
-    place, angles = found.corners.reshape(-1, 2), _directions(found.corners)
-    disparity = np.full(len(place), found.disparity)
+    position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
+    disparity = np.full(len(position), found.disparity)
     for _ in range(_PASSES):
-        corner, lens, expected = _expected(picture, place, disparity)
+        corner, lens, expected = _expected(picture, position, disparity)
         # A micro-image shows the directions as they are, or turned by half a turn.
         saddles = find_saddles(
             picture.image,
@@ -219,10 +216,12 @@ def _refined(
         if good.any():
             good &= saddles.contrast > _CONTRAST * np.median(saddles.contrast[good])
         corner, lens = corner[good], lens[good]
-        saddles = Saddles(saddles.place[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
-        place, disparity, kept = _agreed(picture, corner, lens, saddles.place, place, disparity)
-    saddles = Saddles(saddles.place[kept], saddles.deviation[kept], saddles.contrast[kept], saddles.blur[kept])
-    return corner[kept], lens[kept], saddles
+        saddles = Saddles(saddles.position[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
+        position, disparity, agreed = _agreed(picture, corner, lens, saddles.position, position, disparity)
+    saddles = Saddles(
+        saddles.position[agreed], saddles.deviation[agreed], saddles.contrast[agreed], saddles.blur[agreed]
+    )
+    return corner[agreed], lens[agreed], saddles
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -237,14 +236,16 @@ def _directions(corners: np.ndarray) -> np.ndarray:
     return np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
 
 
-def _expected(picture: Picture, place: np.ndarray, disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _expected(
+    picture: Picture, position: np.ndarray, disparity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which corners should be seen through which lenses, and where."""
     reach = (picture.radius - _RIM) / np.abs(disparity)
-    lenses = cKDTree(picture.centre).query_ball_point(place, reach)
-    corner = np.repeat(np.arange(len(place)), [len(some) for some in lenses])
+    lenses = cKDTree(picture.centre).query_ball_point(position, reach)
+    corner = np.repeat(np.arange(len(position)), [len(some) for some in lenses])
     lens = np.concatenate([np.array(some, dtype=int) for some in lenses])
     centre = picture.centre[lens]
-    return corner, lens, centre + disparity[corner, None] * (centre - place[corner])
+    return corner, lens, centre + disparity[corner, None] * (centre - position[corner])
 
 
 def _agreed(
@@ -252,13 +253,13 @@ def _agreed(
     corner: np.ndarray,
     lens: np.ndarray,
     seen: np.ndarray,
-    place: np.ndarray,
+    position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return place and disparity of each corner anew, and which of what is seen agrees with them."""
-    place, disparity = place.copy(), disparity.copy()
-    kept = np.zeros(len(seen), dtype=bool)
-    for number in range(len(place)):
+    """Return position and disparity of each corner anew, and which of what is seen agrees with them."""
+    position, disparity = position.copy(), disparity.copy()
+    agreed = np.zeros(len(seen), dtype=bool)
+    for number in range(len(position)):
         mine = np.flatnonzero(corner == number)
         centre = picture.centre[lens[mine]]
         chosen = np.ones(len(mine), dtype=bool)
@@ -277,9 +278,9 @@ def _agreed(
             miss = np.hypot(*(shift + slope * (centre - about) - (seen[mine] - centre)).T)
             chosen = miss < max(_NEAR, _OUTLIER * np.median(miss[chosen]) / 1.17741)
         else:
-            disparity[number], place[number] = slope, about - shift / slope
-            kept[mine[chosen]] = True
-    return place, disparity, kept
+            disparity[number], position[number] = slope, about - shift / slope
+            agreed[mine[chosen]] = True
+    return position, disparity, agreed
 
 
 def write_corners(path: str | Path, corners: Table) -> None:

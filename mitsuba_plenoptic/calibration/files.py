@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number, shown
+from ..errors import InputError, naming, refuse_if, require_count, require_number, short_repr
 from ..io.files import atomic_output, read_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
-from .fit import Calibration
 from .model import NAMES
 from .numbers import camera_of
 from .observations import Board, LensIndex
+from .result import Calibration
 
 _LARGEST_FILE = 2**24
 
@@ -99,12 +99,10 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: it is no JSON file: {error}") from None
-    try:
+    with naming(path):
         if isinstance(values, dict) and {"mla", "main_lens", "sensor"} <= set(values):
             return libpleno_camera(values), None
         return PlenopticCamera.from_json(text), _index(values)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _index(values: dict[str, Any]) -> LensIndex | None:
@@ -117,10 +115,12 @@ def _index(values: dict[str, Any]) -> LensIndex | None:
         odd_rows, row_sign, (k, l) = given["odd_rows"], given["row_sign"], given["first"]  # noqa: E741
     except (TypeError, KeyError, ValueError):
         raise InputError(
-            f"calibration = {shown(record)}: it has no lens_index of odd_rows, row_sign and first"
+            f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first"
         ) from None
-    if odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1):
-        raise InputError(f"lens_index = {shown(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1")
+    refuse_if(
+        odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1),
+        f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1",
+    )
     first = require_count("first", k, minimum=-(2**20)), require_count("first", l, minimum=-(2**20))
     return LensIndex(float(odd_rows), int(row_sign), first)
 
@@ -186,7 +186,7 @@ def _numbers(values: Any) -> list[float]:
 
 
 def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
-    """Return the coefficients that best take a distortion away, over a disc; theirs point the other way in x and y."""
+    """Return the coefficients that best remove a distortion over a disc; theirs have opposite signs in x and y."""
     radius, angle = np.meshgrid(np.linspace(0.02, 1, 40) * reach, np.linspace(0, 2 * np.pi, 24, endpoint=False))
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     k1, k2, k3, p1, p2 = distortion * [1, 1, 1, -1, -1]

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, suggest_keywords
-from .adjustment import Problem, Solution, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
-from .blur import Blur, fit_blur
-from .deviations import deviations, moved_solutions
+from ..errors import InputError, refuse_if, suggest_keywords
+from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
+from .blur import fit_blur
 from .model import AT, NAMES, Observations, predict_centres
 from .numbers import camera_of, numbers_of, on_pixel_grid
 from .observations import (
@@ -23,6 +22,7 @@ from .observations import (
     observations,
     require_on_detector,
 )
+from .result import Calibration, Evaluation, deviations, moved_solutions
 from .start import board_images, start_values, upright_poses
 
 # How often it is decided anew which rows are outliers.
@@ -31,7 +31,8 @@ _MOST_ROUNDS = 10
 # A frame with fewer of its rows left is not one that the others' camera sees.
 _LEFT_OF_FRAME = 0.5
 
-# Detected centres err together over about so many lenses along each axis, so that they tell less than their number.
+# Errors of detected centres are correlated over about this many lenses along each axis: the centres weigh accordingly
+# less.
 _CORRELATED = 16
 
 # Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can be
@@ -48,129 +49,6 @@ _MOST_BEYOND = 1.6
 _MOST_OVERLAP = 1.5
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """How well a camera explains corners, every row counted.
-
-    Attributes
-    ----------
-    residuals : (n, 2) array
-        Predicted minus observed pixels, in the order of the file.
-    frames : (poses,) int array
-        Numbers of the poses' frames.
-    pose : (n,) int array
-        Which of them each row belongs to.
-    poses : (poses, 6) array
-        Rotation vector (radians) and place of the board's first corner in mm, from the board's to the camera frame.
-    """
-
-    residuals: np.ndarray
-    frames: np.ndarray
-    pose: np.ndarray
-    poses: np.ndarray
-
-    @property
-    def error(self) -> float:
-        """RMS of the distances between predicted and observed places in pixels."""
-        return float(np.sqrt((self.residuals**2).sum(1).mean()))
-
-    @property
-    def pose_errors(self) -> np.ndarray:
-        """The same of each pose."""
-        return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
-
-    @property
-    def outliers(self) -> np.ndarray:
-        """Rows, from 0, of residuals beyond six times what is typical."""
-        distance = np.hypot(*self.residuals.T)
-        return np.flatnonzero(outlying(distance))
-
-    @property
-    def error_without_outliers(self) -> float:
-        """RMS of the distances of all rows but the outliers."""
-        return self.without_outliers().error
-
-    def without_outliers(self) -> Evaluation:
-        """Return the same of all rows but the outliers."""
-        kept = np.delete(np.arange(len(self.residuals)), self.outliers)
-        return replace(self, residuals=self.residuals[kept], pose=self.pose[kept])
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What a calibration found.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
-        the crop window is recorded.
-    index : LensIndex
-        How the data count lenses.
-    evaluation : Evaluation
-        Residuals and poses.
-    numbers, deviations : dict
-        The camera's numbers by the names of `model.NAMES`, and their standard deviations.
-    correlation : (17, 17) array
-        Of the numbers' errors.
-    centre_residuals : (n, 2) array
-        Of the centres that were given.
-    steps : int
-        How often the linear system was solved.
-    blur : Blur, optional
-        What blur radii tell of the microlenses' focal lengths, where the corners have them.
-    disagreement : float
-        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
-    by_frames : bool
-        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
-    centre_outliers : (m,) int array
-        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
-    """
-
-    camera: PlenopticCamera
-    index: LensIndex
-    evaluation: Evaluation
-    numbers: dict[str, float]
-    deviations: dict[str, float]
-    correlation: np.ndarray
-    centre_residuals: np.ndarray
-    steps: int
-    blur: Blur | None = None
-    disagreement: float = 1.0
-    by_frames: bool = False
-    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
-
-    @property
-    def centre_error(self) -> float | None:
-        """RMS of the distances between predicted and observed centres in pixels; None without centres."""
-        if not len(self.centre_residuals):
-            return None
-        return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
-
-    def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
-        """Return what the data tell worst: combinations of numbers that can change together.
-
-        Parameters
-        ----------
-        count : int
-            How many of them.
-
-        Returns
-        -------
-        list of (float, dict)
-            Deviation of the combination over that of numbers that were independent, greatest first; and by how many of
-            its deviations each number changes, those that matter.
-        """
-        values, vectors = np.linalg.eigh(self.correlation)
-        return [
-            (
-                float(np.sqrt(values[-rank])),
-                {NAMES[i]: float(v) for i, v in enumerate(vectors[:, -rank]) if abs(v) > 0.2},
-            )
-            for rank in range(1, count + 1)
-        ]
-
-
 @suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
     """Fit a camera, and the poses of a board, to corners seen through its microlenses.
@@ -181,14 +59,14 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     Parameters
     ----------
     corners : Table
-        As `read_corners` gives them. A column ``rho`` of blur radii tells the microlenses' focal lengths.
+        As `read_corners` gives them. A column ``rho`` of blur radii determines the microlenses' focal lengths.
     board : Board
         The board.
     start : PlenopticCamera
-        For what the data do not tell: detector, lattice, f-number, focal lengths of the microlenses, models. All other
-        numbers are found from the data alone.
+        Provides what the data do not determine: detector, lattice, f-number, focal lengths of the microlenses, models.
+        All other parameters are found from the data alone.
     centres : Table, optional
-        Centres of micro-images, fitted jointly: without them pitch and focal length are badly told apart.
+        Centres of micro-images, fitted jointly: without them pitch and focal length are strongly correlated.
 
     Raises
     ------
@@ -212,8 +90,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        kept, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
-        problem = _with_centres(problem, centres, kept, index, weight)
+        used, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
+        problem = _with_centres(problem, centres, used, index, weight)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
     found, steps = adjust(problem, numbers, poses, weights=weights), 0
     for _ in range(_MOST_ROUNDS):
@@ -228,26 +106,28 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
     known = deviations(problem, final, weights)
     f, uncertain = final.numbers[AT["focal_length"]], known.values[AT["focal_length"]]
-    if not uncertain < _OPEN * abs(f):
-        raise InputError(
-            f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
-            "or add poses in which the board is tilted by 20 degrees or more"
-        )
+    refuse_if(
+        not uncertain < _OPEN * abs(f),
+        f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
+        "or add poses in which the board is tilted by 20 degrees or more",
+    )
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])))
     try:
         camera = camera_of(final.numbers, start)
     except InputError as error:
-        raise InputError(f"corners: the numbers that fit them best are no camera; cover more of it: {error}") from None
+        raise InputError(
+            f"corners: the parameters that fit them best are no camera; cover more of it: {error}"
+        ) from None
     centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
     if centres:
-        every = _with_centres(problem, centres, np.ones(len(kept), dtype=bool), index, weight)
-        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~kept)
+        every = _with_centres(problem, centres, np.ones(len(used), dtype=bool), index, weight)
+        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~used)
     blur = None
     if BLUR_COLUMN in corners.columns:
-        kept, types = weights > 0, len(start.mla_focal_lengths)
+        used, types = weights > 0, len(start.mla_focal_lengths)
         moved = moved_solutions(problem, final, weights, known.covariance)
-        radius, numbers = corners[BLUR_COLUMN][kept], final.numbers
-        blur = fit_blur(radius, seen.keep(kept), numbers, final.poses, camera.lattice, types, moved)
+        radius, numbers = corners[BLUR_COLUMN][used], final.numbers
+        blur = fit_blur(radius, seen.keep(used), numbers, final.poses, camera.lattice, types, moved)
         camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
@@ -299,7 +179,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     return Evaluation(problem.residuals(numbers, poses), frames, seen.pose, poses)
 
 
-def left_out_errors(
+def cross_validate(
     corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
 ) -> dict[int, float]:
     """Calibrate without each pose in turn, and predict it: its pose is refitted, nothing else.
@@ -324,13 +204,13 @@ def left_out_errors(
     camera = calibration.camera
     whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        kept, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
-        whole = _with_centres(whole, centres, kept, calibration.index, weight)
+        used, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
+        whole = _with_centres(whole, centres, used, calibration.index, weight)
     numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
     errors = {}
     for out, frame in enumerate(frames):
         problem = _poses(whole, seen.pose != out)
-        weights = _weights(problem, Solution(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
+        weights = _weights(problem, Adjusted(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
         found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
         alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
         refitted = adjust(alone, found.numbers, poses[out : out + 1], ())
@@ -338,18 +218,18 @@ def left_out_errors(
     return errors
 
 
-def _poses(problem: Problem, kept: np.ndarray) -> Problem:
+def _poses(problem: Problem, used: np.ndarray) -> Problem:
     """Return a problem with some of the poses only."""
     seen = problem.corners
-    _, pose = np.unique(seen.pose[kept], return_inverse=True)
-    some = replace(seen.keep(kept), pose=pose)
+    _, pose = np.unique(seen.pose[used], return_inverse=True)
+    some = replace(seen.keep(used), pose=pose)
     return Problem(some, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
 
 
-def _with_centres(problem: Problem, centres: Table, kept: np.ndarray, index: LensIndex, weight: float) -> Problem:
+def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: LensIndex, weight: float) -> Problem:
     """Add some of the centres to a problem."""
     nothing = np.zeros((0, 2))
-    seen = Observations(index.unit(centres["k"], centres["l"])[kept], centres.pixel[kept], nothing, nothing)
+    seen = Observations(index.unit(centres["k"], centres["l"])[used], centres.pixel[used], nothing, nothing)
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
@@ -360,11 +240,11 @@ def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
     """
     i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
     matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
-    _, distance, kept = robust_lines(both_axes(matrix), centres.pixel)
+    _, distance, used = robust_lines(both_axes(matrix), centres.pixel)
     if DOUBTFUL_COLUMN in centres.columns:
-        kept &= centres[DOUBTFUL_COLUMN] == 0
-    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[kept])]
-    return kept, own[0] / own[1] / _CORRELATED
+        used &= centres[DOUBTFUL_COLUMN] == 0
+    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[used])]
+    return used, own[0] / own[1] / _CORRELATED
 
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -374,7 +254,7 @@ def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.nd
 
 
 def _require_matching_pupil(
-    problem: Problem, found: Solution, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
+    problem: Problem, found: Adjusted, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
 ) -> None:
     """Refuse distances in the camera at which the pupil's images are not as large as micro-images are seen to be.
 
@@ -399,7 +279,7 @@ def _require_matching_pupil(
     )
 
 
-def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarray:
+def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarray:
     """Return the weights of corners: less for those far from their prediction, 0 for outliers."""
     distance = _distance(problem, found.numbers, found.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))

@@ -10,7 +10,7 @@ through q where
 
 .. math:: (c + (b - h) t) (1 - \gamma) + \gamma U(c - h t) = q, \qquad \gamma = g' / b,
 
-which is linear in t but for the tilt. The detector point is :math:`c - (z + h) t`.
+which is linear in t except for the tilt. The detector point is :math:`c - (z + h) t`.
 
 Distances virtual to the array, as in a Galilean camera, need no case of their own.
 """
@@ -56,7 +56,7 @@ _NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class Observations:
-    """What a fit compares with: all arrays have one row for each observation."""
+    """Observed corners or centres: all arrays have one row for each observation."""
 
     # Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
     lens: np.ndarray
@@ -121,7 +121,7 @@ def _lenses(
 
 
 def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Turn places on the detector and their derivatives into pixels."""
+    """Turn positions on the detector and their derivatives into pixels."""
     by_numbers = p_by / pixel_size
     principal = [AT["principal_u"], AT["principal_v"]]
     by_numbers[:, [0, 1], principal] += 1
@@ -169,7 +169,7 @@ def predict(
         X_by[mine, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
         X_by[mine, :, 3:] = np.eye(3)
     g = X[:, 2]
-    # Nearer than the focal length there is no image: the caller sees numbers that are not finite.
+    # Nearer than the focal length there is no image: the caller sees values that are not finite.
     beyond = np.where(g > f, g - f, np.nan)
     q = -X[:, :2] * (f / beyond)[:, None]
     gamma = g * f / (beyond * b)

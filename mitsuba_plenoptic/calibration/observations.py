@@ -2,7 +2,7 @@
 
 Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
-corner, row by row along the board's columns, from 0) and ``frame`` (number of the picture, one for each pose of the
+corner, row by row along the board's columns, from 0) and ``frame`` (index of the picture, one for each pose of the
 board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
 of the other behind it. Centres have ``k, l, u, v``, and may have ``doubtful``: 1 for those that dust or a defect
 displaces, as `white` finds them; a fit leaves these out. Other columns are ignored.
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError, require_count, require_number
+from ..errors import InputError, refuse_if, require_count, require_number
 from ..io.files import read_text
 from ..lightfield.exchange.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
@@ -33,10 +33,10 @@ DOUBTFUL_COLUMN = "doubtful"
 _WHOLE = {"k", "l", "cluster", "frame", DOUBTFUL_COLUMN}
 _LARGEST = 2**20
 
-# A lattice is another where that leaves so much less of the pixels' distances from its grid.
+# Another lattice is chosen only if it reduces the pixels' distances from the grid by this factor.
 _OTHER_LATTICE = 0.8
 
-# Lenses of fewer pixels show no corner, nor do their centres tell anything.
+# Lenses of fewer pixels resolve no corner, and their centres are of no use.
 _CLOSEST = 2
 
 # A table with a greater part of its pixels off the detector is of another detector; fewer are outliers.
@@ -68,12 +68,14 @@ class Board:
     def parse(cls, text: str, square: float) -> Board:
         """Read ``COLUMNSxROWS``, for example ``9x5``."""
         columns, x, rows = text.partition("x")
-        if not (x and columns.isdecimal() and rows.isdecimal() and len(text) < 10):
-            raise InputError(f"board = {text}: write inner corners along and across it, as 9x5")
+        refuse_if(
+            not (x and columns.isdecimal() and rows.isdecimal() and len(text) < 10),
+            f"board = {text}: write inner corners along and across it, as 9x5",
+        )
         return cls(int(columns), int(rows), square)
 
     def places(self, corner: np.ndarray) -> np.ndarray:
-        """Return the places (n, 2) of corners on the board in mm."""
+        """Return the positions (n, 2) of corners on the board in mm."""
         return np.stack([corner % self.columns, corner // self.columns], axis=-1) * self.square
 
 
@@ -96,12 +98,12 @@ class LensIndex:
     first: tuple[int, int]
 
     def unit(self, k: np.ndarray, l: np.ndarray) -> np.ndarray:  # noqa: E741
-        """Return places (n, 2) from lens (0, 0), in pitches along the rows and rows across them."""
+        """Return positions (n, 2) from lens (0, 0), in pitches along the rows and rows across them."""
         k0, l0 = self.first
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its numbers by name."""
+        """Return its fields by name."""
         return asdict(self)
 
 
@@ -133,7 +135,7 @@ class Table:
         return Table(self.name, {name: values[chosen] for name, values in self.columns.items()})
 
 
-def joined(tables: Sequence[Table]) -> Table:
+def concatenate(tables: Sequence[Table]) -> Table:
     """Return the rows of tables with the same columns, one after the other."""
     first = tables[0]
     return Table(first.name, {name: np.concatenate([table[name] for table in tables]) for name in first.columns})
@@ -149,8 +151,7 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
         raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
     names += tuple(name for name in optional if name in header)
     lines = [line for line in rest.splitlines() if line.strip()]
-    if not lines:
-        raise InputError(f"{path}: it has no rows")
+    refuse_if(not lines, f"{path}: it has no rows")
     try:
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
     except ValueError as error:
@@ -159,7 +160,7 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
 
 
 def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
-    """Return columns as a table, the first row in line 1 + `header` of the file, if their numbers can be."""
+    """Return columns as a table, the first row in line 1 + `header` of the file, if their values are valid."""
     for name, values in columns.items():
         wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)
         if name in _WHOLE:
@@ -176,7 +177,7 @@ def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
 
 
 def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
-    """Read corners of a board on a detector of so many columns and rows.
+    """Read corners of a board on a detector of a given size.
 
     Parameters
     ----------
@@ -238,14 +239,14 @@ def require_on_detector(table: Table, size: tuple[int, int]) -> None:
 
 
 def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return what a fit compares with, and the frame numbers of its poses."""
+    """Return what a fit compares with, and the frame indices of its poses."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     places = board.places(corners["cluster"])
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
 
 
 def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return places (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
+    """Return positions (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
     flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
     turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return turned + poses[pose, 3:]
@@ -260,8 +261,10 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     for odd_rows in (-0.5, 0.0, 0.5):
         places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(places)), places])
-        if np.linalg.matrix_rank(matrix) < 3:
-            raise InputError(f"{table.name}: all lenses lie on one line; corners of at least two rows are needed")
+        refuse_if(
+            np.linalg.matrix_rank(matrix) < 3,
+            f"{table.name}: all lenses lie on one line; corners of at least two rows are needed",
+        )
         grid, distance, good = robust_lines(both_axes(matrix), pixel)
         grid = grid.reshape(2, 3).T
         error = float(np.sqrt((distance[good] ** 2).mean()))

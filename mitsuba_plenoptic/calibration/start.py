@@ -1,8 +1,8 @@
 r"""Start values of a calibration from the data alone.
 
 Through a lens at c a point whose image lies at q, the distance a before the microlens array, is seen at
-:math:`p = c (1 + z/a) - q z / a`: linear in c, so that the lenses which see one corner tell z/a, and with it q. How far
-the images q of a board's corners lie apart tells its magnification M, and as :math:`a = b - f (1 + M)`,
+:math:`p = c (1 + z/a) - q z / a`: linear in c, so that the lenses which see one corner determine z/a, and with it q.
+How far the images q of a board's corners lie apart gives its magnification M, and as :math:`a = b - f (1 + M)`,
 
 .. math:: a / z = (b - f) / z - (f / z) M
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .model import AT, NAMES, Observations
 from .observations import Board
@@ -42,26 +42,27 @@ _EXPLAINED = 0.35
 def start_values(
     problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find numbers from which a fit finds its way.
+    """Find parameters from which a fit converges.
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
     """
     seen, size = problem.corners, problem.pixel_size
-    if seen.poses < _FEWEST_POSES:
-        raise InputError(f"corners: {seen.poses} poses of the board: at least {_FEWEST_POSES} are needed")
+    refuse_if(
+        seen.poses < _FEWEST_POSES, f"corners: {seen.poses} poses of the board: at least {_FEWEST_POSES} are needed"
+    )
     slopes, maps, good = board_images(problem, board, frames, grid, principal)
     magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
-    if np.ptp(magnification) < _LEAST_SPREAD * magnification.mean():
-        raise InputError(
-            "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
-            "add poses nearer and farther"
-        )
+    refuse_if(
+        np.ptp(magnification) < _LEAST_SPREAD * magnification.mean(),
+        "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
+        "add poses nearer and farther",
+    )
     per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose[good]))) * [-1, 1]
-    if not (per_z > 0 and less > -per_z):
-        raise InputError(
-            "corners: they move from lens to lens as in no plenoptic camera: check lens indices, the corners' order, "
-            "and that frames differ where the board was moved"
-        )
+    refuse_if(
+        not (per_z > 0 and less > -per_z),
+        "corners: they move from lens to lens as in no plenoptic camera: check lens indices, the corners' order, "
+        "and that frames differ where the board was moved",
+    )
     # What the corners cover on the detector is the right order; the fit below finds the scale.
     f = 2 * size * float(np.hypot(*np.ptp(seen.pixel, axis=0)))
     b, z = f * (1 + less / per_z), f / per_z
@@ -110,24 +111,25 @@ def board_images(
         mine = good & (seen.pose == pose)
         corners, which = np.unique(seen.board[mine], axis=0, return_inverse=True)
         which = which.ravel()
-        if len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2:
-            raise InputError(
-                f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
-                "not all on one line"
-            )
+        refuse_if(
+            len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2,
+            f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
+            "not all on one line",
+        )
         places, pixels = centre[mine], pixel[mine]
         around, moved = (values - _means(values, which)[which] for values in (places, pixels))
-        if not (around**2).sum() > 0:
-            raise InputError(f"frame {frame}: each corner is seen through one lens only; several are needed")
+        refuse_if(
+            not (around**2).sum() > 0, f"frame {frame}: each corner is seen through one lens only; several are needed"
+        )
         slope = (around * moved).sum() / (around**2).sum() - 1
         image = (places * (1 + slope) - pixels) * (size / slope)
         slopes[pose] = slope
         maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), seen.board[mine]]), image)[0]
-        if np.linalg.det(maps[pose, 1:]) <= 0:
-            raise InputError(
-                f"frame {frame}: the board is seen mirrored: number its corners as they are seen from its front, to "
-                "the right and then down, in a picture that is not mirrored"
-            )
+        refuse_if(
+            np.linalg.det(maps[pose, 1:]) <= 0,
+            f"frame {frame}: the board is seen mirrored: number its corners as they are seen from its front, to "
+            "the right and then down, in a picture that is not mirrored",
+        )
     return slopes, maps, good
 
 
@@ -177,8 +179,8 @@ def _agreeing(
 def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
     """Return whether a flat board explains where corners are seen, and the rows that agree with it.
 
-    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's places. Lenses that see a
-    corner lie about its place; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
+    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's positions. Lenses that see a
+    corner lie about its position; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
     """
     x, y = (board / max(np.abs(board).max(), 1e-9)).T
     one = np.ones(len(x))

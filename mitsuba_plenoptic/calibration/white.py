@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.files import atomic_output
 from ..lightfield import LensGrid, estimate_lens_grid
 from .adjustment import OUTLIER
@@ -51,7 +51,7 @@ class Centres:
     residuals : (n, 2) array
         Centres minus those of the grid in pixels: lenses that are displaced, tilt and distortion.
     doubtful : (n,) bool array
-        Centres that dust or a defect may have displaced: their place or their light differs from that of their
+        Centres that dust or a defect may have displaced: their position or their light differs from that of their
         neighbours by more than six deviations.
     """
 
@@ -89,8 +89,7 @@ def find_centres(*whites: np.ndarray) -> Centres:
         If a picture shows no lattice of micro-images, or they differ in size.
     """
     sizes = {np.shape(white)[:2] for white in whites}
-    if len(sizes) != 1:
-        raise InputError(f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
+    refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
     grid = estimate_lens_grid(whites[0])
     images = [np.asarray(white, dtype=np.float64) for white in whites]
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
@@ -102,9 +101,9 @@ def find_centres(*whites: np.ndarray) -> Centres:
     lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
     found = [_all_centred(image, start, radius) for image in images]
     centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
-    kept = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
-    kept &= np.hypot(*(centre - start).T) < radius / 2
-    lens, centre, light = lens[kept], centre[kept], light[kept]
+    used = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
+    used &= np.hypot(*(centre - start).T) < radius / 2
+    lens, centre, light = lens[used], centre[used], light[used]
     residuals = centre - _plain_grid(grid, lens, centre)
     light = light / light.max()
     return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
@@ -136,7 +135,7 @@ def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.n
 
 
 def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the places of the affine grid that fits the centres best."""
+    """Return the positions of the affine grid that fits the centres best."""
     k, l = lens.T.astype(np.float64)  # noqa: E741
     if grid.shifted_rows is not None:
         k = k + 0.5 * (l % 2 == grid.shifted_rows)
@@ -146,7 +145,7 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Return which centres differ from their neighbours, in place or in light, by more than neighbours do."""
+    """Return which centres differ from their neighbours, in position or in light, by more than neighbours do."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)

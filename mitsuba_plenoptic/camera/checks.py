@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..bounds import MOST_JITTER
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_number, short_repr
 from ..lattice import LATTICES
 from ..lens_data import THIN
 from ..thin_lens import image_distance
@@ -58,7 +58,7 @@ def _check_array(values: dict[str, Any]) -> None:
     if len(focal_lengths) not in (1, types):
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
         rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
-        raise InputError(f"mla_focal_length = {shown(focal_lengths)}: it must be {rule}")
+        raise InputError(f"mla_focal_length = {short_repr(focal_lengths)}: it must be {rule}")
     bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
     for value, most in zip(values["mla_jitter"], bounds, strict=True):
         require_number("mla_jitter", value, maximum=most)

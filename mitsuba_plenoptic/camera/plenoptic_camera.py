@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError, did_you_mean, require_choice, shown, suggest_keywords
+from ..errors import InputError, did_you_mean, require_choice, short_repr, suggest_keywords
 from ..presets import PRESETS
 from .checks import checked_values, require_whole
 from .documentation import numpy_section, signature
@@ -146,7 +146,7 @@ class PlenopticCamera(CameraGeometry):
     def _from_names(cls, values: Any) -> PlenopticCamera:
         """Build a camera from parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
-            raise InputError(f"camera = {shown(values)}: it must be camera parameters by name")
+            raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
         for name in sorted(set(values) - set(PARAMETERS)):
             raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, PARAMETERS)}")
         return cls(**values)
@@ -234,5 +234,5 @@ class PlenopticCamera(CameraGeometry):
 def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
     """Return a camera, or refuse what is none, such as the name of a preset."""
     if not isinstance(value, PlenopticCamera):
-        raise InputError(f"{name} = {shown(value)}: it must be a PlenopticCamera")
+        raise InputError(f"{name} = {short_repr(value)}: it must be a PlenopticCamera")
     return value

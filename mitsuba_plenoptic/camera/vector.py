@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, did_you_mean, shown
+from ..errors import InputError, did_you_mean, short_repr
 from .entry import Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
@@ -134,10 +134,11 @@ class CameraVector:
             where = [index for index, each in enumerate(self.components) if name in (each.label, each.name)]
             if not where:
                 raise InputError(
-                    f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}{did_you_mean(name, labels)}"
+                    f"bounds: {short_repr(name)} is not fitted; there are {', '.join(labels)}"
+                    f"{did_you_mean(name, labels)}"
                 )
             if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-                raise InputError(f"bounds: {name} = {shown(pair)}: it must be the lowest and the highest value")
+                raise InputError(f"bounds: {name} = {short_repr(pair)}: it must be the lowest and the highest value")
             low[where], high[where] = pair
         for label, value, least, most in zip(labels, start, low, high, strict=True):
             if not least <= value <= most:

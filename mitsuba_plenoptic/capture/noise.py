@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..runtime.jobs import Task
+from ..runtime.jobs import SumTask
 
 PARTS = 16
 """Independent numbers from which the noise of a pixel is estimated."""
@@ -51,7 +51,7 @@ class PassSpread:
         return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
-def keep_spread(task: Task) -> Task:
+def keep_spread(task: SumTask) -> SumTask:
     """Let one of several independent runs, whose images are to be added, bring what `with_spread` needs of it."""
 
     def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, did_you_mean, shown, suggest_keywords
+from ..errors import InputError, did_you_mean, short_repr, suggest_keywords
 from ..io.exr import read_parts
 from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time
@@ -68,7 +68,7 @@ def _check(
     for tag, given in elements:
         plugin = given["type"]
         if re.search(r"[^\w$.\-]", plugin) or ".." in plugin:
-            raise InputError(f"{path}: type = {shown(plugin)}: it must be the name of a plugin")
+            raise InputError(f"{path}: type = {short_repr(plugin)}: it must be the name of a plugin")
         for name in (given["value"], given["filename"]):
             for file in _existing(name, folders):
                 _check_resource(path, file)
@@ -87,7 +87,7 @@ def _parse(path: Path) -> list[_Element]:
     # Two parsers that read an encoding differently would see two scenes.
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
-        raise InputError(f"{path}: its encoding is {shown(declared.group(1))}: it must be UTF-8")
+        raise InputError(f"{path}: its encoding is {short_repr(declared.group(1))}: it must be UTF-8")
     elements: list[_Element] = []
     depth = 0
 
@@ -185,7 +185,7 @@ def _check_ply(scene: Path, file: Path, size: int) -> None:
     for match in re.finditer(rb"^\s*element\s+(\w+)\s+(\S+)", header, re.MULTILINE):
         name, count = (word.decode(errors="replace") for word in match.groups())
         if not count.isdecimal() or len(count) > 18 or int(count) > size:
-            raise InputError(f"{scene}: {file} claims {shown(count)} elements '{name}' in {size} bytes")
+            raise InputError(f"{scene}: {file} claims {short_repr(count)} elements '{name}' in {size} bytes")
 
 
 KNOWN_PARAMETERS = {
@@ -266,7 +266,7 @@ def load_scene(
     if isinstance(scene, Mapping):
         return _load_dictionary(scene, variant, parameters)
     if parameters is not None and not isinstance(parameters, Mapping):
-        raise InputError(f"parameters = {shown(parameters)}: they must be values by name")
+        raise InputError(f"parameters = {short_repr(parameters)}: they must be values by name")
     path = _find(scene)
     set_variant(variant)
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
@@ -294,9 +294,9 @@ def load_scene(
 
 def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: Mapping[str, str] | None) -> Any:
     if parameters:
-        raise InputError(f"parameters = {shown(dict(parameters))}: a dictionary has none; put the values into it")
+        raise InputError(f"parameters = {short_repr(dict(parameters))}: a dictionary has none; put the values into it")
     if scene.get("type") != "scene":
-        raise InputError(f"scene: its 'type' is {shown(scene.get('type'))}: it must be 'scene'")
+        raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
     set_variant(variant)
     try:
         # Not optimized, for the same reason as a file's.

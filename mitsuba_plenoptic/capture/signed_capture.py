@@ -16,7 +16,7 @@ from ..camera import PlenopticCamera
 from ..io.checkpoints import digest
 from ..operator.patch_plan import Cost
 from ..optics.phase import in_millimetres
-from ..runtime.jobs import Job, Task
+from ..runtime.jobs import Job, SumTask
 from .noise import PARTS, Mended, keep_spread, with_spread
 from .scene_light import SceneLight
 from .signed_colours import FINE, Node, SignedColours
@@ -111,7 +111,7 @@ class SignedCapture:
         first = sums[0]()
         found, items = first.probe(), int(first.items.sum())
         del first
-        tasks = [Task(items, plan, partial(_part, runs)) for plan in sums]
+        tasks = [SumTask(items, plan, partial(_part, runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task) for task in tasks]
         channels = self.colours.spectrum.channels

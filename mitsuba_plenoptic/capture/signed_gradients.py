@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.vector import Values
-from ..runtime.jobs import Job, Task
+from ..runtime.jobs import Job, SumTask
 from .scene_light import LightDerivatives
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_capture import SignedCapture, Sum
@@ -153,4 +153,4 @@ class SignedGradients:
         work = self._sum(kind, light)
         items = int(work.items.sum())
         shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels
-        return Job().run([Task(items, lambda: work, lambda image: image)], shape, items)
+        return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)

@@ -8,7 +8,7 @@ import logging
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -19,14 +19,21 @@ from ..runtime.progress import plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
-# In the order of the help. Each is a module with a function of the same name.
-COMMANDS = (
-    *("render", "reconstruct", "views", "epi", "stack", "depth", "expose", "demosaic", "calibrate", "fit", "convert"),
-    *("sweep", "dataset", "compare", "reproduce", "info", "doctor"),
-)
+# In the order of the help: each command is a function of its name in this module.
+COMMANDS = {
+    "render": "render",
+    "reconstruct": "reconstruct",
+    **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
+    **dict.fromkeys(("expose", "demosaic"), "detector"),
+    "calibrate": "calibrate",
+    "fit": "fit",
+    "convert": "light_field",
+    **dict.fromkeys(("sweep", "dataset", "compare", "reproduce"), "experiments"),
+    **dict.fromkeys(("info", "doctor"), "info"),
+}
 
 # Options that are not called as the arguments of the library that they are for.
-_OPTIONS = {"views": "--view-count", "names": "--number", "parameters": "-D", "batch_map": "--workers"}
+_OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
 
 
 def _print_version(wanted: bool) -> None:
@@ -57,12 +64,12 @@ def _root(
         typer.echo(context.get_help())
 
 
-def command_line(names: Sequence[str] = COMMANDS) -> typer.Typer:
+def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; loading all of them takes a second."""
     made = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
     made.callback(invoke_without_command=True)(_root)
     for name in names:
-        made.command(name)(getattr(importlib.import_module(f".{name}", __package__), name))
+        made.command(name)(getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name))
     return made
 
 

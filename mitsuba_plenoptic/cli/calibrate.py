@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
-from .inputs import load_camera
-from .options import CameraFile, Linear, White, number, output_option
+from .inputs import CameraFile, Linear, White, load_camera, number, output_option
 
 if TYPE_CHECKING:
     from ..calibration import Board, Evaluation
@@ -57,7 +56,7 @@ def calibrate(
         typer.Option(metavar="CORNERS.csv", help="Hold the camera, refit the poses, and print how far off it is."),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a page with numbers, poses and residuals, too.")
+        Path | None, typer.Option(metavar="FILE.html", help="Also write a page with parameters, poses and residuals.")
     ] = None,
     white: White = None,
     linear: Linear = False,
@@ -65,8 +64,8 @@ def calibrate(
     """Calibrate a real camera from corners of a checkerboard and white images.
 
     Corners are a table k, l, u, v, cluster, frame: lens along its row, row,
-    pixel, number of the corner, picture. Start values come from the data, but
-    for what [bold]--camera[/bold] tells: detector, lattice and f-number.
+    pixel, number of the corner, picture. Start values come from the data, except
+    for what [bold]--camera[/bold] provides: detector, lattice and f-number.
 
     [bold]Examples:[/bold]
 
@@ -109,8 +108,7 @@ def calibrate(
 
 def _refuse(work: str, **options: object) -> None:
     for name, value in options.items():
-        if value:
-            raise InputError(f"--{name}: {work} does not take it; leave it out")
+        refuse_if(value, f"--{name}: {work} does not take it; leave it out")
 
 
 def _board(board: str | None, square: float | None) -> Board:
@@ -186,7 +184,7 @@ def _detect(
         )
         seen = len(np.unique(found[-1]["cluster"]))
         typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
-    calibration.write_corners(output, calibration.joined(found))
+    calibration.write_corners(output, calibration.concatenate(found))
     typer.echo(f"{output}: {sum(len(table['k']) for table in found)} corners in {len(paths)} pictures")
 
 
@@ -243,7 +241,7 @@ def _calibrate(
         typer.echo(f"blur radii {found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens")
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
-        typer.echo(f"told badly, {weakness:.1f} times the deviations: {terms}")
+        typer.echo(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
     if found.by_frames:
         typer.echo(
             f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "

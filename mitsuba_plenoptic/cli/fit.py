@@ -10,19 +10,18 @@ import typer
 
 from ..capture.scene import load_scene
 from ..errors import InputError, require_number
-from ..io.captures import Capture, read_capture
+from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
 from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
-from .inputs import named_camera, parse_definitions
-from .options import CameraFile, Definitions, number, output_option
+from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions
 from .terminal import stopped_by_hand
 
 if TYPE_CHECKING:
     from ..fitting import Fit, PixelNoise
 
-# Directions that are printed: the worst told.
+# Directions that are printed: the worst determined.
 _NAMED = 3
 
 
@@ -35,7 +34,8 @@ def fit(
         list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
     ],
     names: Annotated[
-        list[str], typer.Option("--number", metavar="NAME", help="What is fitted, such as mla_pitch; one or several.")
+        list[str],
+        typer.Option("--parameter", metavar="NAME", help="Parameter to fit, such as mla_pitch; repeat for several."),
     ],
     photons: Annotated[
         float | None, number("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps")
@@ -60,16 +60,16 @@ def fit(
         bool,
         typer.Option("--from-afar", help="Come near first, by rays with blurred captures: lengths some percent off."),
     ] = False,
-    method: Annotated[
-        str, typer.Option(metavar="waves|rays", help="How light goes through the camera; rays know no diffraction.")
-    ] = "waves",
-    accuracy: Annotated[float, number("Error that is allowed for speed, by waves; 0: none.")] = 0.0,
+    model: Annotated[
+        str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
+    ] = "wave",
+    accuracy: Annotated[float, number("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
     ] = False,
     define: Definitions = None,
 ) -> None:
-    """Fit a camera's numbers to captures of known scenes, by waves or by rays.
+    """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
 
     It starts from the captures' own camera, or from --camera. Noise and
     saturation of captures that 'expose' made are those of their detector.
@@ -78,7 +78,7 @@ def fit(
 
     [bold]Example:[/bold]
 
-      mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --number mla_pitch -o camera.json
+      mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
     """
     from .. import fitting
     from ..lightfield.exchange import read_picture
@@ -87,7 +87,7 @@ def fit(
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output, ".json"), *captures, mask)
     read = [read_capture(path) for path in captures]
-    kept = [_kept_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
+    noises = [_recorded_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
     left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
     for path, capture in zip(captures, read, strict=True):
         if left_out is not None and left_out.shape != capture.camera.shape:
@@ -107,7 +107,7 @@ def fit(
     if photons is not None:
         require_number("photons", photons, positive=True)
     views = []
-    for name, capture, (noise, full) in zip(scenes, read, kept, strict=True):
+    for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
         view = fitting.known_view(
             capture.image,
@@ -124,14 +124,14 @@ def fit(
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
             if afar and not resume:
-                first = fitting.come_near(first, views, names, wavelength=known, progress=progress)
+                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,
                 views,
                 names,
                 wavelength=known,
                 photons=photons,
-                method=method,
+                model=model,
                 accuracy=accuracy,
                 progress=progress,
                 checkpoint=steps,
@@ -139,7 +139,7 @@ def fit(
         _write(output, found)
 
 
-def _kept_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
+def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
     from .. import fitting
 
@@ -166,5 +166,5 @@ def _write(output: Path, found: Fit) -> None:
     for direction in found.directions[:_NAMED] if len(found.values) > 1 else ():
         parts = sorted(direction.parts.items(), key=lambda part: -abs(part[1]))
         terms = ", ".join(f"{part:+.2f} {name}" for name, part in parts if abs(part) > 0.1)
-        typer.echo(f"told to {direction.deviation:.2g}: {terms}")
+        typer.echo(f"determined to {direction.deviation:.2g}: {terms}")
     typer.echo(f"{output}: the fitted camera")

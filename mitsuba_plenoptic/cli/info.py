@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic info``: the design sheet of a camera."""
+"""``mitsuba-plenoptic info`` and ``doctor``: the design sheet of a camera, and the state of the installation."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rich.table import Table
 
 from ..bounds import require_wavelength
 from ..design import design_warnings
-from ..errors import InputError, printable
+from ..errors import printable, refuse_if
 from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
-from .inputs import load_camera, parse_definitions
-from .options import Definitions, number
+from ..report.installation import inspect_installation
+from .inputs import Definitions, load_camera, number, parse_definitions
 
 
 def info(
@@ -31,7 +31,7 @@ def info(
         ),
     ],
     wavelength: Annotated[
-        float | None, number("Wavelength in nanometres at which to judge diffraction.", "the capture's", unit="NM")
+        float | None, number("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM")
     ] = None,
     drawing: Annotated[
         Path | None,
@@ -45,7 +45,7 @@ def info(
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
 
-    Nothing is rendered. A capture also tells how it was made.
+    Nothing is rendered. For a capture, how it was made is printed too.
 
     [bold]Examples:[/bold]
 
@@ -60,8 +60,10 @@ def info(
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
-    if parameters and source.lower().endswith(".exr"):
-        raise InputError(f"-D: {source} is no scene, and has no scene parameters; leave it out")
+    refuse_if(
+        parameters and source.lower().endswith(".exr"),
+        f"-D: {source} is no scene, and has no scene parameters; leave it out",
+    )
     capture = read_capture(source) if source.lower().endswith(".exr") else None
     camera = capture.camera if capture else load_camera(source, parameters)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
@@ -103,3 +105,21 @@ def _table(rows: list[Row]) -> Table:
         for row in members:
             table.add_row(f"  {row.quantity}", escape(row.value), row.unit, f"[dim]{escape(row.note)}[/dim]")
     return table
+
+
+def doctor() -> None:
+    """Check the installation: versions, LLVM, Mitsuba variants, threads and GPU.
+
+    The exit status is 0 if captures can be rendered here and 1 if not.
+    """
+    found = inspect_installation()
+    for title, lines in found.sections.items():
+        typer.echo(f"\n{typer.style(title, bold=True)}")
+        for name, value in lines:
+            typer.echo(f"  {name:<26} {value}")
+    typer.echo()
+    if found.problem:
+        typer.echo(f"Problem: {found.problem}.")
+    if not found.ready:
+        raise typer.Exit(1)
+    typer.echo("Ready to render.")

@@ -1,4 +1,4 @@
-"""What the options name, checked and made: files to write, cameras, scenes and their parameters, workers."""
+"""Arguments and options that several commands have, and the loading of what they name."""
 
 from __future__ import annotations
 
@@ -8,24 +8,178 @@ import re
 import warnings
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
 from ..capture.scene import check_scene_file, load_scene, scene_names, scene_path
 from ..design import design_warnings
-from ..errors import InputError, did_you_mean
-from ..io.captures import Capture, read_capture
-from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, tells_detector
+from ..errors import InputError, did_you_mean, refuse_if
+from ..io.captures import MODELS, Capture, read_capture
+from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, states_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
-from ..report.images import Brightness
+from ..report.output_files import Brightness
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
 from ..runtime.variant import DEFAULT_VARIANT
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
+
+
+def output_option(metavar: str, text: str) -> Any:
+    """Return the option ``-o`` of a command that writes a file or a folder."""
+    return typer.Option("-o", "--output", metavar=metavar, help=text)
+
+
+def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
+    """Return an option that takes a number; `default` is what the help shows for a default of None."""
+    return typer.Option(metavar=unit, show_default=default or True, help=text)
+
+
+Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")]
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")]
+OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
+CaptureOutput = Annotated[Path, output_option("FILE.exr", "File to write.")]
+
+RawOutput = Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")]
+
+Definitions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-D",
+        "--define",
+        metavar="NAME=VALUE",
+        help="Set a scene parameter, the $NAME in its XML file; repeat for several.",
+    ),
+]
+
+Distances = Annotated[
+    list[float],
+    number("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
+]
+
+Variant = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", show_default="llvm_ad_mono", help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono."
+    ),
+]
+
+Model = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(MODELS),
+        show_default="as the scene's integrator has it",
+        help="How light propagates through the camera.",
+    ),
+]
+
+Samples = Annotated[int | None, number("Samples per pixel.", "those of the scene's sampler")]
+
+Seed = Annotated[int, number("Seed of the random numbers.")]
+
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
+        "version.",
+    ),
+]
+
+# For commands that always resume.
+ResumeOnly = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Refuse the checkpoint of another scene, camera or version, if the folder holds one, instead of "
+        "replacing it.",
+    ),
+]
+
+Workers = Annotated[
+    int | None,
+    number(
+        "By waves: number of processes of this machine to sum on; the capture has the same bits.",
+        "threads of one process",
+    ),
+]
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="By waves: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786."
+    ),
+]
+
+CameraFile = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="PRESET|FILE.json|SCENE",
+        help=f"Camera, in the place of any that there is: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, "
+        "or a scene's.",
+    ),
+]
+
+LightFieldSource = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SOURCE",
+        help="A capture (.exr), a light field (.nc, .zarr, or LFToolbox's .mat), a mosaic (.png with --view-count, "
+        ".eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or .tiff, with "
+        "--white or --camera).",
+    ),
+]
+
+White = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        show_default="computed from the camera",
+        help="White image of the same camera, .exr, .png or .tiff. For a raw picture it shows where the micro-images "
+        "are.",
+    ),
+]
+
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth",
+        metavar="FILE.truth.exr",
+        show_default="the one next to the capture, if 'render --aov' wrote it",
+        help="Ground truth of the capture.",
+    ),
+]
+
+Exposure = Annotated[
+    float | None,
+    number("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
+]
+
+Percentile = Annotated[
+    float | None,
+    number(
+        "Of a .png: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
+        "rest black; 100: the brightest.",
+        "99.5",
+        unit="PERCENT",
+    ),
+]
+
+ViewCount = Annotated[
+    int | None, number("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
+]
+
+Linear = Annotated[
+    bool,
+    typer.Option("--linear", help="Pictures hold values proportional to light, as raw data does, instead of sRGB."),
+]
+
 
 _COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
@@ -39,14 +193,14 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
     if preset or source.lower().endswith((".json", ".js")):
-        if parameters:
-            raise InputError(f"-D: {source} is no scene, and has no scene parameters; leave it out")
+        refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
         from ..calibration import read_camera
 
         return read_camera(source)
-    if source.lower().endswith(".exr"):
-        raise InputError(f"{source}: it is an image; a camera is a preset, a JSON file or a scene")
+    refuse_if(
+        source.lower().endswith(".exr"), f"{source}: it is an image; a camera is a preset, a JSON file or a scene"
+    )
     if not Path(source).exists() and source not in scene_names():
         names = scene_names()
         raise InputError(
@@ -54,22 +208,21 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
             f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
         )
     sensors = load_scene(source, parameters=parameters).sensors()
-    if not sensors:
-        raise InputError(f"{source}: it has no sensor; add one of type 'plenoptic'")
+    refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
 
 
 def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
-    """Read a capture, or a raw picture of a known camera; the camera that is given takes the place of a capture's.
+    """Read a capture, or a raw picture of a known camera; the camera that is given replaces a capture's.
 
-    Of a raw picture that tells its camera and detector, as `write_raw` writes it, nothing else is needed.
+    A raw picture that states its camera and detector, as `write_raw` writes it, needs nothing else.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
-        if tells_detector(path):
+        if states_detector(path):
             found = read_raw(path)
             return found if camera is None else dataclasses.replace(found, camera=camera)
         if camera is None:
-            raise InputError(f"{path}: it tells no camera and detector; such a raw picture needs its --camera")
+            raise InputError(f"{path}: it states no camera and detector; such a raw picture needs its --camera")
         # Brings libraries that take a while to load.
         from ..lightfield.exchange import read_picture
 
@@ -102,7 +255,7 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 def open_scene(
     scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, number: int = 0
 ) -> Any:
-    """Load a scene to be rendered, in the variant of its film's colours unless told, and say what is poor about it."""
+    """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     other = named_camera(camera)
     colours = None if variant else _colours_of_film(scene, parameters)
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
@@ -130,7 +283,7 @@ def open_scene(
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     """Return the colours that a scene's film records, None if it records none.
 
-    Mitsuba's films record rgb unless told otherwise, and so does the one of a sensor that names none.
+    Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
     path = Path(scene) if Path(scene).exists() else scene_path(scene)
     text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
@@ -152,8 +305,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     parameters = {}
     for text in definitions or []:
         name, equals, value = text.partition("=")
-        if not name or not equals:
-            raise InputError(f"-D {text}: write it as -D NAME=VALUE")
+        refuse_if(not name or not equals, f"-D {text}: write it as -D NAME=VALUE")
         parameters[name] = value
     return parameters
 

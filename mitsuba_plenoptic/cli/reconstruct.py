@@ -15,12 +15,25 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
-from ..report.images import Brightness
-from ..report.output_files import reconstruction_paths, write_reconstructions
+from ..report.output_files import Brightness, reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
-from .inputs import batches_on, brightness_of, named_camera, read_recorded, require_linear
-from .options import CameraFile, CaptureFile, Distances, Exposure, Linear, Percentile, Variant, number, output_option
+from .inputs import (
+    CameraFile,
+    CaptureFile,
+    Distances,
+    Exposure,
+    Linear,
+    Percentile,
+    Variant,
+    batches_on,
+    brightness_of,
+    named_camera,
+    number,
+    output_option,
+    read_recorded,
+    require_linear,
+)
 from .terminal import stopped_by_hand
 
 
@@ -73,7 +86,7 @@ def reconstruct(
     ] = None,
     camera: CameraFile = None,
     linear: Linear = False,
-    oversample: Annotated[int, number("Bins per microlens along each axis; info tells what suits.")] = 1,
+    oversample: Annotated[int, number("Bins per microlens along each axis; info prints what suits.")] = 1,
     white: Annotated[
         Path | None,
         typer.Option(
@@ -92,7 +105,7 @@ def reconstruct(
     ] = None,
     iterations: Annotated[
         int | None,
-        number("For deconvolved: steps.", "until only noise is left, where a capture tells its exposure; else 30"),
+        number("For deconvolved: steps.", "until only noise is left, where a capture states its exposure; else 30"),
     ] = None,
     accelerate: Annotated[
         bool | None,
@@ -104,7 +117,7 @@ def reconstruct(
     ] = None,
     photons: Annotated[
         float | None,
-        number("For deconvolved: photons that a pixel of value 1 has counted.", "what 'expose' has kept"),
+        number("For deconvolved: photons that a pixel of value 1 has counted.", "those that 'expose' recorded"),
     ] = None,
     volume: Annotated[
         bool,
@@ -124,11 +137,11 @@ def reconstruct(
     ] = None,
     resume: Annotated[
         bool,
-        typer.Option("--resume", help="For deconvolved: go on from the checkpoint of a run that was stopped."),
+        typer.Option("--resume", help="For deconvolved: resume from the checkpoint of a run that was stopped."),
     ] = False,
     workers: Annotated[
         int | None,
-        number("For deconvolved: compute point spreads on so many processes.", "threads of one process"),
+        number("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -140,7 +153,7 @@ def reconstruct(
 ) -> None:
     """Refocus a capture to one or several distances.
 
-    A reconstruction has one bin per microlens, unless told otherwise, and the
+    A reconstruction has one bin per microlens by default, and the
     orientation of an ordinary photograph. The distance may be inf. Pictures of one run share one scale,
     so that their brightness compares. Bins that no light can reach, at the
     borders of a crop, are NaN in OpenEXR and black in a picture. A raw picture
@@ -182,9 +195,11 @@ def reconstruct(
     recorded = read_recorded(capture, known, linear)
     reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
-    kept = Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if chosen.long else None
-    with kept or nullcontext(), batches_on(workers, scheduler) as batch_map:
-        with progress_bar("Refocusing") as progress, stopped_by_hand(kept, progress) if kept else nullcontext():
+    saved = (
+        Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if chosen.long else None
+    )
+    with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
+        with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
             results = reconstruction.reconstruct(
                 recorded,
                 distance,
@@ -202,7 +217,7 @@ def reconstruct(
                 volume=volume or None,
                 variation=variation,
                 progress=progress,
-                checkpoint=kept,
+                checkpoint=saved,
                 batch_map=batch_map,
             )
         if not whole:
@@ -211,11 +226,11 @@ def reconstruct(
     for path, result in zip(paths or [output] * len(results), results, strict=True):
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
-        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_told(result.facts)}")
+        typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_described(result.facts)}")
 
 
 def _period(interleave: str | None) -> int | str | None:
-    """Return a number of lenses as such; other words are judged where they are used."""
+    """Return a period in lenses as an integer; other words are checked where they are used."""
     return int(interleave) if interleave and interleave.isdecimal() and len(interleave) < 10 else interleave
 
 
@@ -238,12 +253,12 @@ def _write_volume(
         typer.echo(f"{overview}: overview")
 
 
-def _told(facts: dict[str, Any]) -> str:
-    """Say what a deconvolution tells of itself."""
+def _described(facts: dict[str, Any]) -> str:
+    """Describe a deconvolution in words."""
     if not facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
-    near = "; in focus, where finer bins tell little more" if facts["in_focus"] else ""
+    near = "; in focus, where finer bins add little" if facts["in_focus"] else ""
     return (
         f"; {facts['iterations']} iterations, {ended}, {facts['residual']:.2%} of the capture left; resolution limit "
         f"{facts['resolution_limit']:.3g} line pairs/mm{near}"

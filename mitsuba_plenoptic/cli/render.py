@@ -17,8 +17,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
-from .inputs import batches_on, open_scene, parse_definitions
-from .options import (
+from .inputs import (
     CameraFile,
     Definitions,
     Model,
@@ -28,8 +27,11 @@ from .options import (
     Scheduler,
     Seed,
     Workers,
+    batches_on,
     number,
+    open_scene,
     output_option,
+    parse_definitions,
 )
 from .terminal import stopped_by_hand
 
@@ -85,7 +87,7 @@ def render(
         str | None,
         typer.Option(
             metavar="NAME,NAME,...",
-            help="Write ground truth, too, beside the capture as FILE.truth.exr, of each pixel and of each decoded "
+            help="Also write ground truth, next to the capture, as FILE.truth.exr, of each pixel and of each decoded "
             f"view: {', '.join(QUANTITIES)}.",
         ),
     ] = None,
@@ -104,7 +106,7 @@ def render(
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
     the camera and how it was made. A long wave capture keeps a checkpoint
-    beside the output, from which [bold]--resume[/bold] goes on after Ctrl-C or a crash.
+    next to the output, from which [bold]--resume[/bold] continues after Ctrl-C or a crash.
 
     [bold]Examples:[/bold]
 
@@ -145,9 +147,9 @@ def render(
     names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     for path in filter(None, (output, white)):
         require_writable(path, ".exr")
-    beside = require_writable(truth_path(output))
-    require_different(output, white, beside if names else None)
-    kept = Checkpoint(
+    truth_file = require_writable(truth_path(output))
+    require_different(output, white, truth_file if names else None)
+    saved = Checkpoint(
         require_writable(checkpoint or output.with_name(output.name + SUFFIX)), "resume" if resume else "refuse"
     )
     with progress_bar("Loading the scene"):
@@ -158,8 +160,8 @@ def render(
     given = {"resume": resume, "checkpoint": checkpoint, "workers": workers, "scheduler": scheduler}
     for name in (name for name, value in given.items() if value and not by_waves):
         raise InputError(f"--{name}: a ray capture does not take it; it is for --model wave")
-    with kept if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
-        with progress_bar("Rendering") as progress, stopped_by_hand(kept, progress) if by_waves else nullcontext():
+    with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
+        with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
             start = time.perf_counter()
             capture = render_capture(
                 loaded,
@@ -168,7 +170,7 @@ def render(
                 spp=spp,
                 seed=seed,
                 progress=progress,
-                checkpoint=kept if by_waves else None,
+                checkpoint=saved if by_waves else None,
                 batch_map=batch_map,
                 noise=noise,
                 **wave,
@@ -178,9 +180,9 @@ def render(
             # Brings libraries that take a second to load.
             from ..lightfield import ground_truth
 
-            write_ground_truth(beside, ground_truth(loaded, names, sensor=sensor))
-            capture.metadata[NAME] = beside.name
-            typer.echo(f"{beside}: ground truth, {', '.join(names)}")
+            write_ground_truth(truth_file, ground_truth(loaded, names, sensor=sensor))
+            capture.metadata[NAME] = truth_file.name
+            typer.echo(f"{truth_file}: ground truth, {', '.join(names)}")
         write_capture(output, capture)
     if white:
         # Brings libraries that take a second to load.

@@ -1,4 +1,4 @@
-"""What commands show on the terminal while they compute, on standard error, and what Ctrl-C does then."""
+"""Progress of commands on standard error, and the handling of Ctrl-C."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
-    """Let Ctrl-C end a run with its checkpoint written, and say how to go on; a second Ctrl-C ends it at once."""
-    # Only the main thread is told of signals.
+    """Let Ctrl-C end a run with its checkpoint written, and say how to resume; a second Ctrl-C ends it at once."""
+    # Only the main thread receives signals.
     on_main = threading.current_thread() is threading.main_thread()
     before: Any = signal.getsignal(signal.SIGINT)
 
@@ -30,15 +30,15 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
         signal.signal(signal.SIGINT, before)
         if not checkpoint.stop():
             raise KeyboardInterrupt
-        _log.info("stopping after the batch under way; Ctrl-C again stops at once")
+        _log.info("stopping after the current batch; Ctrl-C again stops at once")
 
     if on_main:
         signal.signal(signal.SIGINT, stop)
     try:
         yield
     except KeyboardInterrupt:
-        way_on = ": --resume goes on" if checkpoint.path.exists() else ""
-        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, way_on)
+        hint = ": resume with --resume" if checkpoint.path.exists() else ""
+        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, hint)
         raise
     finally:
         if on_main:
@@ -47,7 +47,7 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
 
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
-    """Print a line for each stage that is done, and show the progress of the one under way."""
+    """Print a line for each stage that is done, and show the progress of the current one."""
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with (
@@ -66,7 +66,7 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
         def finished(name: str, seconds: float, was_there: bool) -> None:
             if name in tasks:
                 bar.remove_task(tasks.pop(name))
-            console.print(f"{_words(name):<28} {'kept' if was_there else f'{seconds:.1f} s'}")
+            console.print(f"{_words(name):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
 
         yield StageOptions(notify, finished, resume)
 

@@ -5,8 +5,8 @@ tensors. The command is ``mitsuba-plenoptic dataset``.
 """
 
 from .production import make_dataset
-from .reader import DataSet
 from .recipe import Recipe, parse_recipe, read_recipe
 from .sample import Sample, make_sample
+from .shards import DataSet
 
 __all__ = ["DataSet", "Recipe", "Sample", "make_dataset", "make_sample", "parse_recipe", "read_recipe"]

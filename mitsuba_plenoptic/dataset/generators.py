@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..camera import PlenopticCamera
 from ..design import depth_ranges
-from ..errors import InputError, require_count, require_number, shown
+from ..errors import refuse_if, require_count, require_number, short_repr
 
 _TEXELS = (64, 512)
 """Texels along an edge, at least and at most."""
@@ -21,7 +21,7 @@ _PER_LENS = 4
 """Texels to a lens, where that many are allowed."""
 
 _DETAIL = (0.2, 2.0)
-"""Size of a pattern's details, in lenses, evenly in its logarithm: from below what the lenses tell apart to coarse."""
+"""Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
 
 _DARKEST, _BRIGHTEST = 0.02, 0.95
 """Bounds of a reflectance."""
@@ -66,8 +66,8 @@ _BEHIND = 1.02
 
 
 @dataclass(frozen=True)
-class Light:
-    """Light of generated scenes."""
+class Illumination:
+    """Illumination of generated scenes."""
 
     # Radiance from everywhere, from 0 to 1e6.
     sky: float = 0.5
@@ -77,11 +77,10 @@ class Light:
     def __post_init__(self) -> None:
         for name in ("sky", "lamp"):
             require_number(f"light: {name}", getattr(self, name), minimum=0, maximum=1e6)
-        if self.sky == self.lamp == 0:
-            raise InputError("light: sky = 0 and lamp = 0: scenes would be dark")
+        refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
-        """Describe the lights for ``mi.load_dict``; the lamp stands beside or above the camera, at random."""
+        """Describe the lights for ``mi.load_dict``; the lamp stands next to or above the camera, at random."""
         angle = random.uniform(0, 2 * math.pi)
         place = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
         squared = float(np.sum(np.square(place - [0, 0, distance])))
@@ -94,13 +93,13 @@ class Light:
 class SceneGenerator(Protocol):
     """Makes random scenes before a camera."""
 
-    def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
         """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Textured shapes at random places, turned at random, before a textured wall.
+    """Textured shapes at random positions, turned at random, before a textured wall.
 
     Depths are drawn evenly in disparity, so that near and far are equally frequent in what a light field measures.
     """
@@ -127,25 +126,29 @@ class Shapes:
         require_number("size", self.size, minimum=0.01, maximum=1)
         require_number("plain", self.plain, minimum=0, maximum=1)
         require_number("tilt", self.tilt, minimum=0, maximum=80)
-        if not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS):
-            raise InputError(f"kinds = {shown(self.kinds)}: it must be a list of some of {', '.join(KINDS)}")
+        refuse_if(
+            not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS),
+            f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}",
+        )
 
     def between(self, camera: PlenopticCamera) -> tuple[float, float]:
         """Return the nearest and the farthest distance of objects before a camera."""
         found = [limits for limits in depth_ranges(camera) if limits]
-        if not found and None in (self.near, self.far):
-            raise InputError("near, far: give both, as the camera resolves no distance by itself")
+        refuse_if(
+            not found and None in (self.near, self.far),
+            "near, far: give both, as the camera resolves no distance by itself",
+        )
         near = min(limits[0] for limits in found) if self.near is None else self.near
         far = max(limits[1] for limits in found) if self.far is None else self.far
         far = min(far, _FARTHEST * max(near, camera.focal_length))
-        if not camera.focal_length < near < far:
-            raise InputError(
-                f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
-                f"{camera.focal_length:g}"
-            )
+        refuse_if(
+            not camera.focal_length < near < far,
+            f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
+            f"{camera.focal_length:g}",
+        )
         return float(near), float(far)
 
-    def scene(self, camera: PlenopticCamera, light: Light, random: np.random.Generator) -> dict[str, Any]:
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
         """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])

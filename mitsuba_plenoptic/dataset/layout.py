@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, shown
+from ..errors import InputError, refuse_if, short_repr
 from ..io.files import read_text
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import software
@@ -29,7 +29,7 @@ LARGEST_LIST = 2**27
 _LOCK = ".lock"
 
 _GROWING = "recipe.count"
-"""What may differ, if it grows."""
+"""The entry that may differ, if it grows."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         numbers = [content["count"], content["samples_per_shard"]]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(f"{path}: it is not the manifest of a data set") from None
-    if not all(isinstance(number, int) and number > 0 for number in numbers):
-        raise InputError(f"{path}: count, samples_per_shard = {shown(numbers)}: they must be whole numbers above 0")
+    refuse_if(
+        not all(isinstance(number, int) and number > 0 for number in numbers),
+        f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0",
+    )
     return dict(content)
 
 
@@ -88,7 +90,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def locked(folder: Path) -> Iterator[None]:
     """Make the folder of a data set and keep other processes from making it, too.
 
-    The lock belongs to this process: the system releases it however the process ends. There is none on Windows.
+    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
     """
     path = folder / _LOCK
     try:
@@ -106,8 +108,7 @@ def locked(folder: Path) -> Iterator[None]:
             mine = False
         except OSError as error:
             raise InputError(f"{folder}: it cannot be locked: {error.strerror}") from None
-        if not mine:
-            raise InputError(f"{folder}: another process is making this data set; wait until it has ended")
+        refuse_if(not mine, f"{folder}: another process is making this data set; wait until it has ended")
         try:
             yield
         finally:
@@ -123,8 +124,8 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
         for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
             if before.get(name) != now.get(name) and name != _GROWING:
                 raise InputError(
-                    f"{folder}: it holds samples of another recipe: {name} was {shown(before.get(name))}, is "
-                    f"{shown(now.get(name))}; choose another folder"
+                    f"{folder}: it holds samples of another recipe: {name} was {short_repr(before.get(name))}, is "
+                    f"{short_repr(now.get(name))}; choose another folder"
                 )
         if found["count"] > recipe.count:
             raise InputError(f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow")
@@ -139,7 +140,7 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
 
 
 def recorded_checksums(folder: Path) -> dict[str, str]:
-    """Return the checksums that were written for a data set, by file; none if there are none."""
+    """Return the checksums that were written for a data set, by file; an empty dictionary if there are no checksums."""
     path = folder / CHECKSUMS
     if not path.exists():
         return {}

@@ -1,4 +1,4 @@
-"""Making a data set: sample by sample, so that a run that was killed goes on where it stood."""
+"""Making a data set: sample by sample, so that a killed run resumes where it was."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
-from ..io.files import remove_leftovers
+import numpy as np
+import yaml
+
+from ..errors import naming
+from ..io.files import atomic_output, remove_leftovers
+from ..report.output_files import shrink, write_png
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Progress
 from ..runtime.variant import set_variant
-from .card import write_card, write_checksums, write_preview
-from .layout import CARD, CHECKSUMS, PREVIEW, Layout, checksum, claim, locked, recorded_checksums
-from .reader import DataSet
+from .layout import CARD, CHECKSUMS, MANIFEST, PREVIEW, Layout, checksum, claim, locked, recorded_checksums
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
-from .shards import open_shard, read_sample, whole_samples, write_samples
+from .shards import DataSet, open_shard, read_sample, whole_samples, write_samples
 
 _log = logging.getLogger(__name__)
 
@@ -36,21 +38,21 @@ class SampleTask:
 
     @property
     def samples(self) -> int:
-        """Of fields: so many that it travels alone."""
+        """Of fields: above these a sample travels alone."""
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
-        """Return the function that does it, and returns the sample's number."""
+        """Return the function that does it, and returns the sample's index."""
         return partial(_make, self.recipe, self.index, self.path)
 
 
 def make_dataset(
     recipe: Recipe, folder: str | Path, *, batch_map: BatchMap | None = None, progress: Progress | None = None
 ) -> DataSet:
-    """Make a data set, or go on making it.
+    """Make a data set, or resume making it.
 
     Every sample is a file of its own until all of its shard are there. A run that was killed, at whatever moment,
-    goes on when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
+    resumes when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
     smaller count grows. Samples that are there are compared with their digests first; damaged ones are named in the log
     and rendered again. One process at a time makes a data set.
 
@@ -85,27 +87,27 @@ def make_dataset(
 
 def _produce(recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None) -> None:
     # Whatever is there is compared with its digests before anything of it is dropped.
-    kept = {
+    finished = {
         number: whole_samples(layout.shard(number)).intersection(layout.members(number))
         for number in range(layout.shards)
     }
     recorded = recorded_checksums(layout.folder)
-    unchanged = {number for number in kept if _as_recorded(layout, number, recorded)}
+    unchanged = {number for number in finished if _as_recorded(layout, number, recorded)}
     missing = []
-    for number, there in kept.items():
+    for number, there in finished.items():
         for index in layout.members(number):
             if index not in there and index not in whole_samples(layout.sample(index)):
                 layout.sample(index).unlink(missing_ok=True)
                 missing.append(index)
-    _clear(layout, kept)
+    _clear(layout, finished)
     done = recipe.count - len(missing)
     tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
     results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
     waiting = set(missing)
 
     def pack() -> None:
-        for number in [number for number in kept if not waiting.intersection(layout.members(number))]:
-            there = kept.pop(number)
+        for number in [number for number in finished if not waiting.intersection(layout.members(number))]:
+            there = finished.pop(number)
             if there != set(layout.members(number)) or number not in unchanged:
                 _pack(layout, number, there)
 
@@ -136,15 +138,13 @@ def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bo
 
 
 def _make(recipe: Recipe, index: int, path: Path) -> int:
-    try:
+    with naming(f"sample {index}"):
         write_samples(path, [make_sample(recipe, index)])
-    except InputError as error:
-        raise InputError(f"sample {index}: {error}") from None
     return index
 
 
 def _try_scenes(recipe: Recipe) -> None:
-    """Load one scene of each source, so that what is wrong with a file is told before anything is rendered."""
+    """Load one scene of each source, so that an error in a file is reported before anything is rendered."""
     left = set(range(len(recipe.scenes)))
     for index in range(min(recipe.count, 1000)):
         plan = recipe.plan(index)
@@ -155,16 +155,16 @@ def _try_scenes(recipe: Recipe) -> None:
             return
 
 
-def _clear(layout: Layout, kept: Mapping[int, set[int]]) -> None:
+def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
     """Remove what processes that were killed left behind, and samples that are in shards already."""
     for path in (layout.sample(0).parent, layout.shard(0).parent):
         for leftover in path.glob(".*"):
             shutil.rmtree(leftover, ignore_errors=True)
     for name in (CARD, PREVIEW, CHECKSUMS):
         remove_leftovers(layout.folder / name)
-        # They tell of a data set that is complete.
+        # They describe a complete data set.
         (layout.folder / name).unlink(missing_ok=True)
-    for index in set().union(*kept.values()):
+    for index in set().union(*finished.values()):
         layout.sample(index).unlink(missing_ok=True)
 
 
@@ -182,3 +182,126 @@ def _pack(layout: Layout, number: int, there: set[int]) -> None:
     write_samples(path, samples())
     for index in layout.members(number):
         layout.sample(index).unlink(missing_ok=True)
+
+
+_MEANINGS = {
+    "ray": "capture by geometric optics",
+    "wave": "capture by wave optics (scalar diffraction through both lenses)",
+    "ray_exposed": "the capture by rays with the noise of a detector (EMVA 1288)",
+    "wave_exposed": "the capture by waves with the noise of a detector (EMVA 1288)",
+    "depth": "distance along the axis from the main lens, mm; of the chief ray of each pixel",
+    "position": "where the pixel's chief ray meets the scene, world frame, mm",
+    "normal": "shading normal there, world frame",
+    "albedo": "diffuse reflectance there",
+    "shape_index": "number of the shape there, 0 for none",
+}
+
+_TEXT = """# {name}
+
+{count} samples of plenoptic (light-field) captures, simulated from the recipe below.
+Sample k depends on the seed and k alone: the same recipe and software make the same bits.
+
+![The first samples: captures, and depth with near in white]({preview})
+
+## Contents
+
+`shards/*.h5`: HDF5, one group per sample (`000000`, ...), with these float32 arrays (sizes of the first sample):
+
+{table}
+
+and `facts`, UTF-8 JSON: the camera, all that was drawn, names of the shapes, and how each capture was made; and
+`digests` of all these, which are compared when they are read. Pixels are
+radiance, averaged over the lens. What is unknown is NaN, the depth of nothing infinite. Arrays `views_...` are ground
+truth of the decoded views (v, u, t, s), of the rays that `decode` makes samples of.
+
+## Reading
+
+```python
+from mitsuba_plenoptic.dataset import DataSet
+from mitsuba_plenoptic.dataset.torch_data import TorchDataset  # pip install torch
+
+sample = DataSet("{folder}")[0]
+light_field = mitsuba_plenoptic.decode(sample.capture("{model}"), truth=sample.truth)
+loader = torch.utils.data.DataLoader(TorchDataset("{folder}", ["{model}", "depth"]), batch_size=8, shuffle=True)
+```
+
+`sha256sum -c checksums.sha256` finds damaged files.
+
+## What it is good for, and what not
+
+For training and judging what reads light fields (depth, views, refocusing), and for what diffraction and noise do.
+Scenes are synthetic: random shapes have neither the statistics nor the materials of photographs. Lenses are thin and
+without aberrations but those of the recipe's camera; waves are scalar and monochromatic per channel, and objects do not
+diffract. Split by sample number: samples are independent of one another.
+
+## Recipe
+
+```yaml
+{recipe}```
+
+Software: {software}; source of mitsuba_plenoptic {version}.
+"""
+
+
+def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
+    """Write the data card as Markdown."""
+    lines = ["| array | shape | meaning |", "|---|---|---|"]
+    for name, array in sorted(made[0].arrays.items()):
+        base = name.removeprefix("views_")
+        meaning = _MEANINGS[base] if base == name else f"the same as `{base}`, of the samples of the views"
+        lines.append(f"| `{name}` | {' x '.join(map(str, np.shape(array)))} | {meaning} |")
+    software = dict(made.manifest["software"])
+    text = _TEXT.format(
+        name=recipe.name,
+        count=recipe.count,
+        version=software.pop("mitsuba_plenoptic"),
+        preview=PREVIEW,
+        table="\n".join(lines),
+        folder=recipe.name,
+        model=recipe.models[-1],
+        recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
+        software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
+    )
+    with atomic_output(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_checksums(path: Path, layout: Layout) -> None:
+    """Write the SHA-256 of every file of a data set, in the form that ``sha256sum -c`` reads."""
+    files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
+    files += [layout.shard(number) for number in range(layout.shards)]
+    lines = [f"{checksum(file)}  {file.relative_to(layout.folder).as_posix()}\n" for file in files]
+    with atomic_output(path) as temporary:
+        temporary.write_text("".join(lines))
+
+
+_ROWS, _WIDTH = 8, 256
+
+
+def write_preview(path: Path, samples: DataSet) -> None:
+    """Write a PNG with a row for each of the first eight samples: its captures, and depth, near in white."""
+    rows = []
+    for index in range(min(_ROWS, len(samples))):
+        arrays = samples[index].arrays
+        captures = [array for name, array in arrays.items() if name.startswith(("ray", "wave"))]
+        peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
+        pictures = [_grey(capture) / peak for capture in captures]
+        if "depth" in arrays:
+            pictures.append(_nearness(arrays["depth"]))
+        rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
+    width = min(row.shape[1] for row in rows)
+    write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return image.mean(axis=2) if image.ndim == 3 else image
+
+
+def _nearness(depth: np.ndarray) -> np.ndarray:
+    """Return the inverse of depths from 0, as far as any, to 1."""
+    known = np.isfinite(depth)
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))
+    if not known.any():
+        return inverse
+    low, high = inverse[known].min(), inverse[known].max()
+    return np.asarray(np.where(known, 0.1 + 0.9 * (inverse - low) / max(high - low, 1e-12), 0), np.float32)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Iterator, Mapping
+import math
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,19 +16,27 @@ from ..camera import PlenopticCamera
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
 from ..detector import Detector
-from ..errors import InputError, require_choice, require_count, require_known, require_number, shown
+from ..errors import (
+    InputError,
+    naming,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_known,
+    require_number,
+    short_repr,
+)
 from ..io.captures import MODELS
 from ..io.ground_truth import QUANTITIES, require_quantities
-from ..io.yaml_file import read_yaml
+from ..io.plain_data import read_yaml
 from ..presets import PRESETS
 from ..runtime.variant import DEFAULT_VARIANT
-from .draws import draw, generator, parse
-from .generators import GENERATORS, Light, SceneGenerator
+from .generators import GENERATORS, Illumination, SceneGenerator
 
 MOST_COUNT = 10**6
 
 _CHECKED = 1000
-"""Samples whose numbers are drawn and checked before the first is rendered."""
+"""Samples whose parameters are drawn and checked before the first is rendered."""
 
 _KEYS = (
     "name", "count", "seed", "models", "variant", "camera", "scenes", "light", "noise", "ray", "wave", "truth",
@@ -50,14 +59,14 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What is drawn for one sample."""
+class SamplePlan:
+    """The parameters drawn for one sample."""
 
     index: int
     # Which of the recipe's scenes.
     source: int
     camera: PlenopticCamera
-    light: Light
+    light: Illumination
     maker: SceneGenerator | None
     parameters: Mapping[str, str]
     # As for `expose`; None without noise.
@@ -112,7 +121,7 @@ class Recipe:
     samples_per_shard: int
     content: Mapping[str, Any]
 
-    def plan(self, index: int) -> Plan:
+    def plan(self, index: int) -> SamplePlan:
         """Draw what varies for a sample.
 
         Parameters
@@ -137,37 +146,35 @@ class Recipe:
         }
         drawn["scene"] = draw(source.values, self.seed, index, f"scenes.{number}")
         numbers = dict(drawn["camera"])
-        with _within("camera"):
+        with naming("camera"):
             camera = PlenopticCamera.from_json(json.dumps(PRESETS[numbers.pop("preset", "paper")] | numbers))
         maker, parameters = None, {}
         if source.generator:
-            with _within(f"scenes: generator {source.generator}"):
+            with naming(f"scenes: generator {source.generator}"):
                 maker = GENERATORS[source.generator](**drawn["scene"])
         else:
             parameters = {name: str(value) for name, value in drawn["scene"].items()}
         detector = photons = None
         if self.noise is not None:
-            with _within("noise"):
+            with naming("noise"):
                 settings = dict(drawn["noise"])
                 photons = require_number("photons", settings.pop("photons"), minimum=1e-9, maximum=1e9)
                 detector = Detector(**settings)
         options = {model: drawn[model] for model in self.models}
-        light = Light(**drawn["light"])
-        return Plan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
+        light = Illumination(**drawn["light"])
+        return SamplePlan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
 
     def check(self) -> None:
         """Draw the first thousand samples, and refuse values that are out of range before anything is rendered."""
         for index in range(min(self.count, _CHECKED)):
-            try:
+            with naming(f"sample {index}"):
                 plan = self.plan(index)
-            except InputError as error:
-                raise InputError(f"sample {index}: {error}") from None
             for model, options in plan.options.items():
                 require_count(f"sample {index}: {model}: spp", options["spp"], maximum=MOST_SAMPLES)
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe from a YAML or JSON file; scenes that it names lie beside it.
+    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder.
 
     Parameters
     ----------
@@ -181,12 +188,12 @@ def read_recipe(path: str | Path) -> Recipe:
     """
     path = Path(path)
     content = read_yaml(path)
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: a recipe must be a mapping of names, with 'count', 'camera' and 'scenes'")
-    try:
+    refuse_if(
+        not isinstance(content, dict),
+        f"{path}: a recipe must be a mapping of names, with 'count', 'camera' and 'scenes'",
+    )
+    with naming(path):
         return parse_recipe({"name": path.stem, **content}, path.parent)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
@@ -206,25 +213,34 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     """
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))
-    if not isinstance(models, list) or not models or len(set(map(str, models))) < len(models):
-        raise InputError(f"models = {shown(models)}: it must be a list of some of {', '.join(MODELS)}")
+    refuse_if(
+        not isinstance(models, list) or not models or len(set(map(str, models))) < len(models),
+        f"models = {short_repr(models)}: it must be a list of some of {', '.join(MODELS)}",
+    )
     for model in models:
         require_choice("models", model, MODELS)
     for section in MODELS:
-        if section in content and section not in models:
-            raise InputError(f"{section}: models = {shown(models)} has no {section} captures; leave it out")
+        refuse_if(
+            section in content and section not in models,
+            f"{section}: models = {short_repr(models)} has no {section} captures; leave it out",
+        )
     camera = _section("camera", content, (*PlenopticCamera().to_dict(), "focus_distance", "preset"))
     if "preset" in camera:
         require_choice("camera: preset", camera["preset"], tuple(PRESETS))
     noise = _section("noise", content, ("photons", *(f.name for f in fields(Detector)))) if "noise" in content else None
-    if noise is not None and "photons" not in noise:
-        raise InputError("noise: photons is missing: photons that hit a pixel of value 1")
+    refuse_if(
+        noise is not None and "photons" not in noise, "noise: photons is missing: photons that hit a pixel of value 1"
+    )
     scenes = content["scenes"]
-    if not isinstance(scenes, list) or not scenes:
-        raise InputError(f"scenes = {shown(scenes)}: it must be a list of scenes and generators")
+    refuse_if(
+        not isinstance(scenes, list) or not scenes,
+        f"scenes = {short_repr(scenes)}: it must be a list of scenes and generators",
+    )
     truth = content.get("truth", ["depth", "normal"])
-    if not isinstance(truth, list):
-        raise InputError(f"truth = {shown(truth)}: it must be a list of some of {', '.join(QUANTITIES)}")
+    refuse_if(
+        not isinstance(truth, list),
+        f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}",
+    )
     recipe = Recipe(
         name=str(content.get("name", "dataset")),
         count=require_count("count", content["count"], maximum=MOST_COUNT),
@@ -233,7 +249,7 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         variant=str(content.get("variant", DEFAULT_VARIANT)),
         camera=camera,
         scenes=tuple(_source(number, entry, folder) for number, entry in enumerate(scenes)),
-        light=_section("light", content, tuple(f.name for f in fields(Light))),
+        light=_section("light", content, tuple(f.name for f in fields(Illumination))),
         noise=noise,
         ray={"spp": 16, **_section("ray", content, ("spp",))},
         wave={"spp": 16, "method": "signed_rays", **_section("wave", content, _WAVE)},
@@ -248,8 +264,10 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
 def _source(number: int, entry: Any, folder: Path) -> Source:
     """Make one entry of the list of scenes."""
     name = f"scenes: entry {number + 1}"
-    if not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry):
-        raise InputError(f"{name} = {shown(entry)}: it must have either 'generator' or 'scene'")
+    refuse_if(
+        not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry),
+        f"{name} = {short_repr(entry)}: it must have either 'generator' or 'scene'",
+    )
     share = require_number(f"{name}: share", entry.get("share", 1), positive=True, maximum=1e9)
     if "generator" in entry:
         kind = require_choice(f"{name}: generator", entry["generator"], tuple(GENERATORS))
@@ -259,10 +277,11 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
     _require_names(name, entry, ("scene", "share", "parameters"))
     values = entry.get("parameters", {})
-    if not isinstance(values, Mapping):
-        raise InputError(f"{name}: parameters = {shown(values)}: they must be values by name")
+    refuse_if(
+        not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
+    )
     scene = str(entry["scene"])
-    with _within(name):
+    with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
     parsed = {str(key): parse(f"{name}: {key}", value) for key, value in values.items()}
     return Source(None, str(path.resolve()), share, parsed)
@@ -271,8 +290,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
     """Parse a section whose names are known."""
     section = content.get(name, {})
-    if not isinstance(section, Mapping):
-        raise InputError(f"{name} = {shown(section)}: it must be values by name")
+    refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
     _require_names(name, section, known)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
 
@@ -280,14 +298,79 @@ def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> d
 def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
     require_known(f"{name}: ", values, known)
     for key in needed:
-        if key not in values:
-            raise InputError(f"{name}: {key} is missing")
+        refuse_if(key not in values, f"{name}: {key} is missing")
 
 
-@contextlib.contextmanager
-def _within(what: str) -> Iterator[None]:
-    """Say in a message what it is about."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{what}: {error}") from None
+_SCALES = ("linear", "log")
+
+
+def generator(seed: int, index: int, name: str) -> np.random.Generator:
+    """Return the random numbers of one name in one sample."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, zlib.crc32(name.encode()))))
+
+
+@dataclass(frozen=True)
+class Between:
+    """A uniform or log-uniform value between two bounds; with a step, a multiple of it above the lower bound."""
+
+    low: float
+    high: float
+    # Whether the logarithm is even.
+    log: bool = False
+    # Distance of the values there are, counted from `low`.
+    step: float | None = None
+
+    def draw(self, random: np.random.Generator) -> float:
+        """Draw a value."""
+        if self.step is not None:
+            value = self.low + self.step * random.integers(math.floor((self.high - self.low) / self.step + 1e-9) + 1)
+            return int(value) if float(value).is_integer() else float(value)
+        if self.log:
+            return float(math.exp(random.uniform(math.log(self.low), math.log(self.high))))
+        return float(random.uniform(self.low, self.high))
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of several values, all as probable."""
+
+    values: tuple[Any, ...]
+
+    def draw(self, random: np.random.Generator) -> Any:
+        """Draw a value."""
+        return self.values[int(random.integers(len(self.values)))]
+
+
+def parse(name: str, value: Any) -> Any:
+    """Turn what a recipe says about a value into a `Between`, a `OneOf`, or the value itself."""
+    if not isinstance(value, Mapping):
+        return value
+    if set(value) == {"one_of"}:
+        choices = value["one_of"]
+        refuse_if(
+            not isinstance(choices, list) or not choices,
+            f"{name}: one_of = {short_repr(choices)}: it must be a list of values",
+        )
+        return OneOf(tuple(choices))
+    require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
+    if "one_of" in value or not {"from", "to"} <= set(value):
+        raise InputError(
+            f"{name} = {short_repr(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}"
+        )
+    low, high = (require_number(f"{name}: {key}", value[key]) for key in ("from", "to"))
+    refuse_if(not low < high, f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")
+    log = require_choice(f"{name}: scale", value.get("scale", "linear"), _SCALES) == "log"
+    if log and low <= 0:
+        raise InputError(f"{name}: from = {low:g}: it must be greater than 0 on a scale of logarithms")
+    step = require_number(f"{name}: step", value["step"], positive=True) if "step" in value else None
+    if log and step is not None:
+        raise InputError(f"{name}: step = {step:g}: it is of no use on a scale of logarithms")
+    return Between(low, high, log, step)
+
+
+def draw(values: Mapping[str, Any], seed: int, index: int, prefix: str) -> dict[str, Any]:
+    """Draw all values of a section for one sample."""
+    return {
+        name: value.draw(generator(seed, index, f"{prefix}.{name}")) if isinstance(value, (Between, OneOf)) else value
+        for name, value in values.items()
+    }

@@ -15,8 +15,7 @@ from ..io.captures import Capture
 from ..io.ground_truth import GroundTruth
 from ..lightfield import ground_truth
 from ..plugins.other_camera import with_camera
-from .draws import generator
-from .recipe import Plan, Recipe
+from .recipe import Recipe, SamplePlan, generator
 
 VIEWS = "views_"
 """Before the names of quantities of the decoded views; those without it are of the pixels."""
@@ -32,7 +31,7 @@ class Sample:
     Attributes
     ----------
     index : int
-        Its number in the data set.
+        Its index in the data set.
     arrays : dict
         Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
         ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
@@ -79,7 +78,7 @@ class Sample:
         )
 
 
-def open_sample(recipe: Recipe, plan: Plan) -> Any:
+def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
     """Make or load the scene of a sample, seen by its camera."""
     source = recipe.scenes[plan.source]
     if plan.maker:
@@ -93,7 +92,7 @@ def open_sample(recipe: Recipe, plan: Plan) -> Any:
 
 
 def make_sample(recipe: Recipe, index: int) -> Sample:
-    """Render a sample; its bits depend on the recipe and its number alone.
+    """Render a sample; its bits depend on the recipe and its index alone.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Samples in HDF5 files: a group for each, of the sample's number in six digits, with its arrays and its facts.
+"""Samples in HDF5 files: a group for each, of the sample's index in six digits, with its arrays and its facts.
 
 Its ``digests``, JSON by the names of the others, are compared whenever an array is read, so that a damaged sample is
 never taken for a whole one. The same samples give the same bytes.
@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Collection, Iterable
+import os
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if, require_count
 from ..io.checkpoints import digest
-from ..io.files import atomic_output, require_file
-from ..io.tables import h5py_module, stored_array
+from ..io.files import atomic_output, read_text, require_file
+from ..io.plain_data import h5py_module, stored_array
 from ..runtime.limits import require_memory
+from .layout import CHECKSUMS, LARGEST_LIST, Layout, checksum, read_manifest
 from .sample import Sample
 
 _FACTS, _DIGESTS = "facts", "digests"
@@ -65,14 +67,12 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
     """Read a sample from an open file."""
     h5py = h5py_module("a data set")
     try:
-        if not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink):
-            raise InputError(f"it has no sample {index}")
+        refuse_if(not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink), f"it has no sample {index}")
         group = file[group_name(index)]
 
         def read(name: str) -> NDArray[Any]:
             stored = stored_array(group, name)
-            if stored is None:
-                raise InputError(f"sample {index}: it has no {name}; it has {', '.join(group)}")
+            refuse_if(stored is None, f"sample {index}: it has no {name}; it has {', '.join(group)}")
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")
             return np.asarray(stored[()])
 
@@ -90,7 +90,7 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
 
 
 def whole_samples(path: Path) -> set[int]:
-    """Return the numbers of the undamaged samples in a file, if there is one, and name the damaged ones in the log."""
+    """Return the indices of the undamaged samples in a file, if there is one, and name the damaged ones in the log."""
     if not path.exists():
         return set()
     found = set()
@@ -104,3 +104,79 @@ def whole_samples(path: Path) -> set[int]:
     except (InputError, RuntimeError) as error:
         _log.warning("%s; its samples are rendered again", error)
     return found
+
+
+class DataSet:
+    """A data set in its folder: ``dataset[17]`` is a `Sample`.
+
+    Samples are read when they are asked for. It may be pickled and used in forked processes; each opens the files anew.
+
+    Parameters
+    ----------
+    folder : path
+        What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
+    fields : collection of str, optional
+        Names of the arrays to read. Default: all.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no data set, or one whose shards are not all there.
+    """
+
+    def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:
+        self.folder = Path(folder)
+        self.manifest = read_manifest(self.folder)
+        self.fields = None if fields is None else tuple(fields)
+        self._layout = Layout(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
+        self._files: dict[int, Any] = {}
+        self._process = os.getpid()
+        for number in range(self._layout.shards):
+            if not self._layout.shard(number).is_file():
+                raise InputError(
+                    f"{self._layout.shard(number)}: it is missing: run the command that makes the data set again"
+                )
+
+    def __len__(self) -> int:
+        return self._layout.count
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read a sample by its index."""
+        if index >= len(self):
+            raise IndexError(f"sample {index}: there are {len(self)}")
+        index = require_count("sample", index, minimum=0)
+        number = index // self._layout.samples_per_shard
+        return read_sample(self._open(number), self._layout.shard(number), index, self.fields)
+
+    def __iter__(self) -> Iterator[Sample]:
+        for index in range(len(self)):
+            yield self[index]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_files": {}}
+
+    def damaged(self) -> list[str]:
+        """Compare all files with their checksums, and return the names of those that differ or are missing.
+
+        Raises
+        ------
+        InputError
+            If there are no checksums.
+        """
+        lines = read_text(self.folder / CHECKSUMS, LARGEST_LIST).splitlines()
+        found = []
+        for expected, _, name in (line.partition("  ") for line in lines):
+            # No name in the file leads out of the folder.
+            path = self.folder / name
+            inside = path.resolve().is_relative_to(self.folder.resolve())
+            if not inside or not path.is_file() or checksum(path) != expected:
+                found.append(name)
+        return found
+
+    def _open(self, number: int) -> Any:
+        if self._process != os.getpid():
+            # HDF5's handles are those of the process that opened them.
+            self._files, self._process = {}, os.getpid()
+        if number not in self._files:
+            self._files[number] = open_shard(self._layout.shard(number))
+        return self._files[number]

@@ -1,8 +1,8 @@
-"""What follows from a camera's numbers: functions of a `PlenopticCamera`, in closed form and by rays.
+"""Quantities that follow from a camera's parameters: functions of a `PlenopticCamera`, in closed form and by rays.
 
-`focus` tells what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
-tells how large the micro-images are, by rays and with diffraction, and which lenses light a pixel; `deconvolution`
-tells how finely a plane can be resolved by inverting the camera's response; `microscope` is for objectives.
+`focus` says what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
+how large the micro-images are, by rays and with diffraction, and which lenses light a pixel; `deconvolution`
+how finely a plane can be resolved by inverting the camera's response; `microscope` is for objectives.
 
 A wavelength is in nanometres; where it may be left out, diffraction then is, too.
 """

@@ -1,7 +1,7 @@
 r"""How finely a capture can be resolved by inverting the camera's response, away from focus.
 
 A point out of focus lights many lenses, each of which sees it from elsewhere at another phase of the pixels. At the
-defocus s (see `PlenopticCamera.defocus`) two things end what they tell together: the diffraction of a microlens of the
+defocus s (see `PlenopticCamera.defocus`) two things limit their joint resolution: the diffraction of a microlens of the
 width w, and a pixel of the width p, both seen in the object plane at g,
 
 .. math:: \nu_w = \frac{w}{0.94 \, \lambda \, |s| g}, \qquad \nu_p = \frac{z}{2 \, b p \, |s|} \frac{b}{g}
@@ -38,12 +38,12 @@ from ..thin_lens import image_distance
 from .focus import pixel_footprint
 
 _SPARROW = 0.94
-"""Distance of two points that are just told apart (Sparrow), over wavelength and aperture."""
+"""Distance of two points that are just resolved (Sparrow), over wavelength and aperture."""
 
 
 @dataclass(frozen=True)
 class ResolutionLimit:
-    """The finest lines, in line pairs per scene unit, that deconvolution tells apart in a plane.
+    """The finest lines, in line pairs per scene unit, that deconvolution resolves in a plane.
 
     Attributes
     ----------
@@ -142,8 +142,8 @@ def _in_the_stops_image(
     blur = aperture * abs(depth) / lens.immersion
     if wavelength is not None:
         cutoff = aperture / in_millimetres(require_wavelength(wavelength))
-        kept = 1 - 4 / (blur * cutoff) if blur > 0 else -1.0
-        waves = cutoff if kept < 0 else 2 / blur / (1 + math.sqrt(kept))
+        inner = 1 - 4 / (blur * cutoff) if blur > 0 else -1.0
+        waves = cutoff if inner < 0 else 2 / blur / (1 + math.sqrt(inner))
     elif blur > 0:
         waves = 1 / blur
     return ResolutionLimit(waves, pixels, pixels, False)

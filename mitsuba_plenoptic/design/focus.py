@@ -7,15 +7,15 @@ pixel where the microlens is in focus, at :math:`a_0` with :math:`1/a_0 + 1/z = 
 
 .. math:: w \, |1 - v / v_0| \quad \text{and} \quad p \, |v|
 
-wide. The wider one tells the finest detail. For an unfocused camera the first is w everywhere: one sample per lens, as
-far as the second is below that, which is Ng's range of refocusing (2006, "Digital Light Field Photography", section
-3.4). For a focused one at :math:`v_0` only the second is left, :math:`1 / |v_0|` of the detector's resolution along an
-axis: the effective resolution of Perwass and Wietzke (2012, "Single lens 3D-camera with extended depth-of-field",
-section 2) and of Georgiev and Lumsdaine (2010, "Reducing plenoptic camera artifacts"). A spot of diffraction wider than
-a pixel takes the pixel's place.
+wide. The wider one determines the finest detail. For an unfocused camera the first is w everywhere: one sample per
+lens, as far as the second is below that, which is Ng's range of refocusing (2006, "Digital Light Field Photography",
+section 3.4). For a focused one at :math:`v_0` only the second is left, :math:`1 / |v_0|` of the detector's resolution
+along an axis: the effective resolution of Perwass and Wietzke (2012, "Single lens 3D-camera with extended
+depth-of-field", section 2) and of Georgiev and Lumsdaine (2010, "Reducing plenoptic camera artifacts"). A spot of
+diffraction wider than a pixel replaces the pixel.
 
 Widths are projected through the main lens's centre onto the MLA, as the bins of a reconstruction are. There, with the
-defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, how fast the place on the pupil moves with that on the
+defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, how fast the position on the pupil moves with that on the
 lens, they read :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
 """
 
@@ -129,7 +129,7 @@ def field_width(camera: PlenopticCamera, distance: float) -> float:
 
 @dataclass(frozen=True)
 class EffectiveResolution:
-    """What a camera tells apart at one object distance, by its sharpest microlenses.
+    """The resolution of a camera at one object distance, by its sharpest microlenses.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ def lenses_across(camera: PlenopticCamera, distance: float) -> float:
 def effective_resolution(
     camera: PlenopticCamera, distance: float, wavelength: float | None = None
 ) -> EffectiveResolution:
-    """Return the finest detail that is told apart at an object distance.
+    """Return the finest detail that is resolved at an object distance.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def effective_resolution(
 def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
     """Nearest and farthest distance that refocusing brings back to one sample per lens.
 
-    The blur on the MLA may then span as many lenses as directions are told apart under each (Ng 2006,
+    The blur on the MLA may then span as many lenses as directions are resolved under each (Ng 2006,
     "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
     lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
     end may be infinite.

@@ -1,4 +1,4 @@
-r"""What follows from the numbers of a light-field microscope, a camera whose main lens is an `Objective`.
+r"""Quantities of a light-field microscope, a camera whose main lens is an `Objective`.
 
 Lengths in the object are those in the native image plane over the magnification M. In the Fourier arrangement each lens
 of the width w sees the object through its part of the stop, :math:`NA_l = M w / 2 f_F`, from a direction of its own
@@ -11,7 +11,7 @@ import math
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..objective import Objective
 from ..optics.phase import in_millimetres
 
@@ -78,7 +78,7 @@ def lenses_across_stop(camera: PlenopticCamera) -> float:
     return _fourier(camera).blur_diameter(0) / camera.mla_pitch
 
 
-def parallax(camera: PlenopticCamera, place: float) -> float:
+def parallax(camera: PlenopticCamera, position: float) -> float:
     r"""Return how far a lens's picture of a point moves on the detector for each millimetre of depth.
 
     :math:`-(z M / f_F) \tan\theta` along the line to the lens, with :math:`n \sin\theta = M c / f_F` for the lens whose
@@ -88,7 +88,7 @@ def parallax(camera: PlenopticCamera, place: float) -> float:
     ----------
     camera : PlenopticCamera
         A microscope in the Fourier arrangement.
-    place : float
+    position : float
         Distance c in millimetres.
 
     Raises
@@ -98,10 +98,10 @@ def parallax(camera: PlenopticCamera, place: float) -> float:
     """
     lens = _fourier(camera)
     growth = lens.magnification / lens.last_focal_length
-    sine = growth * place / lens.immersion
+    sine = growth * position / lens.immersion
     if abs(sine) > math.sin(lens.half_angle):
         raise InputError(
-            f"place = {place:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}"
+            f"position = {position:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}"
         )
     return -camera.detector_distance * growth * math.tan(math.asin(sine))
 
@@ -132,6 +132,5 @@ def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None
 
 def _fourier(camera: PlenopticCamera) -> Objective:
     lens = objective_of(camera)
-    if not lens.images_stop:
-        raise InputError("main_lens: arrangement = image: this is a number of the Fourier arrangement")
+    refuse_if(not lens.images_stop, "main_lens: arrangement = image: this is a number of the Fourier arrangement")
     return lens

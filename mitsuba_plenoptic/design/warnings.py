@@ -1,4 +1,4 @@
-"""What is poor about the design of a camera, said in sentences."""
+"""Warnings about the design of a camera, as sentences."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
         )
     directions = direction_count(camera, wavelength)
     if directions < 2:
-        found.append(f"no refocusing: across its diameter a micro-image tells only {directions:.2g} directions apart")
+        found.append(f"no refocusing: across its diameter a micro-image resolves only {directions:.2g} directions")
     if wavelength is not None:
         spot = spot_radius(camera, wavelength)
         if camera.pixel_size > 0.5 * spot:

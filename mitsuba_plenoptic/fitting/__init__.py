@@ -1,9 +1,8 @@
-"""Fitting a camera's numbers to captures of known light, by waves or by rays."""
+"""Fitting a camera's parameters to captures of known light, by waves or by rays."""
 
-from .approach import come_near, lattice_from_white
+from .approach import coarse_fit, lattice_from_white
 from .fit import fit
-from .light import View, known_view
-from .noise import PixelNoise, kept_noise
+from .light import PixelNoise, View, kept_noise, known_view
 from .result import Direction, Fit
 
 __all__ = [
@@ -11,7 +10,7 @@ __all__ = [
     "Fit",
     "PixelNoise",
     "View",
-    "come_near",
+    "coarse_fit",
     "fit",
     "kept_noise",
     "known_view",

@@ -25,7 +25,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     Parameters
     ----------
     camera : PlenopticCamera
-        What is known of the camera: its distances tell how much closer than their micro-images the lenses stand, and
+        What is known of the camera: its distances give how much closer than their micro-images the lenses stand, and
         its lattice which of all equal ones is meant: the one whose axis and angle are nearest.
     white : array (rows, columns)
         A capture of something evenly white.
@@ -50,7 +50,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
 
 
 def _fitted(camera: PlenopticCamera, place: NDArray[np.float64]) -> PlenopticCamera:
-    """Return the camera whose nearest lenses are at these places."""
+    """Return the camera whose nearest lenses are at these positions."""
     lattice = camera.lattice
     i, j = lattice.cell(*place.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
@@ -90,10 +90,10 @@ _MOST_STEPS = 15
 """Cameras that are tried with each."""
 
 _AT_BOUND = 1e-3
-"""A number is at a bound if it is nearer than this part of what lies between its bounds."""
+"""A parameter is at a bound if it is nearer than this part of what lies between its bounds."""
 
 
-def come_near(
+def coarse_fit(
     camera: PlenopticCamera,
     views: View | Sequence[View],
     names: Iterable[str] | str,
@@ -102,11 +102,12 @@ def come_near(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlenopticCamera:
-    """Find a camera from which `fit` goes on, where one starts some percent off in every length.
+    """Find a camera from which `fit` converges, where the start is some percent off in every length.
 
-    Spots of a model that lie beside those of a capture do not find them. Here both are blurred, first so much that
-    they overlap and then less and less, and the least squares of their differences are found by rays, which is quick.
-    What rays do not know, diffraction, and what is blurred make the result wrong by more than the noise of photons.
+    Spots of a model that do not overlap those of a capture do not find them. Here both are blurred, at first so far
+    that they overlap and then less and less, and the least squares of their differences are found by rays, which is
+    quick. What rays do not know, diffraction, and what is blurred make the result wrong by more than the noise of
+    photons.
 
     Parameters
     ----------
@@ -119,14 +120,14 @@ def come_near(
     wavelength : float
         In nanometres.
     bounds : mapping, optional
-        As of `fit`, and as there by default. A number that ends at one is warned of.
+        As for `fit`, and as there by default. A parameter that ends at one is warned of.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
 
     Raises
     ------
     InputError
-        If an input has a wrong value, a capture is black, or as of `capture.point_rays.PointRays`.
+        If an input has a wrong value, a capture is black, or for the reasons of `capture.point_rays.PointRays`.
     """
     given = [views] if isinstance(views, View) else list(views)
     check_views(camera, given)
@@ -154,7 +155,7 @@ def come_near(
     if stuck.any():
         named = ", ".join(f"{vector.labels[one]} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
         warnings.warn(
-            f"come_near: at a bound: {named}: start nearer, give other bounds, or seek fewer numbers", stacklevel=2
+            f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters", stacklevel=2
         )
     return found
 
@@ -167,17 +168,17 @@ def _nearest(
     blur: float,
     count: Callable[[], None],
 ) -> PlenopticCamera:
-    """Return the camera whose captures, blurred by so many pixels, are nearest to the views; count what is tried."""
+    """Return the camera whose captures, blurred by some pixels, are nearest to the views; count the cameras tried."""
     from scipy.ndimage import gaussian_filter
     from scipy.optimize import least_squares
 
     seen = np.stack([view.image for view in views]).astype(np.float64)
-    kept = np.stack([view.kept for view in views])
-    brightest = seen.max(axis=(1, 2), keepdims=True, where=kept, initial=0)
+    used = np.stack([view.used for view in views])
+    brightest = seen.max(axis=(1, 2), keepdims=True, where=used, initial=0)
     start, unit = vector.values, vector.scales
 
     def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(gaussian_filter(images * kept / brightest, blur, axes=(-2, -1)))
+        return np.asarray(gaussian_filter(images * used / brightest, blur, axes=(-2, -1)))
 
     def camera_at(place: NDArray[np.float64]) -> PlenopticCamera:
         return vector.at(start + place * unit)

@@ -1,4 +1,4 @@
-"""Fitting numbers of a camera to captures of known light: least squares with the captures' own derivatives."""
+"""Fitting parameters of a camera to captures of known light: least squares with the captures' own derivatives."""
 
 from __future__ import annotations
 
@@ -14,17 +14,15 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
-from ..errors import InputError, require_choice, require_number, suggest_keywords
+from ..errors import InputError, refuse_if, require_choice, require_number, suggest_keywords
+from ..io.captures import MODELS
 from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
-from .light import View, check_views
+from .light import PixelNoise, Pixels, View, by_model, check_views
 from .model import Model, vector_of
-from .noise import PixelNoise, Pixels, by_model
 from .ray_model import RayModels, check_numbers
 from .result import Fit, doubts, summary
-
-METHODS = ("waves", "rays")
 
 _ROUNDS = 2
 """How often the noise is taken from the model anew, where it depends on it."""
@@ -32,7 +30,7 @@ _ROUNDS = 2
 _MOST_STEPS = 30
 
 _DONE = 1e-7
-"""Relative change of the numbers, or of the sum of squares, that ends a round."""
+"""Relative change of the parameters, or of the sum of squares, that ends a round."""
 
 
 @suggest_keywords
@@ -44,12 +42,12 @@ def fit(
     wavelength: float = 633.0,
     photons: float | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    method: str = "waves",
+    model: str = "wave",
     accuracy: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
-    r"""Find the numbers of a camera that explain captures of known light best, by waves or by rays.
+    r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
 
     Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
     waves with the derivatives of `CaptureOperator`, by rays with differences of captures whose rays are held. The light
@@ -64,12 +62,14 @@ def fit(
     Parameters
     ----------
     camera : PlenopticCamera
-        Where to start; the numbers that are not fitted are right. It must be near: spots of the model that lie beside
-        those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice near.
+        Where to start; the parameters that are not fitted are right. It must be near: spots of the model that do not
+        overlap those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice
+        near.
     views : View, or sequence of View
         Captures by one camera, and their light.
     names : str or iterable of str
-        What is fitted: names of the numbers by which captures are differentiated, as of `CaptureOperator.derivative`.
+        Names of the parameters that are fitted, those by which captures are differentiated, as for
+        `CaptureOperator.derivative`.
     wavelength : float
         In nanometres.
     photons : float, optional
@@ -78,14 +78,14 @@ def fit(
         By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
         they start, angles within 50 degrees, and ``mla_fill`` at most 1. A number that ends there is warned of, and
         its deviation is one-sided, see `Fit`.
-    method : {"waves", "rays"}
+    model : {"ray", "wave"}
         How the light of the points goes through the camera. Rays are quicker and know no diffraction.
     accuracy : float
-        As of `CaptureOperator`, for waves. Above 0 shared point spreads make the model jump a little.
+        As for `CaptureOperator`, for the wave model. Above 0 shared point spreads make the model jump a little.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
     checkpoint : Checkpoint, optional
-        Keeps the best camera of a long fit, so that the same fit goes on from there after a stop.
+        Keeps the best camera of a long fit, so that the same fit resumes from there after a stop.
 
     Raises
     ------
@@ -103,16 +103,16 @@ def fit(
         raise InputError("photons: give them, or the noise of every view")
     vector = vector_of(camera, names)
     start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
-    if method == "rays":
+    if model == "ray":
         check_numbers(vector)
     check_views(camera, given, default)
     images = np.stack([view.image for view in given]).astype(np.float64)
-    model = _model_of(method, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
-    trial = _Trials(vector, model, progress)
+    model_of = _model_of(model, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
+    trial = _Trials(vector, model_of, progress)
     x = start
     if checkpoint:
-        asked = {"method": method, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
-        # Where a fit goes on is as good as where it began.
+        asked = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
+        # A fit may continue from its last camera as well as from the first.
         held = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
         x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
@@ -145,7 +145,7 @@ def fit(
     )
     if result.status == 0:
         warnings.warn(
-            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer numbers",
+            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters",
             stacklevel=2,
         )
     for doubt in doubts(found, given, trial.expected(x)):
@@ -154,28 +154,27 @@ def fit(
 
 
 class _Model(Protocol):
-    """What a camera records of some views."""
+    """The captures of some views by a camera."""
 
     def images(self) -> NDArray[np.float64]:
         """Return the expected pixels of all views, (views, rows, columns)."""
 
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of these, (numbers, views, rows, columns)."""
+        """Return the derivatives of the captures, (parameters, views, rows, columns)."""
 
 
 def _model_of(
-    method: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
+    model: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
 ) -> Callable[[PlenopticCamera], _Model]:
     """Return what makes the model of a camera near the first."""
-    if require_choice("method", method, METHODS) == "waves":
+    if require_choice("model", model, MODELS) == "wave":
         return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
-    if accuracy:
-        raise InputError(f"accuracy = {accuracy:g}: it is for fits by waves; leave it out")
+    refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by the wave model; leave it out")
     return RayModels(camera, views, wavelength).at
 
 
 class _Trials:
-    """Cameras that are tried, of which the last one is kept."""
+    """Cameras that are tried, of which the last one is remembered."""
 
     def __init__(
         self,
@@ -191,7 +190,7 @@ class _Trials:
         self._slopes: NDArray[np.float64] | None = None
 
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a camera of these numbers records."""
+        """Return the captures of a camera of these parameters."""
         if self._x is None or not np.array_equal(x, self._x):
             self._model = self._model_of(self._vector.at(x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
@@ -210,7 +209,7 @@ class _Trials:
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
-        """Keep the numbers in a checkpoint, and return those that it has of the same fit, or the start."""
+        """Save the parameters in a checkpoint, and return those that it has of the same fit, or the start."""
         self._checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:
@@ -228,7 +227,7 @@ def _digest(views: list[View]) -> str:
     for view in views:
         pupil = PupilWeights.of(view.pupil_weights, len(view.points))
         noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
-        arrays += [view.image, view.points, view.weights, view.kept, None if noise is None else np.asarray(noise)]
+        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
         arrays += [None if view.saturation is None else np.asarray(view.saturation)]
         arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
     return digest(*arrays)

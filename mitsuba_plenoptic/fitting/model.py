@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
-from ..errors import InputError, shown
+from ..errors import InputError, short_repr
 from ..operator.derivatives import NUMBERS, WAVELENGTH, check_names, light_slopes
 from ..operator.operator import CaptureOperator
 from ..operator.units import brightness_at
@@ -27,7 +27,7 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
     if WAVELENGTH in chosen:
         raise InputError("wavelength: it is no parameter of a camera; give it, and fit the others")
     if not chosen:
-        raise InputError(f"names = {shown(given)}: name at least one of {', '.join(NUMBERS)}")
+        raise InputError(f"names = {short_repr(given)}: name at least one of {', '.join(NUMBERS)}")
     return CameraVector.by_names(camera, chosen)
 
 

@@ -1,4 +1,4 @@
-"""What a fit found, what is known of it, and what makes it doubtful."""
+"""The result of a fit, its uncertainty, and reasons to doubt it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
-from .light import View
-from .noise import Pixels
+from ..errors import refuse_if
+from .light import Pixels, View
 
 _FAR = 5.0
 """Standard deviations of chi-square by which it may differ from 1."""
 
 _AT_BOUND, _OF_RANGE = 1e-2, 1e-6
-"""A number is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
+"""A parameter is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
 
 _BRIGHTER = 3.0
 """Factor between the light of captures and model above which their units are doubted."""
@@ -28,14 +27,14 @@ _SAME = 10
 
 @dataclass(frozen=True)
 class Direction:
-    """A change of all numbers at once that the captures tell to some deviation, apart from other directions.
+    """A joint change of all parameters that the captures determine to some deviation, independent of other directions.
 
     Attributes
     ----------
     deviation : float
         Standard deviation along it, in the units of `Fit.scales`.
     parts : dict
-        By number, its part in the direction; their squares add to 1.
+        By parameter, its part in the direction; their squares add to 1.
     """
 
     deviation: float
@@ -44,25 +43,26 @@ class Direction:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit found.
+    """The result of a fit.
 
     Attributes
     ----------
     camera : PlenopticCamera
         The camera.
     values, deviations : dict
-        By name the fitted numbers and their standard deviations; those of a parameter with several are named with what
-        place they have, from 1: ``mla_offset.1``.
+        By name the fitted parameters and their standard deviations; the values of a parameter with several are
+        numbered from 1: ``mla_offset.1``.
     covariance : float64 array (numbers, numbers)
-        Of the numbers, in their order in `values`, from the captures' derivatives: the inverse of Fisher's information
-        where all pixels are weighted by their variance. Of a number at a bound, the square of its deviation alone.
+        Of the parameters, in their order in `values`, from the captures' derivatives: the inverse of Fisher's
+        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its
+        deviation alone.
     scales : dict
-        The unit of each number in `directions`: a hundredth of it, a degree, a pitch, a wave.
+        The unit of each parameter in `directions`: a hundredth of it, a degree, a pitch, a wave.
     directions : tuple of Direction
-        What can be told, from the worst on: numbers with large parts in a direction of a large deviation cannot be
-        told apart.
+        Directions from the worst determined on: parameters with large parts in a direction of a large deviation cannot
+        be separated.
     at_bounds : dict
-        Numbers that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
+        Parameters that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
         deviations are one-sided: how far inside the bound the sum of the weighted squares is larger by 1, with the
         others fitted anew. Those of the others hold them at the bound.
     chi_square, chi_square_deviation : float
@@ -99,9 +99,8 @@ def summary(
     steps: int,
 ) -> Fit:
     """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
-    for label, told in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
-        if not told:
-            raise InputError(f"{label}: the captures do not depend on it, so that it cannot be fitted")
+    for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
+        refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
     low, high = ((x - limits[0]) / unit, (limits[1] - x) / unit)
     gap = np.where(slope > 0, low, high)
@@ -132,8 +131,9 @@ def summary(
         return dict(zip(labels, given.tolist(), strict=True))
 
     expected = float(pixels.share.sum()) - effective
-    if expected <= 0:
-        raise InputError(f"photons: too few are expected in the pixels that count to fit {len(x)} numbers to them")
+    refuse_if(
+        expected <= 0, f"photons: too few are expected in the pixels that count to fit {len(x)} parameters to them"
+    )
     return Fit(
         camera,
         by_label(x),
@@ -150,7 +150,7 @@ def summary(
 
 
 def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
-    """Return by how much numbers move away from a bound, against the slope, until the sum of squares is larger by 1."""
+    """Return how far parameters move from a bound, against the slope, until the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(which)])
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))
@@ -170,13 +170,13 @@ def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> 
         return
     hints = ""
     lit, modelled = (
-        sum(float(image[view.kept].sum()) for image, view in zip(images, views, strict=True))
+        sum(float(image[view.used].sum()) for image, view in zip(images, views, strict=True))
         for images in ([view.image for view in views], expected)
     )
     if not 1 / _BRIGHTER < lit / modelled < _BRIGHTER:
         hints = f"; the captures are {lit / modelled:.3g} times as bright as the model: are both in the same unit?"
     for view in views:
-        top = view.image[view.kept].max()
+        top = view.image[view.used].max()
         same = int((view.image == top).sum())
         if view.saturation is None and same > _SAME:
             hints += f"; {same} pixels have the same highest value, {top:g}: if they are saturated, give saturation"

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, require_choice, shown, suggest_keywords
+from ..errors import InputError, naming, refuse_if, require_choice, short_repr, suggest_keywords
 from .exr import read_exr, write_exr
 
 MODELS = ("ray", "wave")
@@ -26,13 +26,13 @@ BRIGHTEST = 1e30
 @suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Capture:
-    """What the detector of a plenoptic camera recorded.
+    """The image that the detector of a plenoptic camera recorded.
 
     Parameters
     ----------
     image : (rows, columns[, 1 or 3]) array
-        Pixel values, mean radiance over the aperture of the pixel's lens; kept as float32. All are finite and at most
-        1e30 in magnitude: a capture with NaN or infinity is never made, by whatever way its pixels come.
+        Pixel values, mean radiance over the aperture of the pixel's lens; stored as float32. All are finite and at most
+        1e30 in magnitude: a capture with NaN or infinity cannot be made.
     camera : PlenopticCamera
         The camera; its `shape` is the image's.
     wavelength : float or tuple of three floats, optional
@@ -42,7 +42,7 @@ class Capture:
     metadata : dict
         How it was made: scene, seed, samples, software versions. Plain JSON values.
     noise : array like the image, optional
-        Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; kept
+        Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; stored
         as float32.
 
     Raises
@@ -68,23 +68,24 @@ class Capture:
                 f"{self.camera.shape[1]} columns"
             )
         channels = image.shape[2] if image.ndim == 3 else 1
-        if channels not in (1, 3):
-            raise InputError(f"image of shape {image.shape}: a capture has 1 channel or 3")
+        refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
         object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
             if len(self.wavelength) != channels:
-                raise InputError(f"wavelength = {shown(self.wavelength)}: the image has {channels} channels")
+                raise InputError(f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels")
             object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
         elif self.wavelength is not None:
             object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
         if not isinstance(self.metadata, dict):
-            raise InputError(f"metadata = {shown(self.metadata)}: it must be a dictionary")
+            raise InputError(f"metadata = {short_repr(self.metadata)}: it must be a dictionary")
         if self.noise is not None:
             noise = as_array("noise", self.noise)
-            if noise.dtype.kind not in "fiu" or noise.shape != image.shape:
-                raise InputError(f"noise of type {noise.dtype} and shape {noise.shape}: it must be as the image")
+            refuse_if(
+                noise.dtype.kind not in "fiu" or noise.shape != image.shape,
+                f"noise of type {noise.dtype} and shape {noise.shape}: it must be as the image",
+            )
             require_pixels("noise", noise)
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
@@ -94,7 +95,7 @@ class Capture:
         """Describe the capture in one line."""
         rows, columns = self.camera.shape
         colours = " x 3" if self.image.ndim == 3 else ""
-        light = "" if self.wavelength is None else f", {shown(self.wavelength)} nm"
+        light = "" if self.wavelength is None else f", {short_repr(self.wavelength)} nm"
         noise = "" if self.noise is None else f", noise {self.relative_noise:.2%}"
         return (
             f"Capture({columns} x {rows}{colours} pixels by {self.model}s{light}, mean {self.image.mean():.4g}{noise})"
@@ -115,8 +116,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: it must be an array: {error}") from None
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"{name} of type {array.dtype}: it must hold real numbers")
+    refuse_if(array.dtype.kind not in "fiu", f"{name} of type {array.dtype}: it must hold real numbers")
     return array
 
 
@@ -151,8 +151,8 @@ def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
     number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
     raise InputError(
-        f"white: its camera has {number} = {shown(theirs.get(number))}, that of the capture "
-        f"{shown(ours.get(number))}: it must be by the camera of the capture"
+        f"white: its camera has {number} = {short_repr(theirs.get(number))}, that of the capture "
+        f"{short_repr(ours.get(number))}: it must be by the camera of the capture"
     )
 
 
@@ -174,7 +174,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     Raises
     ------
     InputError
-        If it is none, its metadata are no plain data, or the file cannot be written.
+        If it is not a capture, its metadata are not plain data, or the file cannot be written.
     """
     if not isinstance(capture, Capture):
         raise InputError(f"capture of type {type(capture).__name__}: it must be a Capture")
@@ -204,9 +204,9 @@ def read_capture(path: str | Path) -> Capture:
         If the file does not exist, is damaged, or is not a capture.
     """
     image, noise, attributes = read_exr(path)
-    try:
+    with naming(path):
         if attributes.get("kind") != "capture":
-            raise InputError(f"it holds a {shown(attributes.get('kind'))}, not a capture")
+            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not a capture")
         if not isinstance(attributes.get("camera"), dict):
             raise InputError("its header has no camera")
         return Capture(
@@ -217,5 +217,3 @@ def read_capture(path: str | Path) -> Capture:
             metadata=attributes.get("metadata", {}),
             noise=noise,
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None

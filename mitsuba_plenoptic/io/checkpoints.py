@@ -1,4 +1,4 @@
-"""Checkpoints: what is done of a wave capture or a deconvolution, on disk, so that a run that was killed goes on there.
+"""Checkpoints: what is done of a wave capture or a deconvolution, on disk, from which a killed run resumes.
 
 A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text that holds all that the run's
 bits depend on; a run with anything else there is refused. Nothing of a checkpoint is ever unpickled.
@@ -50,7 +50,7 @@ _log = logging.getLogger(__name__)
 
 
 class Checkpoint:
-    """A file into which a capture or a deconvolution writes its state now and then, and from which it can go on.
+    """A file into which a capture or a deconvolution writes its state now and then, and from which it can resume.
 
     A context in which the result is computed and written: left without an exception, the file is removed.
 
@@ -59,8 +59,8 @@ class Checkpoint:
     path : path
         The file.
     existing : {"refuse", "resume", "resume_if_same"}
-        What to do with a file that is there: refuse to replace it; go on from it, and refuse it if it is of another
-        run; or go on from it if it is of the same run and replace it if it is of another.
+        What to do with a file that is there: refuse to replace it; resume from it, and refuse it if it is of another
+        run; or resume from it if it is of the same run and replace it if it is of another.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class Checkpoint:
     def __enter__(self) -> Checkpoint:
         if self._existing == "refuse" and self.path.exists():
             raise InputError(
-                f"{self.path}: the checkpoint of a run that was stopped; go on from it with "
+                f"{self.path}: the checkpoint of a run that was stopped; resume from it with "
                 + advice(python="existing='resume'", shell="--resume")
                 + ", or remove the file"
             )
@@ -101,7 +101,7 @@ class Checkpoint:
         shape : (rows, columns, channels)
             The capture's.
         **facts
-            Plain JSON values that the bits of the result depend on, beside those in `run` and the software.
+            Plain JSON values that the bits of the result depend on, besides those in `run` and the software.
 
         Raises
         ------
@@ -111,22 +111,22 @@ class Checkpoint:
         return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
-        """Say what a run is whose state is no sum, and return the arrays that an earlier process has kept of it.
+        """Say what a run is whose state is no sum, and return the arrays that an earlier process has saved of it.
 
         Parameters
         ----------
         **facts
-            As of `begin`.
+            As for `begin`.
 
         Returns
         -------
         dict of float32 and float64 arrays by name, or None
-            None if nothing is kept.
+            None if nothing is saved.
 
         Raises
         ------
         InputError
-            As of `begin`.
+            As for `begin`.
         """
         return self._begin(facts, _named_arrays, {})
 
@@ -145,7 +145,7 @@ class Checkpoint:
                 raise
             _log.info("%s; beginning anew", error)
             return None
-        _log.info("%s: going on from there", self.path)
+        _log.info("%s: resuming from there", self.path)
         return found
 
     def stop(self) -> bool:
@@ -236,7 +236,7 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
     with path.open("wb") as file:
         np.savez(file, header=json.dumps({"format": FORMAT, "run": run, **header}), **arrays)
         file.flush()
-        # On the disk before it takes the place of the one of before.
+        # On the disk before it replaces the one of before.
         os.fsync(file.fileno())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..prescription import Glass, Prescription
 from ..prescription.glass import catalogue_glass
 from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
@@ -21,7 +21,7 @@ What the stop lets through is written as its aperture.
 """
 
 _OF_A_SURFACE = "SLB SPH CON ASP CCY THC THM CUM GLC KC AC BC CC DC EC FC GC HC JC"
-"""The same of a surface: labels, and which of its numbers a design program may change."""
+"""The same of a surface: labels, and which of its values a design program may change."""
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
@@ -49,7 +49,7 @@ def read_codev(path: str | Path) -> Prescription:
         not known, naming file, line and rule.
     """
     path, text = read_text(path)
-    reader = _Reader(path)
+    reader = _CodevReader(path)
     for line in _commands(path, text):
         reader.take(line)
     return reader.prescription()
@@ -79,7 +79,7 @@ def _commands(path: Path, text: str) -> list[Line]:
     return found
 
 
-class _Reader:
+class _CodevReader:
     """The lens of a file, as far as its commands have been read."""
 
     def __init__(self, path: Path) -> None:
@@ -115,8 +115,9 @@ class _Reader:
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
-        if not self.ended or len(self.surfaces) < 3:
-            raise InputError(f"{self.path}: there must be SO, the lens's surfaces and SI")
+        refuse_if(
+            not self.ended or len(self.surfaces) < 3, f"{self.path}: there must be SO, the lens's surfaces and SI"
+        )
         if self.unit is None:
             raise InputError(f"{self.path}: DIM is missing: the unit of its lengths is not known")
         if self.primary is None and len(self.wavelengths) == 1:
@@ -124,12 +125,14 @@ class _Reader:
         if self.primary is None or not 1 <= self.primary <= len(self.wavelengths):
             raise InputError(f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several")
         for number, line in self.solved.items():
-            if number != len(self.surfaces) - 2:
-                raise line.refused("only the last thickness, up to the image, may be found by a solve")
+            line.refuse_if(
+                number != len(self.surfaces) - 2, "only the last thickness, up to the image, may be found by a solve"
+            )
         if self.stop is not None:
             number = int(self.stop.word(1)[1:])
-            if not 0 < number < len(self.surfaces) - 1:
-                raise self.stop.refused("there is no such surface between object and image")
+            self.stop.refuse_if(
+                not 0 < number < len(self.surfaces) - 1, "there is no such surface between object and image"
+            )
             self.surfaces[number].stop = True
         wavelength = self.wavelengths[self.primary - 1]
         return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
@@ -137,16 +140,13 @@ class _Reader:
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number that ends a surface's command, which must be given once."""
         keyword = line.words[0].upper()
-        if keyword in self.taken:
-            raise line.refused(f"{keyword} is given twice")
+        line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
         self.taken.add(keyword)
-        if len(line.words) != index + 1:
-            raise line.refused("it must be one number; semicolons separate commands")
+        line.refuse_if(len(line.words) != index + 1, "it must be one number; semicolons separate commands")
         return line.value(index)
 
     def _surface(self, line: Line) -> DesignSurface:
-        if not self.surfaces:
-            raise line.refused("it belongs to a surface: SO, S or SI must precede it")
+        line.refuse_if(not self.surfaces, "it belongs to a surface: SO, S or SI must precede it")
         return self.surfaces[-1]
 
     def _take_tit(self, line: Line) -> None:
@@ -156,8 +156,7 @@ class _Reader:
 
     def _take_dim(self, line: Line) -> None:
         unit = line.word(1).upper()
-        if unit not in _UNITS:
-            raise line.refused("the unit must be M (millimetres), C (centimetres) or I (inches)")
+        line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
         self.unit = _UNITS[unit]
 
     def _take_rdm(self, line: Line) -> None:
@@ -171,27 +170,22 @@ class _Reader:
 
     def _take_tem(self, line: Line) -> None:
         low, high = _TEMPERATURES
-        if not low <= line.value(1) <= high:
-            raise line.refused(f"indices are those at {low:g} to {high:g} degrees")
+        line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
 
     def _take_pre(self, line: Line) -> None:
-        if line.value(1) != _PRESSURE:
-            raise line.refused(f"indices are those at {_PRESSURE:g} mm of mercury")
+        line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
 
     def _take_so(self, line: Line) -> None:
-        if self.surfaces:
-            raise line.refused("SO must be the first surface")
+        line.refuse_if(self.surfaces, "SO must be the first surface")
         self._add(line)
 
     def _take_s(self, line: Line) -> None:
-        if not self.surfaces or self.ended:
-            raise line.refused("surfaces must stand between SO and SI")
+        line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
         self._add(line)
 
     def _take_si(self, line: Line) -> None:
         self._take_s(line)
-        if self.surfaces[-1].curvature:
-            raise line.refused("the image is curved: the array is a plane")
+        line.refuse_if(self.surfaces[-1].curvature, "the image is curved: the array is a plane")
         self.ended = True
 
     def _add(self, line: Line) -> None:
@@ -202,11 +196,9 @@ class _Reader:
         # How far the object is does not matter: it may be written as infinite.
         thickness = line.value(2) if self.surfaces else 0.0
         surface = DesignSurface(1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS))
-        if len(line.words) > 4:
-            raise line.refused("a surface has radius or curvature, thickness and glass")
+        line.refuse_if(len(line.words) > 4, "a surface has radius or curvature, thickness and glass")
         if len(line.words) == 4:
-            if not self.surfaces:
-                raise line.refused("air must precede the first surface")
+            line.refuse_if(not self.surfaces, "air must precede the first surface")
             surface.glass = _glass(line, line.words[3].strip("'\""))
         self.surfaces.append(surface)
         self.taken.clear()
@@ -234,16 +226,14 @@ class _Reader:
             raise line.refused("apertures must be CIR and their radius: obscurations and holes are not read")
 
     def _take_ic(self, line: Line) -> None:
-        if not line.word(1).upper().startswith("Y"):
-            raise line.refused("rays must meet the surface's first intersection")
+        line.refuse_if(not line.word(1).upper().startswith("Y"), "rays must meet the surface's first intersection")
 
     def _take_pim(self, line: Line) -> None:
         self._surface(line)
         self.solved[len(self.surfaces) - 1] = line
 
     def _take_thi(self, line: Line) -> None:
-        if line.word(1).upper() not in ("HMY", "HCY"):
-            raise line.refused("a thickness must be written in its surface's line")
+        line.refuse_if(line.word(1).upper() not in ("HMY", "HCY"), "a thickness must be written in its surface's line")
         self._take_pim(line)
 
 
@@ -251,8 +241,7 @@ def _glass(line: Line, written: str) -> Glass | None:
     """Return the glass of a surface's line: a name, also with its maker, or a code of index and Abbe number."""
     if written.upper() == "AIR":
         return None
-    if written.upper() in ("REFL", "REF"):
-        raise line.refused("mirrors are not read")
+    line.refuse_if(written.upper() in ("REFL", "REF"), "mirrors are not read")
     where = f"{line.path}, line {line.number}: glass"
     if match := re.fullmatch(r"(\d+\.\d+):(\d+\.?\d*)", written):
         return Glass.from_plain({"index": float(match[1]), "abbe": float(match[2])}, where)

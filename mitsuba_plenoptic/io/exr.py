@@ -40,8 +40,8 @@ _LOSSLESS = (
 )
 
 
-class Part(NamedTuple):
-    """What the header of one part of an OpenEXR file says: its data window, its channels, and all attributes."""
+class ExrPart(NamedTuple):
+    """The header of one part of an OpenEXR file: its data window, its channels, and all attributes."""
 
     origin: tuple[int, int]  # column and row
     columns: int
@@ -98,7 +98,7 @@ def _write(
             try:
                 header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
             except (TypeError, ValueError) as error:
-                raise InputError(f"{path}: what is told about the image must be plain data for JSON: {error}") from None
+                raise InputError(f"{path}: its attributes must be plain data for JSON: {error}") from None
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     try:
@@ -183,7 +183,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     return found, attributes
 
 
-def _attributes(part: Part) -> dict[str, Any]:
+def _attributes(part: ExrPart) -> dict[str, Any]:
     """Return what the attribute of this package holds."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
     if not isinstance(attributes, dict):
@@ -191,7 +191,7 @@ def _attributes(part: Part) -> dict[str, Any]:
     return attributes
 
 
-def read_parts(path: Path) -> list[Part]:
+def read_parts(path: Path) -> list[ExrPart]:
     """Read the headers of an OpenEXR file, without its pixels."""
     _require_small_header(path)
     try:
@@ -223,11 +223,11 @@ def _require_small_header(path: Path) -> None:
     raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: it may have at most as many")
 
 
-def _part(header: dict[str, Any]) -> Part:
+def _part(header: dict[str, Any]) -> ExrPart:
     (left, top), (right, bottom) = (map(int, corner) for corner in header["dataWindow"])
     names = tuple(channel.name for channel in header["channels"])
     # Closing the file empties its own dictionary.
-    return Part((left, top), right - left + 1, bottom - top + 1, names, dict(header))
+    return ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(header))
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
@@ -243,12 +243,12 @@ def _damaged(path: Path, error: Exception) -> InputError:
     return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {reason}")
 
 
-def _require_lossless(part: Part) -> None:
+def _require_lossless(part: ExrPart) -> None:
     if part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS:
         raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
 
 
-def _image_channels(part: Part) -> tuple[str, ...]:
+def _image_channels(part: ExrPart) -> tuple[str, ...]:
     _require_lossless(part)
     for names in (("Y",), ("R", "G", "B")):
         if set("YRGB").intersection(part.channels) == set(names):

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import InputError, shown
+from ..errors import InputError, refuse_if, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -25,23 +25,24 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
     """Check, before a long computation, that a file can be written, without touching it."""
     path = _path(path)
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: it is a folder; give a file name")
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: the folder {path.parent} does not exist")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: it is a device or a pipe; give a file name")
+        refuse_if(path.is_dir(), f"{path}: it is a folder; give a file name")
+        refuse_if(not path.parent.is_dir(), f"{path}: the folder {path.parent} does not exist")
+        refuse_if(path.exists() and not path.is_file(), f"{path}: it is a device or a pipe; give a file name")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    if suffixes and not path.name.lower().endswith(suffixes):
-        raise InputError(f"{path}: give a name that ends in {' or '.join(suffixes)}")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise InputError(f"{path}: no permission to write it")
+    refuse_if(
+        suffixes and not path.name.lower().endswith(suffixes),
+        f"{path}: give a name that ends in {' or '.join(suffixes)}",
+    )
+    refuse_if(
+        not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)),
+        f"{path}: no permission to write it",
+    )
     return path
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that a file that is to be written is none of those that are read, which it would take the place of."""
+    """Check that a file that is to be written is not one of those that are read, which it would replace."""
     for source in sources:
         if source is not None and path.exists() and source.exists() and path.samefile(source):
             raise InputError(f"{path}: it is read, and would be lost; write to another file")
@@ -51,8 +52,7 @@ def require_different(*paths: Path | None) -> None:
     """Check that no two of the files that are to be written are the same."""
     found: set[Path] = set()
     for path in filter(None, paths):
-        if path.resolve() in found:
-            raise InputError(f"{path}: two results would be written to it; give each a name of its own")
+        refuse_if(path.resolve() in found, f"{path}: two results would be written to it; give each a name of its own")
         found.add(path.resolve())
 
 
@@ -65,8 +65,7 @@ def require_file(path: str | Path) -> Path:
         raise InputError(f"{path}: {error.strerror}") from None
     if not regular:
         raise InputError(f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
-    if not os.access(path, os.R_OK):
-        raise InputError(f"{path}: no permission to read it")
+    refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
     return path
 
 
@@ -74,8 +73,7 @@ def require_size(path: str | Path, largest: int) -> Path:
     """Check that a file can be read and has at most `largest` bytes, before any of them is read."""
     path = require_file(path)
     size = path.stat().st_size
-    if size > largest:
-        raise InputError(f"{path}: {size} bytes: it may have at most {largest}")
+    refuse_if(size > largest, f"{path}: {size} bytes: it may have at most {largest}")
     return path
 
 
@@ -92,13 +90,13 @@ def read_text(path: str | Path, largest: int) -> str:
 
 def _path(path: str | Path) -> Path:
     if not isinstance(path, (str, Path)) or "\0" in str(path):
-        raise InputError(f"path = {shown(path)}: it must be the name of a file")
+        raise InputError(f"path = {short_repr(path)}: it must be the name of a file")
     return Path(path)
 
 
 @contextlib.contextmanager
 def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
-    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes."""
+    """Yield a temporary file next to a writable `path`; it replaces `path` once it is complete, or is removed."""
     path = require_writable(path, *suffixes)
     folder = ""
     try:
@@ -136,12 +134,12 @@ def native_output_dropped() -> Iterator[None]:
     Their exceptions say it again.
     """
     with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
-        kept = [(number, os.dup(number)) for number in (1, 2)]
+        saved = [(number, os.dup(number)) for number in (1, 2)]
         try:
-            for number, _ in kept:
+            for number, _ in saved:
                 os.dup2(nowhere.fileno(), number)
             yield
         finally:
-            for number, copy in kept:
+            for number, copy in saved:
                 os.dup2(copy, number)
                 os.close(copy)

@@ -1,4 +1,4 @@
-"""Ground truth: what the rays of a capture and of its views meet, beside the capture on disk."""
+"""Ground truth: what the rays of a capture and of its views meet, in a file next to the capture."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, shown
+from ..errors import InputError, naming, refuse_if, require_choice, short_repr
 from .exr import read_exr_parts, write_exr_parts
 
 QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
-"""What is known of the place that a ray meets, with its channels."""
+"""Quantities of the point that a ray meets, with their channels."""
 
 SUFFIX = ".truth.exr"
-"""In the place of a capture's ``.exr``."""
+"""Suffix that replaces a capture's ``.exr``."""
 
 NAME = "ground_truth"
-"""What names the file in the metadata of its capture."""
+"""Key of the file in the metadata of its capture."""
 
 COORDINATES = {
     f"{name}.{letter}": name if len(letters) == 1 else f"{name}_{letter.lower()}"
     for name, letters in QUANTITIES.items()
     for letter in letters
 }
-"""What light fields call the channels."""
+"""Names of the channels in light fields."""
 
 _PIXELS, _VIEWS = "capture", "views"
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """What the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
+    """The surfaces that the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
 
     ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres: infinite
     where a ray meets nothing. ``position`` and ``normal`` (of shading) are in the world's frame, ``albedo`` is the
-    diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is a whole number, 0 where nothing is
+    diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is an integer, 0 where nothing is
     met. Where the main lens lets no such ray through, all but the index are NaN. None is an average: each is of one
     ray.
 
@@ -70,8 +70,7 @@ def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
     found = tuple(dict.fromkeys(names))
     for name in found:
         require_choice("aov", name, QUANTITIES)
-    if not found:
-        raise InputError(f"aov: name at least one of {', '.join(QUANTITIES)}")
+    refuse_if(not found, f"aov: name at least one of {', '.join(QUANTITIES)}")
     return found
 
 
@@ -86,7 +85,7 @@ def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def truth_path(capture: Path) -> Path:
-    """Return where the ground truth of a capture is kept."""
+    """Return the path of a capture's ground truth."""
     return capture.with_name(capture.name.removesuffix(capture.suffix) + SUFFIX)
 
 
@@ -135,28 +134,25 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         If the file does not exist, is damaged, or is something else.
     """
     parts, attributes = read_exr_parts(path)
-    try:
+    with naming(path):
         if attributes.get("kind") != "ground truth":
-            raise InputError(f"it holds a {shown(attributes.get('kind'))}, not ground truth")
+            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not ground truth")
         camera = PlenopticCamera.from_dict(attributes.get("camera", {}))
         if set(parts) != {_PIXELS, _VIEWS}:
-            raise InputError(f"its parts are {shown(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}")
+            raise InputError(f"its parts are {short_repr(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}")
         sizes = attributes.get("views")
         if not isinstance(sizes, list) or len(sizes) != 4 or not all(isinstance(n, int) and n > 0 for n in sizes):
-            raise InputError(f"views = {shown(sizes)}: they must be four numbers")
+            raise InputError(f"views = {short_repr(sizes)}: they must be four numbers")
         v, u, t, s = sizes
         for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
             for plane in parts[part].values():
-                if plane.shape != shape:
-                    raise InputError(f"its part {part} has the shape {plane.shape}: it must be {shape}")
+                refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
         shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
-            raise InputError(f"shapes = {shown(shapes)}: they must be names")
+            raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
         pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
         views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _matrix(value: Any) -> np.ndarray:
@@ -165,16 +161,16 @@ def _matrix(value: Any) -> np.ndarray:
     except (TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InputError(f"to_world = {shown(value)}: it must be 4 x 4 numbers")
+        raise InputError(f"to_world = {short_repr(value)}: it must be 4 x 4 numbers")
     return matrix
 
 
 def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
-    """Undo `channel_planes`, for a scene of so many shapes."""
+    """Undo `channel_planes`, for a scene of `shapes` shapes."""
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
     if not names or set().union(*keys.values()) != set(planes):
-        raise InputError(f"its channels are {shown(sorted(planes))}: they must be whole quantities")
+        raise InputError(f"its channels are {short_repr(sorted(planes))}: they must be whole quantities")
     found = {
         name: np.stack([planes[key] for key in of_name], axis=-1) if len(of_name) > 1 else planes[of_name[0]]
         for name, of_name in keys.items()

@@ -1,4 +1,4 @@
-"""What the readers of other programs' lens files share: lines that can be refused, and the way to a `Prescription`.
+"""Common parts of the readers of other programs' lens files: their lines, and the `Prescription` made of them.
 
 Both readers know the keywords that they understand and those that do not change the light's path through the lens.
 Anything else is refused by file, line and rule, so that no lens is read as another one.
@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import InputError, shown
+from ..errors import InputError, naming, refuse_if, short_repr
 from ..prescription import Glass, Prescription
 from .files import require_size
 
@@ -31,12 +31,16 @@ class Line:
 
     def refused(self, rule: str) -> InputError:
         """Return the exception that names file, line, command and rule."""
-        return InputError(f"{self.path}, line {self.number}: {shown(' '.join(self.words))}: {rule}")
+        return InputError(f"{self.path}, line {self.number}: {short_repr(' '.join(self.words))}: {rule}")
+
+    def refuse_if(self, broken: object, rule: str) -> None:
+        """Refuse the command where it breaks a rule."""
+        if broken:
+            raise self.refused(rule)
 
     def word(self, index: int) -> str:
         """Return one of its words; the first is the keyword, number 0."""
-        if index >= len(self.words):
-            raise self.refused(f"value {index} is missing")
+        self.refuse_if(index >= len(self.words), f"value {index} is missing")
         return self.words[index]
 
     def value(self, index: int, default: float | None = None) -> float:
@@ -46,14 +50,12 @@ class Line:
         word, value = self.word(index), math.nan
         with contextlib.suppress(ValueError):
             value = float(word)
-        if not math.isfinite(value):
-            raise self.refused(f"value {index} must be a number")
+        self.refuse_if(not math.isfinite(value), f"value {index} must be a number")
         return value
 
     def require_zero(self, rule: str, first: int = 1) -> None:
-        """Refuse the command unless all its numbers are 0."""
-        if any(self.value(index) for index in range(first, len(self.words))):
-            raise self.refused(rule)
+        """Refuse the command unless all its values are 0."""
+        self.refuse_if(any(self.value(index) for index in range(first, len(self.words))), rule)
 
 
 @dataclass
@@ -90,10 +92,10 @@ def to_prescription(
     """Return the prescription of a file's surfaces, object and image left out."""
     plain = []
     for number, surface in enumerate(surfaces, start=1):
-        if not surface.semi_aperture > 0:
-            raise InputError(
-                f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes"
-            )
+        refuse_if(
+            not surface.semi_aperture > 0,
+            f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
+        )
         entry = {
             "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
             "semi_aperture": surface.semi_aperture * unit,
@@ -107,10 +109,8 @@ def to_prescription(
             entry["glass"] = surface.glass.to_plain()
         plain.append(entry)
     facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
-    try:
+    with naming(path):
         return Prescription.from_plain({**facts, "surfaces": plain})
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _trimmed(terms: list[float]) -> list[float]:

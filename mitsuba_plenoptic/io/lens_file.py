@@ -15,7 +15,7 @@ from ..objective import Objective  # noqa: F401 (a kind of plain data that files
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
 from .files import atomic_output, require_file
-from .yaml_file import read_yaml
+from .plain_data import read_yaml
 from .zemax_file import read_zemax
 
 DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
@@ -30,7 +30,7 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
     source : str or Path
         The file, name or text.
     resolve : callable, optional
-        Finds a file by its name, for example beside a scene.
+        Finds a file by its name, for example in the folder of a scene.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
         The name of a bundled lens; a YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file; or the text of a JSON
         file. The file of a bundled lens, such as ``tessar.yaml``, is found where there is no file of that name.
     resolve : callable, optional
-        Finds a file by its name, for example beside a scene.
+        Finds a file by its name, for example in the folder of a scene.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..errors import InputError, naming, refuse_if, require_number
 from ..runtime.limits import require_memory
 from .captures import Capture
 from .files import atomic_output, require_file, require_writable
@@ -58,8 +58,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     }
     text = json.dumps({_KEY: about})
     if path.suffix.lower() == ".png":
-        if numbers.ndim == 3:
-            raise InputError(f"{path}: raw pictures of three channels are written as .tiff")
+        refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
         information.add_text(_KEY, text)
         with atomic_output(path) as temporary:
@@ -81,7 +80,7 @@ def read_raw(path: str | Path) -> Capture:
     Raises
     ------
     InputError
-        If the file does not exist, is damaged, or tells no detector and camera, as those of other programs.
+        If the file does not exist, is damaged, or states no detector and camera, as those of other programs.
     """
     path = require_file(path)
     numbers, text = _read(path)
@@ -91,8 +90,8 @@ def read_raw(path: str | Path) -> Capture:
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     except (ValueError, TypeError, KeyError, RecursionError):
-        raise InputError(f"{path}: it tells no camera and detector; a raw picture needs its camera") from None
-    try:
+        raise InputError(f"{path}: it states no camera and detector; a raw picture needs its camera") from None
+    with naming(path):
         return Capture(
             image=_values(numbers, about["metadata"]["exposure"]),
             camera=PlenopticCamera.from_dict(about["camera"]),
@@ -100,12 +99,10 @@ def read_raw(path: str | Path) -> Capture:
             model=about.get("model", ""),
             metadata=about["metadata"],
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
-def tells_detector(path: str | Path) -> bool:
-    """Return whether a picture tells its camera and detector, so that `read_raw` reads it."""
+def states_detector(path: str | Path) -> bool:
+    """Return whether a picture states its camera and detector, so that `read_raw` reads it."""
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 
@@ -117,9 +114,11 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     gain, black, dark, unit = response_of(exposure)
     exact = (capture.image.astype(np.float64) * unit + dark) * gain + black
     numbers = np.rint(exact)
-    # Single precision tells a number of 16 bits from its neighbours.
-    if np.abs(exact - numbers).max(initial=0) > 0.1 or numbers.min(initial=0) < 0 or numbers.max(initial=0) > 65535:
-        raise InputError("capture: its values are no digital numbers of its detector; write it as .exr")
+    # Single precision separates a number of 16 bits from its neighbours.
+    refuse_if(
+        np.abs(exact - numbers).max(initial=0) > 0.1 or numbers.min(initial=0) < 0 or numbers.max(initial=0) > 65535,
+        "capture: its values are no digital numbers of its detector; write it as .exr",
+    )
     return numbers.astype(np.uint16)
 
 
@@ -129,10 +128,9 @@ def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float
 
 
 def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, of what `expose` has kept."""
+    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, from the record of `expose`."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
-        if name not in exposure:
-            raise InputError(f"exposure: {name}: it is missing")
+        refuse_if(name not in exposure, f"exposure: {name}: it is missing")
     gain, efficiency, photons = (
         require_number(name, exposure[name], positive=True) for name in ("gain", "quantum_efficiency", "photons")
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..prescription import Glass, Prescription
 from ..prescription.glass import catalogue_glass
 from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
@@ -20,7 +20,7 @@ What the stop lets through is written as its semi-diameter.
 """
 
 _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZUP VDSZ VPAR PPAR XDAT"
-"""The same of a surface: drawing, labels, coatings, manufacture, and how its numbers, which are written, were found."""
+"""The same of a surface: drawing, labels, coatings, manufacture, and how its values, which are given, were found."""
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
@@ -45,7 +45,7 @@ def read_zemax(path: str | Path) -> Prescription:
         not known, naming file, line and rule.
     """
     path, text = read_text(path)
-    reader = _Reader(path)
+    reader = _ZemaxReader(path)
     lines = [
         Line(path, number, tuple(line.split()))
         for number, line in enumerate(text.splitlines(), start=1)
@@ -57,7 +57,7 @@ def read_zemax(path: str | Path) -> Prescription:
     return reader.prescription()
 
 
-class _Reader:
+class _ZemaxReader:
     """The lens of a file, as far as its lines have been read."""
 
     def __init__(self, path: Path) -> None:
@@ -83,12 +83,10 @@ class _Reader:
         header = getattr(self, f"_header_{keyword.lower()}", None)
         of_surface = getattr(self, f"_surface_{keyword.lower()}", None)
         if header is None and (of_surface is None or not self.surfaces):
-            if not closing:
-                raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
+            line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
             return
         own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
-        if own in self.taken:
-            raise line.refused(f"{' '.join(own)} is given twice")
+        line.refuse_if(own in self.taken, f"{' '.join(own)} is given twice")
         self.taken.add(own)
         if header is not None:
             header(line)
@@ -97,18 +95,20 @@ class _Reader:
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
-        if len(self.surfaces) < 3:
-            raise InputError(
-                f"{self.path}: {len(self.surfaces)} surfaces: there must be an object, a lens and an image"
-            )
+        refuse_if(
+            len(self.surfaces) < 3,
+            f"{self.path}: {len(self.surfaces)} surfaces: there must be an object, a lens and an image",
+        )
         if self.unit is None:
             raise InputError(f"{self.path}: UNIT is missing: the unit of its lengths is not known")
-        if self.primary not in self.wavelengths:
-            raise InputError(f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing")
+        refuse_if(
+            self.primary not in self.wavelengths,
+            f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing",
+        )
         for number, line in self.glasses.items():
             self.surfaces[number].glass = self._glass(line)
         for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):
-            # Other types leave numbers behind that the type STANDARD does not use.
+            # Other types leave values behind that the type STANDARD does not use.
             surface.asphere = self._asphere(lines) if kind == "EVENASPH" else []
         first, *lens, image = self.surfaces
         if first.glass is not None:
@@ -124,47 +124,46 @@ class _Reader:
             order, term = int(line.value(1)), line.value(2)
             if not term:
                 continue
-            if order == 1:
-                raise line.refused("there must be no term of the second power: put it into the curvature")
-            if not 2 <= order <= 8:
-                raise line.refused("an even asphere has the parameters 1 to 8")
+            line.refuse_if(order == 1, "there must be no term of the second power: put it into the curvature")
+            line.refuse_if(not 2 <= order <= 8, "an even asphere has the parameters 1 to 8")
             terms[order - 2] = term
         return terms
 
     def _glass(self, line: Line) -> Glass:
-        name, way = line.word(1), int(line.value(2, _FIXED))
-        if name == "MIRROR":
-            raise line.refused("mirrors are not read")
-        if way == _MODEL:
-            if line.value(6, 0.0):
-                raise line.refused(
-                    "a model glass's deviation of the partial dispersion must be 0; name a glass instead"
-                )
+        name, kind = line.word(1), int(line.value(2, _FIXED))
+        line.refuse_if(name == "MIRROR", "mirrors are not read")
+        if kind == _MODEL:
+            line.refuse_if(
+                line.value(6, 0.0),
+                "a model glass's deviation of the partial dispersion must be 0; name a glass instead",
+            )
             index, abbe = line.value(4), line.value(5)
             return Glass("abbe", (index, abbe), "model") if abbe else Glass("index", (index,), "model")
-        if way not in (_FIXED, _PICKED_UP, _SUBSTITUTE):
-            raise line.refused("only fixed, substitute, picked up and model glasses are read")
+        line.refuse_if(
+            kind not in (_FIXED, _PICKED_UP, _SUBSTITUTE),
+            "only fixed, substitute, picked up and model glasses are read",
+        )
         where = f"{self.path}, line {line.number}: glass"
         return catalogue_glass(name, where, self.makers or None)
 
     def _header_mode(self, line: Line) -> None:
-        if line.words[1:] != ("SEQ",):
-            raise line.refused("only sequential lenses are read")
+        line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
 
     def _header_name(self, line: Line) -> None:
         self.name = " ".join(line.words[1:])
 
     def _header_unit(self, line: Line) -> None:
-        if line.word(1) not in UNITS:
-            raise line.refused(f"the unit must be one of {', '.join(UNITS)}")
+        line.refuse_if(line.word(1) not in UNITS, f"the unit must be one of {', '.join(UNITS)}")
         self.unit = UNITS[line.word(1)]
 
     def _header_gcat(self, line: Line) -> None:
         self.makers = list(line.words[1:])
 
     def _header_envd(self, line: Line) -> None:
-        if line.value(3, 0.0) and (line.value(1), line.value(2)) != (20.0, 1.0):
-            raise line.refused("indices are those at 20 degrees and 1 atmosphere")
+        line.refuse_if(
+            line.value(3, 0.0) and (line.value(1), line.value(2)) != (20.0, 1.0),
+            "indices are those at 20 degrees and 1 atmosphere",
+        )
 
     def _header_wavm(self, line: Line) -> None:
         self.wavelengths[int(line.value(1))] = line.value(2)
@@ -178,20 +177,20 @@ class _Reader:
         self.primary = int(line.value(1))
 
     def _header_mnum(self, line: Line) -> None:
-        if line.value(1) != 1:
-            raise line.refused("only files of one configuration are read")
+        line.refuse_if(line.value(1) != 1, "only files of one configuration are read")
 
     def _header_surf(self, line: Line) -> None:
-        if line.value(1) != len(self.surfaces):
-            raise line.refused(f"surfaces must be numbered from 0; this is number {len(self.surfaces)}")
+        line.refuse_if(
+            line.value(1) != len(self.surfaces),
+            f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
+        )
         self.surfaces.append(DesignSurface())
         self.kinds.append("STANDARD")
         self.parameters.append([])
         self.taken.clear()
 
     def _surface_type(self, line: Line, surface: DesignSurface) -> None:
-        if line.word(1) not in _SURFACES:
-            raise line.refused(f"only surfaces of the types {' and '.join(_SURFACES)} are read")
+        line.refuse_if(line.word(1) not in _SURFACES, f"only surfaces of the types {' and '.join(_SURFACES)} are read")
         self.kinds[-1] = line.word(1)
 
     def _surface_curv(self, line: Line, surface: DesignSurface) -> None:
@@ -219,8 +218,7 @@ class _Reader:
         surface.semi_aperture = surface.semi_aperture or line.value(1)
 
     def _surface_clap(self, line: Line, surface: DesignSurface) -> None:
-        if line.value(1):
-            raise line.refused("obscurations are not read: the inner radius of the aperture must be 0")
+        line.refuse_if(line.value(1), "obscurations are not read: the inner radius of the aperture must be 0")
         surface.semi_aperture = line.value(2)
 
     _surface_flap = _surface_clap

@@ -17,5 +17,5 @@ __all__ = ["APERTURES", "LATTICES", "Lattice", "make_lattice", "register", "turn
 
 
 def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
-    """Build the lattice of a name in `LATTICES`; see `Lattice` for the numbers."""
+    """Build the lattice of a name in `LATTICES`; see `Lattice` for the parameters."""
     return LATTICES[name](pitches, **numbers)

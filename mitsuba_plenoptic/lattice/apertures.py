@@ -1,4 +1,4 @@
-"""What of its cell a microlens fills; the rest of the cell is opaque. A new aperture is a new class here."""
+"""The part of its cell that a microlens fills; the rest of the cell is opaque. A new aperture is a new class here."""
 
 from __future__ import annotations
 

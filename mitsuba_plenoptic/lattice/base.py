@@ -1,11 +1,10 @@
-r"""What a microlens lattice is: which lens a point belongs to, where its centre is, and what its aperture lets through.
+r"""Microlens lattices: which lens a point belongs to, where its centre is, and what its aperture lets through.
 
 Everything that has to do with the arrangement of microlenses is asked of a `Lattice`, which `PlenopticCamera.lattice`
 makes. It covers the whole plane and does not end with the detector. Points are given in the camera frame, in the
-plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own numbers be.
+plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own parameters be.
 
-A lens is named by two whole numbers (i, j), its steps along the two lattice vectors. Its place is decided in three
-frames:
+A lens is named by two integers (i, j), its steps along the two lattice vectors. It is found in three frames:
 
 - In the *unit frame* lengths along the rows count in pitches and lengths across them in row distances. Each lattice
   says there which cell holds a point and where its centre is.
@@ -39,7 +38,7 @@ class Lattice(abc.ABC):
     Parameters
     ----------
     pitches : (float, float)
-        Pitch along the rows, the distance of neighbouring centres; and across them, the same but for a stretched
+        Pitch along the rows, the distance of neighbouring centres; and across them, the same except for a stretched
         lattice.
     rotation : float
         Degrees, counter-clockwise in the camera frame. As that frame's y falls on rows, this is clockwise in a capture
@@ -62,7 +61,7 @@ class Lattice(abc.ABC):
     # -- what a lattice defines ----------------------------------------------------------------------
 
     name: ClassVar[str]
-    """What the camera's ``mla_lattice`` calls it."""
+    """Its name in the camera's ``mla_lattice``."""
 
     row_ratio: ClassVar[float]
     """Distance of rows over the pitch across them."""
@@ -71,7 +70,7 @@ class Lattice(abc.ABC):
     """Rows from one to the next that stands straight above it."""
 
     lens_types: ClassVar[int]
-    """Types of lenses that a multi-focus array interleaves so that no two neighbours are alike; 1: there are none."""
+    """Types of lenses that a multi-focus array interleaves so that no two neighbours are alike; 1: not supported."""
 
     rectangular: ClassVar[bool]
     """Whether cells are rectangles along the rows."""
@@ -82,7 +81,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point of the unit frame: its indices, whole numbers as floats."""
+        """Find the cell that holds a point of the unit frame: its indices, integers as floats."""
 
     @staticmethod
     @abc.abstractmethod
@@ -151,7 +150,7 @@ class Lattice(abc.ABC):
         return self.pitches[0] / self.stagger, self.row_distance
 
     def period(self, lens_types: int = 1) -> tuple[Any, Any]:
-        """Return the sides, in the lattice's frame, of a rectangle after which an array of so many types repeats."""
+        """Return the sides, in the lattice's frame, of a rectangle after which an array of `types` types repeats."""
         return self.pitches[0] * lens_types, self.row_distance * self.stagger
 
     @property
@@ -199,7 +198,7 @@ class Lattice(abc.ABC):
 
     @property
     def axis_aligned(self) -> bool:
-        """Whether cells are rectangles along x and y, by plain numbers: an index along x follows from x alone."""
+        """Whether cells are rectangles along x and y, for plain floats: an index along x follows from x alone."""
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
@@ -210,7 +209,7 @@ class Lattice(abc.ABC):
     # -- cells ---------------------------------------------------------------------------------------
 
     def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point: its indices, whole numbers as floats."""
+        """Find the cell that holds a point: its indices, integers as floats."""
         u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
         return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
@@ -283,7 +282,7 @@ class Lattice(abc.ABC):
         counts = inside.reshape(2 * half + 1, _POINTS, 2 * half + 1, _POINTS).sum(axis=(1, 3), dtype=np.float64)
         return counts / counts.sum()
 
-    # -- sets of lenses, for lattices of plain numbers -----------------------------------------------
+    # -- sets of lenses, for lattices of plain floats -----------------------------------------------
 
     def cell_corners(self) -> np.ndarray:
         """Return the corners of a cell from its centre, in the order of their angles.
@@ -327,8 +326,8 @@ class Lattice(abc.ABC):
         # Centres inside an enlarged cell are to the left of all its sides.
         side = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
         distance[(side >= 0).all(1)] = 0
-        kept = distance <= reach
-        index, place = index[kept], place[kept]
+        inside = distance <= reach
+        index, place = index[inside], place[inside]
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*place.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
@@ -354,8 +353,8 @@ class Lattice(abc.ABC):
         first, last = first.astype(int), last.astype(int)
         j, i = (index.ravel() for index in np.mgrid[first[1] : last[1] + 1, first[0] : last[0] + 1])
         x, y = self.centre(i.astype(np.float64), j.astype(np.float64))
-        kept = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-        return np.stack([i[kept], j[kept]], axis=-1)
+        inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+        return np.stack([i[inside], j[inside]], axis=-1)
 
     # -- frames --------------------------------------------------------------------------------------
 

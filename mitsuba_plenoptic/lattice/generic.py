@@ -15,7 +15,7 @@ def module_of(value: Any) -> Any:
 
 
 def floor(value: Any) -> Any:
-    """Return the largest whole number that is not greater, as a float."""
+    """Return the largest integer that is not greater, as a float."""
     return module_of(value).floor(value)
 
 
@@ -40,7 +40,7 @@ def is_zero(value: Any) -> bool:
 
 
 def turn(x: Any, y: Any, degrees: Any) -> tuple[Any, Any]:
-    """Turn places counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
+    """Turn positions counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
     if is_zero(degrees):
         return x, y
     angle = degrees * (math.pi / 180)

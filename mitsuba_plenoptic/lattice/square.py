@@ -29,7 +29,7 @@ class SquareLattice(Lattice):
 
     @staticmethod
     def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
-        """Return the middle between corners at whole numbers."""
+        """Return the middle between corners at integers."""
         return i + 0.5, j + 0.5
 
     @staticmethod

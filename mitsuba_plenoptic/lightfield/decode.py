@@ -10,10 +10,10 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
 from ..design.microscope import objective_of
-from ..errors import InputError, shown, suggest_keywords
+from ..detector import require_demosaiced
+from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
-from ..mosaic import require_demosaiced
 from ..runtime.limits import require_memory
 from .fourier_views import decode_views
 from .geometry import DIMS, light_field
@@ -35,7 +35,7 @@ def decode(
 ) -> xr.DataArray:
     """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
 
-    Micro-images are not a whole number of pixels apart. Each is resampled about its own centre by linear
+    Micro-images are not an integer of pixels apart. Each is resampled about its own centre by linear
     interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
     capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
     resampled to one that is, linearly along its rows and between them.
@@ -126,7 +126,7 @@ def _checked(
     if camera is not None:
         require_camera(camera)
     if grid is not None and not isinstance(grid, LensGrid):
-        raise InputError(f"grid = {shown(grid)}: it must be a LensGrid")
+        raise InputError(f"grid = {short_repr(grid)}: it must be a LensGrid")
     if camera is None and grid is None:
         raise InputError(
             "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"
@@ -170,8 +170,10 @@ def _coordinates(
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Return ground truth as coordinates of the light field of its camera."""
     planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
-    if truth.camera != camera or any(plane.shape != shape for plane in planes.values()):
-        raise InputError("truth: it is of another camera than the light field")
+    refuse_if(
+        truth.camera != camera or any(plane.shape != shape for plane in planes.values()),
+        "truth: it is of another camera than the light field",
+    )
     whole = {"shape_index": np.int32}
     return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
 
@@ -189,8 +191,10 @@ def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: i
 
 def _image(name: str, values: np.ndarray) -> np.ndarray:
     image = as_array(name, values)
-    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)):
-        raise InputError(f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels")
+    refuse_if(
+        image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
+        f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels",
+    )
     require_pixels(name, image)
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
 
@@ -206,8 +210,7 @@ def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
 def _brightness(middle: np.ndarray) -> np.float32:
     """Typical value of a white image in the middle of its micro-images."""
     lit = middle[middle > 0]
-    if not lit.size:
-        raise InputError("white: it is black in the middle of every micro-image")
+    refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
     return np.float32(np.median(lit))
 
 
@@ -220,7 +223,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     views = math.inf
     if camera is not None:
         radius = camera.aperture_radius / camera.pupil_step
-        # Where micro-images do not touch, there is room beyond half way to the next lens.
+        # Where micro-images do not touch, there is room beyond half the distance to the next lens.
         reach = max(reach, lenses.nearest_distance - radius)
         views = math.ceil(radius - 0.5)
     # A sample mixes the pixels whose centres lie within one pixel of it.

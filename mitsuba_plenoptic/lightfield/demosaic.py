@@ -7,7 +7,7 @@ white:
 
 with the filters :math:`m_c` and the white image W: normalised convolution, whose certainty is the white image
 (Knutsson and Westin 1993). Only pixels q of the lens of p count: a neighbour's light comes from elsewhere, and what is
-dark between micro-images tells no colour. Pixels that are recorded are kept.
+dark between micro-images has no colour. Recorded pixels are unchanged.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, argument, require_choice, suggest_keywords
+from ..detector import MOSAICS, filters, mosaic_of, require_demosaiced
+from ..errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ..io.captures import Capture, require_suitable_white
-from ..mosaic import MOSAICS, filters, mosaic_of, require_demosaiced
 from .grid import lens_numbers
 from .white import scaled_white, white_image
 
@@ -59,7 +59,7 @@ def demosaic(
         camera, which real main lenses do not allow.
     method : {"micro-images", "plain"}
         ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
-        bilinear interpolation, as of photographs, to compare with.
+        bilinear interpolation, as for photographs, to compare with.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def demosaic(
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
     known = mosaic_of(capture)
     if mosaic is None and known is None:
-        raise InputError(f"mosaic = None: the capture tells none; give {argument('mosaic')}")
+        raise InputError(f"mosaic = None: the capture does not state it; give {argument('mosaic')}")
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
@@ -104,8 +104,10 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     if white is None:
         return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
     require_demosaiced(white)
-    if white.image.shape[:2] != capture.image.shape:
-        raise InputError(f"white of shape {white.image.shape}: it must have the pixels of the capture")
+    refuse_if(
+        white.image.shape[:2] != capture.image.shape,
+        f"white of shape {white.image.shape}: it must have the pixels of the capture",
+    )
     require_suitable_white(white, [capture.camera])
     image = np.atleast_3d(white.image)
     if capture.camera.lens_data.is_thin:

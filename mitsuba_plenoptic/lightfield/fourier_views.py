@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lenses.factory import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
@@ -42,7 +42,7 @@ class LensViews:
     across: NDArray[np.float64]
     down: NDArray[np.float64]
     # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
-    # as at every second place of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
+    # as at every second position of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
     fraction: NDArray[np.float32]
     # Pixels of its picture on either side of the one in the middle, along x and y; (int, int).
     half: tuple[int, int]
@@ -51,11 +51,11 @@ class LensViews:
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
         """Find the lenses in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
-        if abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME:
-            raise InputError(
-                f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
-                "of the detector; turn the array by a whole number of right angles"
-            )
+        refuse_if(
+            abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
+            f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
+            "of the detector; turn the array by a whole number of right angles",
+        )
         half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
         if min(half) < 1:
             raise InputError(f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
@@ -64,8 +64,7 @@ class LensViews:
         x, y = (np.asarray(values, np.float64) for values in lattice.centre(*numbers.T.astype(np.float64)))
         fraction = _in_stop(camera, lens, x, y)
         seen = fraction >= MINIMUM_WEIGHT
-        if not seen.any():
-            raise InputError(f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
+        refuse_if(not seen.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
         tolerance = _SAME * min(camera.mla_pitches)
         across, column = _lines(x[seen], tolerance)
         down, row = _lines(y[seen], tolerance)
@@ -126,7 +125,7 @@ def _room(camera: PlenopticCamera) -> tuple[float, float]:
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return for lenses at some places the light that their apertures get, over that of an even stop."""
+    """Return for lenses at some positions the light that their apertures get, over that of an even stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     step = 2 * reach / _PLACES
@@ -146,7 +145,7 @@ def _in_stop(
 
 
 def _lines(places: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct places, rising, and the number of each one's."""
+    """Return the distinct positions, rising, and the number of each one's."""
     order = np.argsort(places)
     number = np.cumsum(np.diff(places[order], prepend=-np.inf) > tolerance) - 1
     result = np.empty(len(places), np.int64)

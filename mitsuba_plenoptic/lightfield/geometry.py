@@ -1,4 +1,4 @@
-"""What the axes of a light field mean, and how far a point at some distance moves from view to view.
+"""The axes of a light field, and how far a point at some distance moves from view to view.
 
 A light field is an `xarray.DataArray` with the dimensions ``v, u, t, s`` (and ``c`` where it has colour):
 
@@ -24,7 +24,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, require_number, shown
+from ..errors import InputError, advice, refuse_if, require_number, short_repr
 from ..io.captures import require_pixels
 from ..optics import rays
 from ..thin_lens import image_distance
@@ -74,8 +74,7 @@ def light_field(
         seen = values.any(axis=tuple(range(2, values.ndim)), keepdims=True)
         weight = np.broadcast_to(seen.reshape(*seen.shape[:4]), values.shape[:4]).astype(np.float32)
     # Written so that NaN is refused.
-    if weight.size and not (weight.min() >= 0 and weight.max() <= 1):
-        raise InputError("light field: a weight is not from 0 to 1")
+    refuse_if(weight.size and not (weight.min() >= 0 and weight.max() <= 1), "light field: a weight is not from 0 to 1")
     coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
@@ -103,7 +102,7 @@ def light_field(
 
 
 def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
-    """Return the coordinates on the pupil of so many views, along x or y."""
+    """Return the coordinates on the pupil of `count` views, along x or y."""
     # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
     return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
 
@@ -156,7 +155,9 @@ def _record(lf: xr.DataArray, name: str) -> dict[str, Any]:
     try:
         return dict(json.loads(lf.attrs[name]))
     except (TypeError, ValueError) as error:
-        raise InputError(f"light field: its attribute {name} = {shown(lf.attrs[name])} is no JSON: {error}") from None
+        raise InputError(
+            f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON: {error}"
+        ) from None
 
 
 def require_light_field(lf: Any) -> xr.DataArray:
@@ -169,18 +170,17 @@ def require_light_field(lf: Any) -> xr.DataArray:
     """
     if not isinstance(lf, xr.DataArray):
         raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
-    if lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords:
-        raise InputError(
-            f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight"
-        )
-    if lf.dtype.kind not in "fiu":
-        raise InputError(f"light field of type {lf.dtype}: it must hold real numbers")
+    refuse_if(
+        lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords,
+        f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight",
+    )
+    refuse_if(lf.dtype.kind not in "fiu", f"light field of type {lf.dtype}: it must hold real numbers")
     require_pixels("light field", lf.values)
     return lf
 
 
 def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
-    """Return the place of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
+    """Return the position of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
     coordinate = np.asarray(lf[axis].values, dtype=np.float64)
     return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
 
@@ -240,7 +240,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
 
 
 def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
-    """Invert `disparity`: the distance at which a point moves so far; infinity where there is none.
+    """Invert `disparity`: the distance at which a point moves so far; infinity where there is no such distance.
 
     Parameters
     ----------

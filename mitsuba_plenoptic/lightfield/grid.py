@@ -1,4 +1,4 @@
-"""Where the micro-images lie on the detector: the one place that knows the microlens lattice.
+"""Positions of the micro-images on the detector: the only module here that depends on the microlens lattice.
 
 Everything that decodes a capture asks here for the centres of the micro-images, in the pixels of the recorded
 image, and for the lenses they belong to. Whatever the lattice is, only this module changes with it.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_count, require_number, require_pair
+from ..errors import refuse_if, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
 
@@ -48,7 +48,7 @@ class LensGrid:
     ------
     InputError
         If a number is not finite, a spacing is not from 1e-3 to 1e6 pixels, an offset is beyond 1e9 pixels, a
-        rotation is beyond a full turn, or a count is not a whole number from 1 to 1048576.
+        rotation is beyond a full turn, or a count is not an integer from 1 to 1048576.
     """
 
     spacing: tuple[float, float]
@@ -127,8 +127,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
         pixel = _pixel(camera, centre, axis)
         if camera.crop_size[axis] != camera.resolution[axis]:
             pixel = pixel[(pixel >= 0) & (pixel <= camera.crop_size[axis])]
-        if not pixel.size:
-            raise InputError(f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
+        refuse_if(not pixel.size, f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
         start.append(float(pixel[0]))
         count.append(pixel.size)
     return LensGrid((spacing, spacing), (start[0], start[1]), (count[1], count[0]))
@@ -154,8 +153,10 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     lattice = camera.lattice
     if lattice.axis_aligned and lattice.aspect == 1 and lattice.offset == (0, 0):
         return bin_grid(camera)
-    if not len(micro_image_centres(camera, 0)):
-        raise InputError(f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")
+    refuse_if(
+        not len(micro_image_centres(camera, 0)),
+        f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window",
+    )
     scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.detector_distance)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
@@ -194,7 +195,7 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
 
 
 def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
-    """Return a number for each recorded pixel: that of the lens of its chief ray."""
+    """Return the index of the lens of each recorded pixel's chief ray."""
     x, y = (
         rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
         for axis in (0, 1)
@@ -244,7 +245,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
     while True:
         if a @ a > b @ b:
             a, b = b, a
-        # Of a hexagonal lattice the projection is a half, but for rounding, and either of two vectors will do.
+        # Of a hexagonal lattice the projection is a half, except for rounding, and either of two vectors will do.
         projection = (a @ b) / (a @ a)
         if abs(projection) <= 0.5 + 1e-9:
             return np.array([a, b if projection <= 0 else -b])

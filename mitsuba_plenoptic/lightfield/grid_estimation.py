@@ -7,7 +7,7 @@ import math
 import numpy as np
 import scipy.ndimage
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..io.captures import as_array, require_pixels
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
@@ -57,8 +57,10 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
         If the array is not an image, or shows no lattice of at least 4 x 4 micro-images.
     """
     given = as_array("white", white)
-    if given.ndim not in (2, 3) or min(given.shape[:2]) < 16 or not given.size:
-        raise InputError(f"white of shape {given.shape}: it must be an image, 16 x 16 or larger")
+    refuse_if(
+        given.ndim not in (2, 3) or min(given.shape[:2]) < 16 or not given.size,
+        f"white of shape {given.shape}: it must be an image, 16 x 16 or larger",
+    )
     require_pixels("white", given)
     image = given.astype(np.float32, copy=False)
     if image.ndim == 3:
@@ -81,8 +83,9 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Slow changes of brightness over the image are not the lattice.
     spectrum[(np.abs(down)[:, None] <= 3) & (np.abs(across) <= 3)] = 0
     peak = (spectrum == scipy.ndimage.maximum_filter(spectrum, 5)) & (spectrum > _PEAK * spectrum.max())
-    if not spectrum.max() > _CONTRAST * np.median(spectrum):
-        raise InputError("white: no regular lattice of micro-images is seen in it")
+    refuse_if(
+        not spectrum.max() > _CONTRAST * np.median(spectrum), "white: no regular lattice of micro-images is seen in it"
+    )
     # One of each pair of opposite peaks, away from the border, where a parabola has no room.
     half_plane = (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
     peak[[0, -1]] = peak[:, [0, -1]] = False
@@ -129,17 +132,16 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
         index = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
         centres = origin + index @ vectors
         inside = ((centres > radius + 1) & (centres < size - radius - 1)).all(1)
-        if inside.sum() < 16:
-            raise InputError(f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
+        refuse_if(inside.sum() < 16, f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
         index, centres = index[inside], centres[inside]
         blocks = np.array_split(centres, -(-len(centres) // _BLOCK))
         measured, light = (
             np.concatenate(parts) for parts in zip(*(_centroids(image, block, radius) for block in blocks), strict=True)
         )
-        kept = light > 0.1 * np.median(light)
+        used = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
-        kept &= moved < 3 * np.median(moved[kept]) + 0.5
-        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(kept.sum()), index[kept]]), measured[kept])[0]
+        used &= moved < 3 * np.median(moved[used]) + 0.5
+        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(used.sum()), index[used]]), measured[used])[0]
         change = np.abs(new - vectors).max() * reach
         vectors = np.array(new)
         if reach < whole:
@@ -148,11 +150,10 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
             repeats += 1
             if change < 1e-4:
                 break
-    if np.median(moved[kept]) > 0.2 * radius:
-        raise InputError("white: no regular lattice of micro-images is seen in it")
+    refuse_if(np.median(moved[used]) > 0.2 * radius, "white: no regular lattice of micro-images is seen in it")
     rows, shifted = lattice_rows(vectors, _SAME / whole)
-    steps = np.round(np.linalg.solve(rows.T, (index[kept] @ vectors).T).T * 2) / 2
-    return *_rows_at_right_angles(steps, measured[kept]), shifted
+    steps = np.round(np.linalg.solve(rows.T, (index[used] @ vectors).T).T * 2) / 2
+    return *_rows_at_right_angles(steps, measured[used]), shifted
 
 
 def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -174,10 +175,10 @@ def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[n
 
 
 def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit origin, rotation and both spacings to centres at so many steps along the rows and across them."""
+    """Fit origin, rotation and both spacings to centres at given steps along the rows and across them."""
     matrix = np.column_stack([np.ones(len(steps)), steps])
     origin, first, second = np.linalg.lstsq(matrix, measured)[0]
-    # Both fitted steps tell the rotation, the longer lever arm better.
+    # Both fitted steps determine the rotation, the one with the longer lever arm better.
     arms = (steps**2).sum(0) * [first @ first, second @ second]
     angles = np.array([math.atan2(first[1], first[0]), math.atan2(-second[0], second[1])])
     angle = float(arms @ angles / arms.sum())

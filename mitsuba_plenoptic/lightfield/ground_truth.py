@@ -25,7 +25,7 @@ _LANES = 2**21
 
 
 class FirstHits:
-    """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` tells of."""
+    """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` reports."""
 
     def __init__(
         self,

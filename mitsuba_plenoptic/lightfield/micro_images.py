@@ -1,4 +1,4 @@
-"""Micro-images as they were recorded, lens by lens: what a focused camera's depth is told by.
+"""Micro-images as they were recorded, lens by lens: the basis of a focused camera's depth.
 
 A light field has square upright bins, which on other lattices are interpolated between lenses. Of a focused camera that
 destroys what its micro-images hold: detail finer than the pitch of the lenses.
@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice
+from ..errors import InputError, advice, refuse_if
 from ..io.captures import Capture
 from ..runtime.limits import require_memory
 from .decode import checked_images, divide_by_white, sample_lenses, view_window
@@ -107,8 +107,10 @@ def micro_images_of(lf: xr.DataArray) -> MicroImages:
         )
     for axis in ("v", "u"):
         steps = view_steps(lf, axis)
-        if not np.allclose(steps, np.arange(len(steps)) - (len(steps) - 1) / 2, atol=1e-6):
-            raise InputError(f"light field: depth of a focused camera takes all of its views, along {axis} some lack")
+        refuse_if(
+            not np.allclose(steps, np.arange(len(steps)) - (len(steps) - 1) / 2, atol=1e-6),
+            f"light field: depth of a focused camera takes all of its views, along {axis} some lack",
+        )
     values = np.asarray(lf.values, dtype=np.float32).reshape(*lf.shape[:4], -1).transpose(2, 3, 0, 1, 4)
     weight = np.asarray(lf["weight"].values, dtype=np.float32).transpose(2, 3, 0, 1)
     # A part of the field counts from its own first bin.

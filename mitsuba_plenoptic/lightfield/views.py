@@ -46,7 +46,7 @@ def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
 
 
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
-    """Keep so many views along each axis: those in the middle of as many equal parts of the pupil.
+    """Keep `count` views along each axis: those in the middle of as many equal parts of the pupil.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def view_mosaic(lf: xr.DataArray) -> np.ndarray:
 
 
 def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
-    """Lay the samples of each lens together, as on a detector with a whole number of pixels a lens.
+    """Lay the samples of each lens together, as on a detector with an integer of pixels a lens.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def epipolar_image(
     Raises
     ------
     InputError
-        If the axis is another word, or a place is more than half a step beyond the lines.
+        If the axis is another word, or a position is more than half a step beyond the lines.
     """
     lf = require_light_field(lf)
     require_choice("axis", axis, AXES)
@@ -136,7 +136,7 @@ def epipolar_image(
 
 
 def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArray:
-    """Return the samples nearest to places on axes, each with the name that messages give it; None: to the middle."""
+    """Return the samples nearest to positions on axes, named as in messages; None: nearest to the middle."""
     wanted = dict.fromkeys(places, 0.0)
     for axis, (name, value) in places.items():
         if value is None:

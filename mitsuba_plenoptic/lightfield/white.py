@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..optics import rays
 from ..runtime.limits import require_memory
 from ..system.pupil import PupilFraction
@@ -46,7 +46,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     """Compute what a camera records of a scene of uniform radiance 1.
 
     The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
-    array has its own distances; distortion changes nothing, as rays keep their place on the pupil.
+    array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     Raises
     ------
     InputError
-        If micro-images are so wide or so much out of focus that it would take an hour, or too much memory.
+        If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
     """
     camera.require_thin("white images are computed")
     fractions = _Fractions(camera)
@@ -94,7 +94,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
             middle = np.array(camera.resolution) / 2 - camera.crop_offset
             row = middle + (row - middle) / (1 - height[:, None] / camera.mla_distance)
         base = np.floor(row).astype(np.int64)
-        # Places of the pupil that each pixel sees through its lens's centre, but for their sign.
+        # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
         step = camera.pixel_size * (camera.mla_distance - height) / (camera.detector_distance + height)
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
         fraction = fractions(lens_types(camera, row), height, x, y)
@@ -125,8 +125,8 @@ def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamer
     expected = np.bincount(lenses, model)
     radiance = white_radiance(light, expected, radius)
     # Where a lens's light lies: of white the common part of both images is nearly all.
-    share = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
-    scaled = white.sum(axis=2).ravel() / np.where(share > 0, share, np.inf)[lenses]
+    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = white.sum(axis=2).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[lenses]
     common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
     _require_most(
         common,
@@ -141,15 +141,15 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     """Return the radiance of a recorded white for each channel: what it is to be divided by.
 
     It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
-    main lenses hardly vignette. Within 5 % of 1 it counts as 1: so much may waves lose between microlenses with gaps.
+    main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between microlenses with
+    gaps.
 
     Shapes: `light` (lenses, channels), `computed` (lenses,), `radius` (lenses,).
     """
     whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
     ratio = light[whole] / computed[whole, None]
     brightest = ratio.max(axis=0, initial=0)
-    if not (brightest > 0).all():
-        raise InputError("white: it is dark: it must be a capture of something evenly white")
+    refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
     limit = _DARKEST if least.min() < _DARKEST else _DIM
     _require_most(
@@ -169,8 +169,7 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
 
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
     """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
-    if fraction < least:
-        raise InputError(f"{text}: {rule}")
+    refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
         warnings.warn(f"{text}: {rule}", stacklevel=2)
 
@@ -213,7 +212,7 @@ class _Fractions:
         return np.asarray(lens @ self._slopes)
 
     def __call__(self, lens_type: np.ndarray, height: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fractions (n, rows, columns) of lenses at places x (n, columns) and y (n, rows) of the pupil."""
+        """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
         fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
         kinds, which = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
         for number, (kind, level) in enumerate(kinds.T.astype(int)):

@@ -19,7 +19,7 @@ from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
-from ..runtime.jobs import Job, LongSum, Task
+from ..runtime.jobs import Job, LongSum, SumTask
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
@@ -369,7 +369,7 @@ class CaptureOperator:
         """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
         return 1 if self._spectrum is None else len(self._spectrum.nodes or set(self._spectrum.wavelengths))
 
-    def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[Task]:
+    def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
         for part in self._sums(weights.shape[1]):
             if self._spectrum is not None and self._spectrum.nodes:
@@ -382,7 +382,7 @@ class CaptureOperator:
             def combine(sums: NDArray[np.float32], after: NDArray[np.float32] = part.after) -> NDArray[np.float32]:
                 return mix(sums, after)
 
-            yield Task(len(self.points), plan, combine)
+            yield SumTask(len(self.points), plan, combine)
 
     def _left_out(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much, root sum square, the weights in each channel may be wrong at a node."""

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown, suggest_keywords
+from ..errors import InputError, short_repr, suggest_keywords
 
 
 @suggest_keywords
@@ -38,14 +38,16 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
     try:
         grid = np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"values = {shown(values)}: they must be numbers, (planes, rows, columns)") from None
+        raise InputError(f"values = {short_repr(values)}: they must be numbers, (planes, rows, columns)") from None
     if isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]
     if grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all():
         raise InputError(f"values of shape {grid.shape}: it must be finite and (planes, rows, columns), of one channel")
     (low, high) = (_corner(name, corner) for name, corner in (("lower", lower), ("upper", upper)))
     if not (low < high).all():
-        raise InputError(f"upper = {shown(upper)}: it must be greater than lower = {shown(lower)} along each axis")
+        raise InputError(
+            f"upper = {short_repr(upper)}: it must be greater than lower = {short_repr(lower)} along each axis"
+        )
     size = (high - low) / np.array(grid.shape[::-1])
     lit = np.argwhere(grid != 0)
     return low + (lit[:, ::-1] + 0.5) * size, grid[tuple(lit.T)] * size.prod()
@@ -57,5 +59,5 @@ def _corner(name: str, value: Any) -> NDArray[np.float64]:
     except (TypeError, ValueError, OverflowError):
         corner = np.empty(0)
     if corner.shape != (3,) or not np.isfinite(corner).all():
-        raise InputError(f"{name} = {shown(value)}: it must be three numbers (x, y, z)")
+        raise InputError(f"{name} = {short_repr(value)}: it must be three numbers (x, y, z)")
     return corner

@@ -1,4 +1,4 @@
-"""The search for the numbers of a camera by which a figure is best."""
+"""The search for the parameters of a camera by which a figure is best."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
-from ..errors import InputError, require_count, shown
+from ..errors import InputError, refuse_if, require_count, short_repr
 from ..fitting.model import vector_of
-from .spreads import Gradient
+from .figures import Gradient
 
 _TOLERANCE = 1e-6
 """Relative change of the figure that ends a search."""
 
 
 class Figure(Protocol):
-    """What is to be as large as possible."""
+    """The figure of merit, to be as large as possible."""
 
     def value(self, camera: PlenopticCamera) -> float:
         """Return it for a camera."""
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return it, and its derivatives by numbers of the camera, as `CaptureOperator.gradient` has them."""
+        """Return it, and its derivatives by parameters of the camera, as `CaptureOperator.gradient` has them."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Design:
     figure : float
         Its figure.
     values : dict
-        By name the numbers that varied.
+        By name the parameters that varied.
     tried : int
         Cameras that were tried.
     reason : str
@@ -62,9 +62,9 @@ def maximise(
     steps: int = 30,
     progress: Callable[[int, float, PlenopticCamera], None] | None = None,
 ) -> Design:
-    """Find numbers of a camera by which a figure is best, near where they start.
+    """Find parameters of a camera by which a figure is best, near where they start.
 
-    By SciPy's L-BFGS-B with the figure's own gradient: a local search, of which several starts tell whether there are
+    By SciPy's L-BFGS-B with the figure's own gradient: a local search, several starts of which show whether there are
     other optima.
 
     Parameters
@@ -72,16 +72,16 @@ def maximise(
     figure : Figure
         What is maximised, such as `RefocusedContrast` or `DepthInformation`.
     camera : PlenopticCamera
-        Where to start; the numbers that are not named are held.
+        Where to start; the parameters that are not named are held.
     bounds : mapping
-        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with what place
-        a number has where there are several, from 1, as ``wavefront.11``; the name alone means all of them, of a
-        wavefront all but the piston.
+        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with
+        an index from 1 where there are several, as ``wavefront.11``; the name alone means all of them, of
+        a wavefront all but the piston.
     steps : int
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
         Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
-        is stopped goes on when it starts there.
+        is stopped continues when it starts there.
 
     Raises
     ------
@@ -123,16 +123,14 @@ def maximise(
 
 
 def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
-    """Return the numbers that vary: those of which there are bounds."""
+    """Return the parameters that vary: those of which there are bounds."""
     named: list[str] = []
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])
         chosen = [each.label for each in found.components if name in (each.name, each.label)]
         if not chosen:
-            raise InputError(f"bounds: {shown(name)}: the camera has {', '.join(found.labels)}")
+            raise InputError(f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
         named += chosen
-    if not named:
-        raise InputError("bounds: name at least one number that varies")
-    if len(set(named)) < len(named):
-        raise InputError("bounds: a number has two of them")
+    refuse_if(not named, "bounds: name at least one parameter that varies")
+    refuse_if(len(set(named)) < len(named), "bounds: a parameter has two of them")
     return vector_of(camera, [label.split(".", 1)[0] for label in named]).keep(named)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..capture import colour
 from ..capture.signed_colours import SignedColours
-from ..errors import InputError, require_number, shown
+from ..errors import InputError, require_number, short_repr
 from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Responses, Spectrum, Table, read_responses
 from .properties import read_count, read_number, read_plain
 
@@ -220,7 +220,7 @@ def read_colours(props: Any) -> Colours:
     table = None
     if responses is not None:
         if not isinstance(responses, str):
-            raise InputError(f"{NAME}: responses = {shown(responses)}: it must be srgb or the name of a file")
+            raise InputError(f"{NAME}: responses = {short_repr(responses)}: it must be srgb or the name of a file")
         for name in ("wavelength", "bandwidth"):
             if name in props:
                 raise InputError(f"{NAME}: responses, {name}: give one of the two")
@@ -254,7 +254,7 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
         parts = [float(part) if isinstance(part, str) else part for part in parts]
     except ValueError:
         raise InputError(
-            f"{NAME}: wavelength = {shown(value)}: it must be nanometres, or three of them separated by commas"
+            f"{NAME}: wavelength = {short_repr(value)}: it must be nanometres, or three of them separated by commas"
         ) from None
     wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
@@ -262,5 +262,5 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
     channels = 3 if mi.is_rgb else 1
     if len(wavelengths) != channels:
         there = f"variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
-        raise InputError(f"{NAME}: wavelength = {shown(value)}: {there}")
+        raise InputError(f"{NAME}: wavelength = {short_repr(value)}: {there}")
     return wavelengths

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from ..bounds import LONGEST, SHORTEST, require_length, require_wavelength
-from ..errors import InputError, did_you_mean, require_known, require_number, shown
+from ..errors import InputError, did_you_mean, refuse_if, require_known, require_number, short_repr
 from ..lens_data import SINGLE, LensData, require_alone
 from ..thin_lens import vergence
 from . import lenses
@@ -27,7 +27,7 @@ MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
 
 _LEAST = 1e-12
-"""What square roots are taken of, at least, so that rays that miss have numbers and gradients."""
+"""Least argument of square roots, so that rays that miss have numbers and gradients."""
 
 _HEIGHTS = 129
 """Distances from the axis at which neighbouring surfaces must not have crossed."""
@@ -102,17 +102,21 @@ class Surface:
         InputError
             If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
         """
-        if not isinstance(value, dict):
-            raise InputError(f"{where} = {shown(value)}: it must be numbers by name, such as radius")
+        refuse_if(
+            not isinstance(value, dict), f"{where} = {short_repr(value)}: it must be numbers by name, such as radius"
+        )
         require_known(f"{where}: ", value, sorted(_NAMES))
-        if "semi_aperture" not in value:
-            raise InputError(f"{where}: semi_aperture: it is missing; it tells up to where light passes")
+        refuse_if(
+            "semi_aperture" not in value,
+            f"{where}: semi_aperture: it is missing; it is the height up to which light passes",
+        )
         radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
-        if abs(radius) < SHORTEST:
-            raise InputError(f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
+        refuse_if(abs(radius) < SHORTEST, f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
         asphere = value.get("asphere", ())
-        if not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS:
-            raise InputError(f"{where}: asphere = {shown(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers")
+        refuse_if(
+            not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS,
+            f"{where}: asphere = {short_repr(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers",
+        )
         made = cls(
             radius=radius,
             thickness=require_number(f"{where}: thickness", value.get("thickness", 0.0), minimum=0, maximum=LONGEST),
@@ -123,11 +127,10 @@ class Surface:
             conic=require_number(f"{where}: conic", value.get("conic", 0.0), minimum=-LONGEST, maximum=LONGEST),
             asphere=tuple(require_number(f"{where}: asphere", entry) for entry in asphere),
         )
-        if (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1:
-            raise InputError(
-                f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before "
-                "that"
-            )
+        refuse_if(
+            (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1,
+            f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before that",
+        )
         return made
 
 
@@ -146,7 +149,7 @@ class Prescription(LensData):
     source : str
         Where it is published.
     wavelength : float
-        Wavelength in nanometres at which rays are followed and focal length and pupils are told; the line d by default.
+        Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
     """
 
     mark = "surfaces"
@@ -235,13 +238,15 @@ class Prescription(LensData):
         """
         if isinstance(value, dict):
             require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
-        if not isinstance(value, dict) or "surfaces" not in value:
-            raise InputError(
-                f"main_lens = {shown(value)}: it must have surfaces, and may have name, source, wavelength"
-            )
+        refuse_if(
+            not isinstance(value, dict) or "surfaces" not in value,
+            f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength",
+        )
         listed = value["surfaces"]
-        if not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES:
-            raise InputError(f"main_lens: surfaces = {shown(listed)}: it must be a list of 1 to {MOST_SURFACES}")
+        refuse_if(
+            not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES,
+            f"main_lens: surfaces = {short_repr(listed)}: it must be a list of 1 to {MOST_SURFACES}",
+        )
         surfaces = tuple(
             Surface.from_plain(surface, f"main_lens: surface {number}")
             for number, surface in enumerate(listed, start=1)
@@ -250,16 +255,16 @@ class Prescription(LensData):
         for number, surface in enumerate(listed):
             flag = surface.get("stop", False)
             if not isinstance(flag, bool):
-                raise InputError(f"main_lens: surface {number + 1}: stop = {shown(flag)}: it must be true or false")
+                raise InputError(
+                    f"main_lens: surface {number + 1}: stop = {short_repr(flag)}: it must be true or false"
+                )
             stops += [number] if flag else []
-        if len(stops) != 1:
-            raise InputError(f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
+        refuse_if(len(stops) != 1, f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
         if surfaces[-1].glass is not None:
             raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
         texts = {name: value.get(name, "") for name in ("name", "source")}
         for name, text in texts.items():
-            if not isinstance(text, str):
-                raise InputError(f"main_lens: {name} = {shown(text)}: it must be text")
+            refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
         made = cls(
             surfaces,
             stops[0],
@@ -318,6 +323,7 @@ BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
 """Their names."""
 
 
+# The bundled files do not change, and prescriptions are immutable.
 @functools.cache
 def bundled_prescription(name: str) -> Prescription:
     """Return a bundled lens.
@@ -330,12 +336,12 @@ def bundled_prescription(name: str) -> Prescription:
     Raises
     ------
     InputError
-        If there is none of that name; the message lists those there are.
+        If there is no lens of that name; the message lists the bundled ones.
     """
     stem = name.removesuffix(".yaml")
     if stem not in BUNDLED:
         raise InputError(
-            f"main_lens = {shown(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
+            f"main_lens = {short_repr(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
             f"{did_you_mean(stem, BUNDLED)}"
         )
     text = (resources.files(lenses) / f"{stem}.yaml").read_text(encoding="utf-8")

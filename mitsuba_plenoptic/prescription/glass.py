@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_known, require_number, shown
+from ..errors import InputError, refuse_if, require_known, require_number, short_repr
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -56,21 +56,23 @@ class Glass:
 
     def __post_init__(self) -> None:
         count = _COUNTS[self.form]
-        if count is not None and len(self.numbers) != count:
-            raise InputError(f"glass: {self.form} = {shown(self.numbers)}: it must be {count} numbers")
+        refuse_if(
+            count is not None and len(self.numbers) != count,
+            f"glass: {self.form} = {short_repr(self.numbers)}: it must be {count} numbers",
+        )
         if self.form == "table":
             wavelengths = self.numbers[::2]
-            if len(self.numbers) % 2 or len(wavelengths) < 2 or np.any(np.diff(wavelengths) <= 0):
-                raise InputError(
-                    f"glass: table = {shown(self.numbers)}: it must be two or more pairs of wavelength and index, by "
-                    "rising wavelength"
-                )
+            refuse_if(
+                len(self.numbers) % 2 or len(wavelengths) < 2 or np.any(np.diff(wavelengths) <= 0),
+                f"glass: table = {short_repr(self.numbers)}: it must be two or more pairs of "
+                "wavelength and index, by rising wavelength",
+            )
         if self.form == "abbe" and self.numbers[1] <= 0:
             raise InputError(f"glass: abbe = {self.numbers[1]:g}: it must be greater than 0")
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Shortest and longest wavelength in nanometres of which a table tells the index; formulas tell all."""
+        """Shortest and longest wavelength in nanometres over which a table gives the index; formulas have no limit."""
         return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
 
     def at(self, wavelength: float) -> float:
@@ -172,7 +174,7 @@ class Glass:
         Raises
         ------
         InputError
-            If it is none of these, a number is out of range, or no catalogue has the name.
+            If it is not one of these, a value is out of range, or no catalogue has the name.
         """
         if isinstance(value, str):
             return catalogue_glass(value, where)
@@ -181,23 +183,29 @@ class Glass:
         name = value.get("name", "")
         forms = {key: entry for key, entry in value.items() if key != "name"}
         require_known(f"{where}: ", forms, (*_COUNTS, "name"))
-        if not isinstance(name, str) or set(forms) not in (
-            *({form} for form in _COUNTS if form != "abbe"),
-            {"index", "abbe"},
-        ):
-            raise InputError(
-                f"{where} = {shown(value)}: it must have index, index and abbe, sellmeier, schott or table, and may "
-                "have name"
-            )
+        refuse_if(
+            not isinstance(name, str)
+            or set(forms)
+            not in (
+                *({form} for form in _COUNTS if form != "abbe"),
+                {"index", "abbe"},
+            ),
+            f"{where} = {short_repr(value)}: it must have index, index and abbe, sellmeier, schott or "
+            "table, and may have name",
+        )
         form = "abbe" if "abbe" in forms else next(iter(forms))
         entries = [forms["index"], forms["abbe"]] if form == "abbe" else forms[form]
         if form == "index":
             entries = [entries]
-        if not isinstance(entries, (list, tuple)):
-            raise InputError(f"{where}: {form} = {shown(entries)}: it must be a list of numbers")
+        refuse_if(
+            not isinstance(entries, (list, tuple)),
+            f"{where}: {form} = {short_repr(entries)}: it must be a list of numbers",
+        )
         if form == "table":
-            if not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries):
-                raise InputError(f"{where}: table = {shown(entries)}: it must be pairs of wavelength and index")
+            refuse_if(
+                not all(isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in entries),
+                f"{where}: table = {short_repr(entries)}: it must be pairs of wavelength and index",
+            )
             entries = [number for pair in entries for number in pair]
         return cls(form, tuple(require_number(f"{where}: {form}", entry) for entry in entries), name)
 
@@ -217,8 +225,8 @@ def catalogue_glass(
         importlib.import_module("optiland.materials")
     except ImportError:
         raise InputError(
-            f"{where} = {shown(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', or give "
-            "index and abbe"
+            f"{where} = {short_repr(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', "
+            "or give index and abbe"
         ) from None
     plain = own.lower() if with_hyphens else own.lower().replace("-", "")
     found = {
@@ -229,7 +237,7 @@ def catalogue_glass(
     # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
     chosen = list(found) if makers is None else [one for by in makers for one in found if one.lower() in by.lower()][:1]
     if len(chosen) > 1:
-        raise InputError(f"{where} = {shown(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
+        raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{own}")
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
         # The same name from other makers, who measured a crystal of that name, then longer names.
@@ -238,7 +246,7 @@ def catalogue_glass(
         like = [f"{entry.maker}:{entry.name}" for entry in [*found.values(), *measured, *longer] if plain]
         hint = f", as there is {', '.join(dict.fromkeys(like[:3]))}" if like else ""
         raise InputError(
-            f"{where} = {shown(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
+            f"{where} = {short_repr(name)}: {searched} a glass of just that name; give another{hint}, or index and abbe"
         )
     return found[chosen[0]].tabulated(name)
 
@@ -258,13 +266,13 @@ class _Entry(NamedTuple):
         material = importlib.import_module("optiland.materials").MaterialFile(str(path))
         # A wavelength at the end of the data stays within them, whatever its digits.
         wavelengths = [one for one in _CATALOGUE.tolist() if self.low - 1e-6 <= one <= self.high + 1e-6]
-        if len(wavelengths) < 2:
-            raise InputError(f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
+        refuse_if(len(wavelengths) < 2, f"glass {name}: its data reach from {self.low:g} to {self.high:g} nm only")
         indices = [float(np.ravel(material.n(wavelength * 1e-3))[0]) for wavelength in wavelengths]
         pairs = [number for pair in zip(wavelengths, indices, strict=True) for number in pair]
         return Glass("table", tuple(pairs), name)
 
 
+# A list of files that are installed; reading it takes long, and every glass by name needs it.
 @functools.cache
 def _catalogued() -> tuple[_Entry, ...]:
     """Return all materials of Optiland's catalogues.

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from .data import Prescription
 
 
 @dataclass(frozen=True)
 class Paraxial:
-    """Numbers of paraxial optics, in millimetres; places are counted along the axis towards the array.
+    """Numbers of paraxial optics, in millimetres; positions are counted along the axis towards the array.
 
     Parameters
     ----------
@@ -48,9 +48,10 @@ class Paraxial:
     exit_radius: float
 
 
+# Checks, pupils and distances of cameras of one prescription ask for it again and again; a result is a few floats.
 @functools.lru_cache(maxsize=256)
 def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
-    """Return the paraxial numbers of a lens.
+    """Return the paraxial quantities of a lens.
 
     Parameters
     ----------
@@ -77,12 +78,12 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         whole, after = step @ whole, step @ after
     (A, _), (C, D) = whole
     if not -C > 1e-12:
-        told = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
-        raise InputError(f"main_lens: its focal length is {told}: it must be positive, so that it forms an image")
-    if min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9:
-        raise InputError(
-            "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported"
-        )
+        text = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
+        raise InputError(f"main_lens: its focal length is {text}: it must be positive, so that it forms an image")
+    refuse_if(
+        min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9,
+        "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported",
+    )
     radius = prescription.surfaces[prescription.stop].semi_aperture
     values = (
         -1 / C,
@@ -95,6 +96,5 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
         radius / abs(before[0, 0]),
         radius / abs(after[1, 1]),
     )
-    if not all(map(math.isfinite, values)):
-        raise InputError("main_lens: its numbers leave what a float holds")
+    refuse_if(not all(map(math.isfinite, values)), "main_lens: its numbers leave what a float holds")
     return Paraxial(*map(float, values))

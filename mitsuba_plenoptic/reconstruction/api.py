@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..detector import require_demosaiced
 from ..errors import (
     InputError,
     argument,
@@ -17,14 +18,13 @@ from ..errors import (
     require_count,
     require_flag,
     require_number,
-    shown,
+    short_repr,
     suggest_keywords,
 )
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.checkpoints import Checkpoint
 from ..lenses.wave_cameras import require_ideal
 from ..lightfield.white import scaled_white
-from ..mosaic import require_demosaiced
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
@@ -70,7 +70,8 @@ def _require_same_light(white: Capture, capture: Capture, channels: int) -> None
     theirs, own = (np.broadcast_to(light, channels) for light in (white.wavelength, capture.wavelength))
     if not np.array_equal(theirs, own):
         raise InputError(
-            f"white of {shown(white.wavelength)} nm: the capture is of {shown(capture.wavelength)} nm; it must be of "
+            f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
+            "it must be of "
             "the same wavelengths"
         )
 

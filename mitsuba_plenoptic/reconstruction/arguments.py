@@ -9,9 +9,9 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, argument, require_choice, require_count, require_number, shown
+from ..detector import require_demosaiced
+from ..errors import InputError, argument, require_choice, require_count, require_number, short_repr
 from ..io.captures import Capture, as_array
-from ..mosaic import require_demosaiced
 from ..optics.phase import in_millimetres
 from ..runtime.limits import largest_fitting, require_memory
 
@@ -45,7 +45,7 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
         # Lists of several lengths.
         several = None
     if several is None or isinstance(distance, (str, bytes)):
-        raise InputError(f"distance = {shown(distance)}: it must be a number or several")
+        raise InputError(f"distance = {short_repr(distance)}: it must be a number or several")
     given = distance if several else [distance]
     distances = [require_number("distance", value, finite=False) for value in given]
     for value in distances:
@@ -64,7 +64,7 @@ def require_interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
         return require_count("interleave", interleave, maximum=lenses)
     except InputError:
         raise InputError(
-            f"interleave = {shown(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
+            f"interleave = {short_repr(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
             "the lenses along an axis"
         ) from None
 
@@ -87,7 +87,9 @@ def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera
         )
     values = [given] * channels if np.ndim(given) == 0 else list(given)
     if len(values) != channels:
-        raise InputError(f"wavelength = {shown(given)}: the capture has {channels} channels; give one, or one for each")
+        raise InputError(
+            f"wavelength = {short_repr(given)}: the capture has {channels} channels; give one, or one for each"
+        )
     found = [require_wavelength(value) for value in values]
     if in_millimetres(max(found)) >= min(camera.mla_pitches):
         raise InputError(

@@ -18,7 +18,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice
 from ..io.exr import write_exr
 from ..io.files import atomic_output, require_writable
-from ..lightfield.exchange.labelled import require_zarr
+from ..lightfield.exchange.files import require_zarr
 from ..runtime.limits import require_memory
 
 SUFFIXES = (".tif", ".tiff", ".zarr")

@@ -1,4 +1,4 @@
-"""The paper's conclusions, each with a verdict computed from our numbers."""
+"""The paper's conclusions, each with a verdict computed from our results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
 
 @dataclass(frozen=True)
 class Claim:
-    """A conclusion of the paper beside our numbers."""
+    """A conclusion of the paper next to our results."""
 
     statement: str
     measured: str
@@ -62,7 +62,7 @@ def check_claims(
 
 
 def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict[str, Any]]:
-    """List our seconds beside the paper's, with their ratio where the detectors are alike."""
+    """List our seconds next to the paper's, with their ratio where the detectors are alike."""
     same = experiment.camera.resolution == PAPER_RESOLUTION
     return [
         {

@@ -1,4 +1,4 @@
-"""What follows from a camera's parameters, as a sheet to read."""
+"""Quantities that follow from a camera's parameters, as a sheet."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import NamedTuple
 from .. import design
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..objective import Objective
 from ..prescription import Prescription, paraxial
 from ..prescription.glass import LINE_C, LINE_F
 from ..thin_lens import image_distance
 from .lens_drawing import field_figures, lateral_colour
-from .microscope_sheet import microscope_groups
 
 
 class Row(NamedTuple):
@@ -28,16 +28,16 @@ class Row(NamedTuple):
 _FIELDS = (0.0, 0.7, 1.0)
 """Distances from the axis, over that of the detector's corner, at which a real main lens is judged."""
 
-# A row without its group.
+# A row without its group: quantity, value, unit and note.
 _Line = tuple[str, str, str, str]
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
     if camera.objective is not None:
-        seen = microscope_groups(camera, camera.objective, wavelength)
-        told = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
-        return [Row(group, *line) for group, lines in (seen | told).items() for line in lines]
+        seen = _microscope_groups(camera, camera.objective, wavelength)
+        common = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+        return [Row(group, *line) for group, lines in (seen | common).items() for line in lines]
     groups = {
         "Main lens": _main_lens(camera),
         **(
@@ -56,15 +56,15 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     rows = [
-        ("focal length", four_digits(camera.focal_length), "mm", ""),
-        ("diameter", four_digits(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        ("distance to microlenses", four_digits(camera.mla_distance), "mm", ""),
+        ("focal length", _four(camera.focal_length), "mm", ""),
+        ("diameter", _four(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
+        ("distance to microlenses", _four(camera.mla_distance), "mm", ""),
         ("focused distance", *_distance(camera.focus_distance), "on the microlenses"),
         ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
-        rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
+        rows.append(("field width", _four(width), "mm", "in the focused plane"))
     if not camera.lens_data.is_thin:
         rows.append(
             ("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length")
@@ -74,17 +74,15 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
             rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
     rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
-        rows.append(
-            ("distortion", ", ".join(map(four_digits, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only")
-        )
+        rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
     if any(camera.wavefront):
         strength = math.sqrt(sum(part**2 for part in camera.wavefront[3:]))
-        rows.append(("aberrations", four_digits(strength), "waves", "root mean square at 633 nm, beside tilt"))
+        rows.append(("aberrations", _four(strength), "waves", "root mean square at 633 nm, without tilt"))
     return rows
 
 
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Paraxial numbers of a real main lens, and what it does to the light over the field."""
+    """Paraxial quantities of a real main lens, and what it does to the light over the field."""
     numbers = paraxial(lens)
     scale = camera.focal_length / numbers.focal_length
     wanted = f"at {lens.wavelength:g} nm"
@@ -102,9 +100,9 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
     in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
     for figures in field_figures(camera, tuple(part * corner for part in _FIELDS)):
-        at = f"{four_digits(figures.height)} mm from the axis"
+        at = f"{_four(figures.height)} mm from the axis"
         rows += [
-            ("spot", four_digits(1e3 * figures.spot), "um", f"root mean square radius on the MLA, {at}"),
+            ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius on the MLA, {at}"),
             ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
             ("distortion", f"{figures.distortion:+.3%}", "", at),
         ]
@@ -137,30 +135,30 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
     columns, rows = camera.lens_count
     lattice = [f"{camera.mla_lattice} lattice"]
     if camera.mla_rotation:
-        lattice.append(f"turned by {four_digits(camera.mla_rotation)} deg")
+        lattice.append(f"turned by {_four(camera.mla_rotation)} deg")
     if camera.mla_offset != (0, 0):
-        lattice.append(f"moved by ({', '.join(map(four_digits, camera.mla_offset))}) mm")
+        lattice.append(f"moved by ({', '.join(map(_four, camera.mla_offset))}) mm")
     if any(camera.mla_tilt):
-        lattice.append(f"tilted by ({', '.join(map(four_digits, camera.mla_tilt))}) deg")
+        lattice.append(f"tilted by ({', '.join(map(_four, camera.mla_tilt))}) deg")
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
-        ("focal length", ", ".join(map(four_digits, camera.mla_focal_lengths)), "mm", ""),
-        ("pitch", " x ".join(map(four_digits, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
-        ("lens width", four_digits(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
+        ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", ""),
+        ("pitch", " x ".join(map(_four, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
+        ("lens width", _four(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
-        ("distance to detector", four_digits(camera.detector_distance), "mm", ""),
+        ("distance to detector", _four(camera.detector_distance), "mm", ""),
     ]
 
 
 def _detector(camera: PlenopticCamera) -> list[_Line]:
     columns, rows = camera.resolution
-    size = f"{four_digits(camera.detector_width)} x {four_digits(camera.detector_height)}"
+    size = f"{_four(camera.detector_width)} x {_four(camera.detector_height)}"
     sheet = [
         ("size", size, "mm", ""),
         ("pixels", f"{columns} x {rows}", "", ""),
-        ("pixel size", four_digits(1e3 * camera.pixel_size), "um", ""),
-        ("pixels per lens", four_digits(camera.pixels_per_lens), "", "across its pitch"),
+        ("pixel size", _four(1e3 * camera.pixel_size), "um", ""),
+        ("pixels per lens", _four(camera.pixels_per_lens), "", "across its pitch"),
     ]
     if camera.is_cropped:
         window, offset = camera.crop_size, camera.crop_offset
@@ -173,8 +171,8 @@ def _micro_images(camera: PlenopticCamera) -> list[_Line]:
     pixel = camera.pixel_size
     diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
     return [
-        ("diameter", four_digits(diameter / pixel), "pixels", f"{four_digits(1e3 * diameter)} um, D1 z/b"),
-        ("pitch", four_digits(pitch / pixel), "pixels", f"{four_digits(1e3 * pitch)} um, D2 (b + z)/b"),
+        ("diameter", _four(diameter / pixel), "pixels", f"{_four(1e3 * diameter)} um, D1 z/b"),
+        ("pitch", _four(pitch / pixel), "pixels", f"{_four(1e3 * pitch)} um, D2 (b + z)/b"),
         ("diameter over pitch", f"{diameter / pitch:.3g}", "", ""),
         ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
     ]
@@ -187,7 +185,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
     limits_of_all = design.depth_ranges(camera, wavelength)
     lenses = zip(camera.mla_focal_lengths, design.best_distances(camera), limits_of_all, strict=True)
     for f2, best, limits in lenses:
-        which = f"f2 = {four_digits(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
+        which = f"f2 = {_four(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
         rows.append(("sharpest distance", *_distance(best), which))
         if _is_imaged(camera, best):
             rows += _effective(camera, best, wavelength)
@@ -204,7 +202,7 @@ def _seen(camera: PlenopticCamera) -> str:
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
     distances = design.mla_object_distances(camera)
-    where = [f"{four_digits(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
+    where = [f"{_four(abs(a))} mm {'before' if a > 0 else 'behind'} them" for a in distances]
     return f"the microlenses see an image {', '.join(where)}"
 
 
@@ -222,7 +220,7 @@ def _effective(camera: PlenopticCamera, distance: float, wavelength: float | Non
     finest = design.effective_resolution(camera, distance, wavelength)
     rows = [
         ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
-        ("finest detail", four_digits(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
+        ("finest detail", _four(finest.line_width), "mm", f"{finest.ratio:.3g} per pixel of the detector"),
         (
             "samples per lens",
             f"{finest.samples_per_lens:.3g}",
@@ -243,26 +241,26 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
     near, far = design.refocus_range(camera, wavelength)
     limit = "in a micro-image, by its pixels" if wavelength is None else "in a micro-image, with diffraction"
     rows = [
-        ("directions told apart", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
+        ("directions resolved", f"{design.direction_count(camera, wavelength):.3g}", "", limit),
         ("nearest distance", *_distance(near), "with one sample per lens"),
         ("farthest distance", *_distance(far), ""),
     ]
     for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
-            at = f"at {four_digits(distance)} mm"
+            at = f"at {_four(distance)} mm"
             rows += [
-                ("bin size", four_digits(camera.bin_size(distance)), "mm", at),
-                ("blur diameter", four_digits(camera.blur_diameter(distance)), "mm", f"{at}, on the MLA"),
+                ("bin size", _four(camera.bin_size(distance)), "mm", at),
+                ("blur diameter", _four(camera.blur_diameter(distance)), "mm", f"{at}, on the MLA"),
             ]
     return rows
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     spot = design.spot_radius(camera, wavelength)
-    pixels = f"{four_digits(spot / camera.pixel_size)} pixels, centre to first zero"
+    pixels = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero"
     rows = [
-        ("spot of a microlens", four_digits(1e3 * spot), "um", pixels),
-        ("directions by the spot", four_digits(camera.micro_image_diameter / spot), "", "across a micro-image"),
+        ("spot of a microlens", _four(1e3 * spot), "um", pixels),
+        ("directions by the spot", _four(camera.micro_image_diameter / spot), "", "across a micro-image"),
         ("Fresnel number, microlens", f"{design.mla_fresnel_number(camera, wavelength):.3g}", "", "from the detector"),
         ("Fresnel number, main lens", f"{design.main_fresnel_number(camera, wavelength):.3g}", "", "from the MLA"),
     ]
@@ -277,17 +275,17 @@ def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) ->
     """Say what deconvolution can resolve at a distance."""
     limit = design.resolution_limit(camera, distance, wavelength)
     if limit.in_focus:
-        told = "in focus: the lens pitch decides, deconvolution does not help"
+        note = "in focus: the lens pitch decides, deconvolution does not help"
     else:
-        told = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
-    return "resolution, deconvolved", four_digits(limit.frequency), "lp/mm", f"at {four_digits(distance)} mm; {told}"
+        note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+    return "resolution, deconvolved", _four(limit.frequency), "lp/mm", f"at {_four(distance)} mm; {note}"
 
 
 def _distance(value: float) -> tuple[str, str]:
     """Write a distance and its unit, where there may be no such plane or it may be at infinity."""
     if value < 0:
         return "none", ""
-    return ("infinity", "") if math.isinf(value) else (four_digits(value), "mm")
+    return ("infinity", "") if math.isinf(value) else (_four(value), "mm")
 
 
 def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
@@ -299,15 +297,89 @@ def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
 
 def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]]:
     """Join ranges that overlap; nearest first."""
-    joined: list[tuple[float, float]] = []
+    union: list[tuple[float, float]] = []
     for near, far in sorted(limits for limits in ranges if limits is not None):
-        if joined and near <= joined[-1][1]:
-            joined[-1] = joined[-1][0], max(far, joined[-1][1])
+        if union and near <= union[-1][1]:
+            union[-1] = union[-1][0], max(far, union[-1][1])
         else:
-            joined.append((near, far))
-    return joined
+            union.append((near, far))
+    return union
 
 
-def four_digits(value: float) -> str:
+def _four(value: float) -> str:
     """Four digits, without an exponent for the sizes that cameras have."""
     return f"{value:.4g}"
+
+
+def _microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[_Line]]:
+    """Return the groups of the sheet about the objective and the view through it."""
+    groups = {"Objective": _objective(camera, lens)}
+    groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
+    if wavelength is not None:
+        groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
+    return groups
+
+
+def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+    return [
+        ("magnification", f"{lens.magnification:g}", "", f"{_four(lens.image_aperture)} NA in the native image"),
+        ("numerical aperture", f"{lens.numerical_aperture:g}", "", f"up to {math.degrees(lens.half_angle):.3g} deg"),
+        ("immersion", f"{lens.immersion:g}", "", "refractive index"),
+        ("focal length", _four(lens.focal_length), "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
+        ("stop", _four(2 * lens.stop_radius), "mm", "diameter, in the back focal plane"),
+        ("object seen", _four(1e3 * design.native_field(camera)), "um", "width"),
+    ]
+
+
+def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+    micro, main = camera.detector_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
+    pixel = camera.pixel_size
+    return [
+        ("kind of camera", "light-field microscope", "", "array in the native image plane"),
+        ("lens pitch in the object", _four(1e3 * camera.mla_pitch / lens.magnification), "um", ""),
+        ("f-number z/width", f"{micro:.3g}", "", ""),
+        ("objective's M/2NA", f"{main:.3g}", "", "micro-images touch where the two match"),
+        ("micro-image", _four(camera.micro_image_diameter / pixel), "pixels", f"of {_four(camera.mla_pitch / pixel)}"),
+        ("mean of a white capture", f"{design.white_mean(camera):.3g}", "", "per unit radiance"),
+    ]
+
+
+def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+    outer = 0.5 * (lens.blur_diameter(0) - camera.mla_pitch)
+    rows = [
+        (
+            "kind of camera",
+            "Fourier light-field microscope",
+            "",
+            f"lens of {_four(lens.last_focal_length)} mm before the array",
+        ),
+        ("image of the stop", _four(lens.blur_diameter(0)), "mm", ""),
+        ("lenses across it", f"{design.lenses_across_stop(camera):.3g}", "", ""),
+        ("numerical aperture of a lens", _four(design.lens_aperture(camera)), "", ""),
+        ("pixel in the object", _four(1e3 * camera.bin_size(0)), "um", ""),
+    ]
+    if outer > 0:
+        note = f"per um of depth, of a lens {_four(outer)} mm from the axis"
+        rows.append(("parallax", _four(abs(design.parallax(camera, outer))), "um", note))
+    return rows
+
+
+def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[_Line]:
+    width, spot = camera.lattice.aperture_width, design.spot_radius(camera, wavelength)
+    rows = [
+        ("objective's limit", _four(design.objective_limit(camera, wavelength)), "lp/mm", "2 NA over the wavelength"),
+        ("spot of a microlens", _four(1e3 * spot), "um", f"{_four(spot / camera.pixel_size)} pixels"),
+    ]
+    if lens.images_stop:
+        aperture = design.lens_aperture(camera)
+        depth = lens.immersion * wavelength * 1e-3 / aperture**2
+        rows.append(("limit of a lens", _four(2e6 * aperture / wavelength), "lp/mm", ""))
+        rows.append(("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared"))
+        shallow, sample = 1e-3 * depth, "pixel"
+    else:
+        shallow, sample = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6), "lens"
+    for depth in (shallow, 2 * shallow, 4 * shallow):
+        limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
+        note = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"
+        rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", note))
+    return rows

@@ -1,4 +1,4 @@
-"""The experiment behind every report: one scene captured by rays and by waves, and refocused in every way."""
+"""The experiment behind every report: one scene captured by rays and by waves, and refocused by every method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..capture.render import render_capture
 from ..capture.scene import load_scene
-from ..errors import InputError
+from ..errors import refuse_if
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
 from ..reconstruction.arguments import require_distances
@@ -37,7 +37,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Render the camera's field of view from the centre of its main lens, so many columns wide, everything sharp."""
+    """Render the camera's field of view from the centre of its main lens, `columns` wide, everything sharp."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return _photograph(scene, camera, {"type": "perspective"}, (columns, rows), spp)
 
@@ -96,8 +96,8 @@ def agreement(
 OBJECT_COLUMNS = 1024
 
 
-class Method(NamedTuple):
-    """A way to refocus: name, title in figures, options of `reconstruct`, and the capture it starts from."""
+class RefocusMethod(NamedTuple):
+    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it starts from."""
 
     name: str
     title: str
@@ -106,13 +106,13 @@ class Method(NamedTuple):
 
 
 METHODS = (
-    Method("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
-    Method("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
-    Method("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
-    Method("coherent", "Coherent", {"method": "coherent"}),
-    Method("partial", "Partially coherent", {"method": "partial", "interleave": 2}),
+    RefocusMethod("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
+    RefocusMethod("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
+    RefocusMethod("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
+    RefocusMethod("coherent", "Coherent", {"method": "coherent"}),
+    RefocusMethod("partial", "Partially coherent", {"method": "partial", "interleave": 2}),
     # The limit in which no two lenses interfere.
-    Method("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
+    RefocusMethod("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
 )
 TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method in METHODS}}
 
@@ -122,7 +122,7 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """What an experiment is made with."""
+    """Settings of an experiment."""
 
     # A scene file or a built-in name.
     scene: str
@@ -136,7 +136,7 @@ class Settings:
     # Samples per pixel of both captures.
     spp: int = 16
     # Points per lens of another wave capture, point by point, with which the one from signed rays is compared. Default:
-    # there is none.
+    # no such capture.
     points: int | None = None
     # Samples per pixel of the thin lens.
     truth_spp: int = 1024
@@ -148,7 +148,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What came out."""
+    """Results of an experiment."""
 
     settings: Settings
     # The camera, with parabolic lenses.
@@ -178,8 +178,10 @@ class Experiment:
 
 def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     """Capture and refocus, taking from the store what is already there."""
-    if "mono" not in settings.variant:
-        raise InputError(f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant")
+    refuse_if(
+        "mono" not in settings.variant,
+        f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
+    )
     set_variant(settings.variant)
     scene = load_with_sensor(settings.scene, settings.parameters)
     sensor = scene.sensors()[0]
@@ -188,8 +190,9 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     sensor.lens_model = "parabolic"
     sensor.parameters_changed()
     camera = PlenopticCamera.from_sensor(sensor)
-    if camera.is_cropped:
-        raise InputError(f"{settings.scene}: a comparison needs the full detector; remove the film's crop window")
+    refuse_if(
+        camera.is_cropped, f"{settings.scene}: a comparison needs the full detector; remove the film's crop window"
+    )
     distances = sorted({*settings.distances, *settings.slider})
     require_distances(distances, camera)
 
@@ -205,8 +208,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
             render_capture(scene, model="ray", spp=settings.spp, noise=settings.noise, progress=progress)
         ),
     )
-    if not ray.image.any():
-        raise InputError(f"{settings.scene}: the capture is black: its camera sees no light")
+    refuse_if(not ray.image.any(), f"{settings.scene}: the capture is black: its camera sees no light")
 
     def by_waves(name: str, **options: Any) -> tuple[Capture, str]:
         options["wavelength"] = settings.wavelength
@@ -264,16 +266,17 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
 def load_with_sensor(name: str, parameters: Mapping[str, str]) -> Any:
     """Load a scene and refuse one without a sensor."""
     scene = load_scene(name, parameters=parameters)
-    if not scene.sensors():
-        raise InputError(f"{name}: it has no sensor; add one of type 'plenoptic'")
+    refuse_if(not scene.sensors(), f"{name}: it has no sensor; add one of type 'plenoptic'")
     return scene
 
 
 def open_store(output: Path, stages: StageOptions | None) -> StageStore:
     """Check, before the work, that the output folder can be made; it is made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")
+    refuse_if(
+        not there.is_dir() or not os.access(there, os.W_OK),
+        f"{output}: the folder cannot be made: {there} is not a folder that can be written to",
+    )
     return StageStore(output / "data", stages)
 
 

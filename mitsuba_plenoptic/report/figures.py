@@ -23,8 +23,8 @@ from .framing import (
     show,
     show_difference,
 )
-from .images import shrink
 from .metrics import ssim_text
+from .output_files import shrink
 
 
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
@@ -108,7 +108,7 @@ def draw_comparison(
     figure_interference(folder / "interference.png", experiment, interference)
     figure_captures(folder / "captures.png", experiment, zooms)
     return {
-        "methods.png": "All methods beside the thin lens. One bin a pixel shows a grid where the image is out of "
+        "methods.png": "All methods next to the thin lens. One bin a pixel shows a grid where the image is out of "
         "focus: neighbouring pixels go to bins several apart, and how many meet in one changes from bin to bin. The "
         "lens footprint, which is right there, spreads each pixel over what its lens sees.",
         "interference.png": "What interference between lenses adds to the image.",
@@ -117,7 +117,7 @@ def draw_comparison(
 
 
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
-    """Draw every method at every distance beside the thin lens, with a note under each."""
+    """Draw every method at every distance next to the thin lens, with a note under each."""
     names = ["truth", *(method.name for method in METHODS)]
     rows = [(f"{distance:g} mm", distance) for distance in experiment.settings.distances]
     window = lit_window(list(experiment.truths.values()))

@@ -16,7 +16,7 @@ from matplotlib.patheffects import withStroke
 from ..camera import PlenopticCamera
 from ..io.files import atomic_output
 from .experiment import Experiment
-from .images import to_bytes
+from .output_files import to_bytes
 
 
 class Window(NamedTuple):
@@ -41,7 +41,7 @@ class Window(NamedTuple):
 
 
 class Zoom(NamedTuple):
-    """A place on the detector to look at closely: a title, and a window of whole pixels."""
+    """A position on the detector to look at closely: a title, and a window of whole pixels."""
 
     title: str
     rows: slice
@@ -158,7 +158,7 @@ def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
 
 
 def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "") -> None:
-    """Write above, beside and below an image."""
+    """Write above, at the side of and below an image."""
     axes.set_title(title, size=10, color=_INK, loc="left", pad=6)
     axes.set_ylabel(side, size=10, color=_INK, labelpad=6)
     axes.set_xlabel(foot, size=8, color=_FAINT, labelpad=4)

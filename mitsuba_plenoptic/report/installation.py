@@ -1,4 +1,4 @@
-"""What this machine has for rendering, and whether it suffices."""
+"""The means of rendering on this machine, and whether they suffice."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MISSING = "not installed"
 
 @dataclass(frozen=True)
 class Installation:
-    """What was found."""
+    """The state of an installation."""
 
     # Titles, each with the names and findings below it.
     sections: dict[str, list[tuple[str, str]]]

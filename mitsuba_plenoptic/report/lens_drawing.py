@@ -28,7 +28,7 @@ _WIDER = 1.5
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """What a main lens does to the light at one distance from the axis of the microlens array (MLA).
+    """The effect of a main lens on the light at one distance from the axis of the microlens array (MLA).
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ class FieldFigures:
     distortion: float
 
 
-class _Bundles:
-    """Bundles of rays from places on the MLA to the object plane in focus, at one wavelength."""
+class _DrawnRays:
+    """Bundles of rays from positions on the MLA to the object plane in focus, at one wavelength."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
         self.lens = main_lens(camera, wavelength)
@@ -79,16 +79,16 @@ class _Bundles:
 
 
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where rays from the object point of a place's chief ray meet the MLA, as far as they get through.
+    """Return where rays from the object point of a position's chief ray meet the MLA, as far as they get through.
 
-    By the way back: how far from that point the rays from the place meet the object plane, in its image's size.
+    By tracing back: how far from that point the rays from the position meet the object plane, in its image's size.
 
     Parameters
     ----------
     camera : PlenopticCamera
         A camera with a real main lens.
     height : float
-        Distance of the place from the axis in millimetres.
+        Distance of the position from the axis in millimetres.
     wavelength : float
         Wavelength in nanometres; the object point is that of the chief ray at the prescription's own.
 
@@ -97,8 +97,8 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
     x, y : float64 arrays (n,)
         In millimetres; y is across to the axis.
     """
-    middle = _Bundles(camera, None).chief(height)
-    X, Y, is_open = _Bundles(camera, wavelength).all_of(height)
+    middle = _DrawnRays(camera, None).chief(height)
+    X, Y, is_open = _DrawnRays(camera, wavelength).all_of(height)
     return camera.mla_distance * X[is_open], camera.mla_distance * (Y[is_open] - middle)
 
 
@@ -114,27 +114,27 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
     wavelengths : (float, float)
         Wavelengths in nanometres.
     """
-    first, second = (_Bundles(camera, wavelength).chief(height) for wavelength in wavelengths)
-    # What is seen farther out from the same place is imaged nearer to the axis.
+    first, second = (_DrawnRays(camera, wavelength).chief(height) for wavelength in wavelengths)
+    # What is seen farther out from the same position is imaged nearer to the axis.
     return camera.mla_distance * (second - first)
 
 
 def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Follow rays in the plane of the axis from a place on the MLA, surface by surface, to before the lens.
+    """Follow rays in the plane of the axis from a position on the MLA, surface by surface, to before the lens.
 
     Parameters
     ----------
     camera : PlenopticCamera
         A camera with a real main lens.
     height : float
-        Distance of the place from the axis in millimetres.
+        Distance of the position from the axis in millimetres.
     count : int
         Rays, evenly over what the lens lets through.
 
     Returns
     -------
     z, y : float64 arrays (surfaces + 1, count)
-        Their places in the camera frame, on the MLA and on each surface.
+        Their positions in the camera frame, on the MLA and on each surface.
     """
     lens = main_lens(camera)
     tried = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius
@@ -152,7 +152,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
     for surface in surfaces:
         vertex += surface.gap
         point, direction, _, _ = sequential.follow([surface], point, direction)
-        # A plane tells a single height.
+        # A plane has a single height.
         z.append(vertex + point[2] + 0.0 * slopes)
         y.append(point[1])
     return lens.scale * np.array(z), lens.scale * np.array(y)
@@ -173,7 +173,7 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
     list of FieldFigures
         One for each.
     """
-    bundles, b = _Bundles(camera, None), camera.mla_distance
+    bundles, b = _DrawnRays(camera, None), camera.mla_distance
     figures: list[FieldFigures] = []
     area = 1
     for field in (0.0, *heights):

@@ -1,4 +1,4 @@
-"""The numbers of an experiment."""
+"""Measurements of an experiment."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _profile(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = image.shape
     slope = np.abs(np.gradient(image, axis=1))
     tilt, start = 0.0, (columns - 1) / 2
-    # Noise beside the edge has slopes, too: the window closes in on the line that was found before.
+    # Noise next to the edge has slopes, too: the window closes in on the line that was found before.
     for part in _WINDOWS:
         offset = np.arange(columns) - (start + tilt * np.arange(rows))[:, None]
         weight = slope * np.cos(math.pi * np.clip(offset / (part * columns), -0.5, 0.5)) ** 2
@@ -137,7 +137,7 @@ class Difference:
     noise_alone: bool | None
 
     def to_dict(self) -> dict[str, float | bool | None]:
-        """Return the numbers by name, rounded to what they mean."""
+        """Return the values by name, rounded to what they mean."""
         return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 

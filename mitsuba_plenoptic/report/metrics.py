@@ -1,4 +1,4 @@
-"""Image metrics: how far images are from each other, in numbers."""
+"""Image metrics: differences and similarity of images."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ImageMetrics:
     energy: float
 
     def to_dict(self) -> dict[str, float | None]:
-        """Return the numbers by name, rounded to what they mean."""
+        """Return the values by name, rounded to what they mean."""
         return {name: None if value is None else round(value, 5) for name, value in asdict(self).items()}
 
 

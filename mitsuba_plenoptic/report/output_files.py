@@ -1,25 +1,98 @@
-"""What the commands write: reconstructions, light fields and what comes from them, as OpenEXR or as pictures.
-
-Names of unknown kinds and files that cannot be written are refused with an `InputError`.
-"""
+"""Linear images as 8-bit pictures."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from PIL import Image
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if, require_number
 from ..io.exr import image_channels, write_exr_parts
-from ..io.files import require_writable
+from ..io.files import atomic_output, require_writable
 from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
 from ..reconstruction import Reconstruction, write_reconstruction
-from .images import Brightness, write_png
+
+
+def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
+    """Write a linear image as an 8-bit PNG, encoded by `to_bytes`; a file is replaced only by a complete one."""
+    with atomic_output(path, ".png") as temporary:
+        Image.fromarray(to_bytes(image, peak)).save(temporary, format="PNG")
+
+
+def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
+    """Encode a linear image (rows, columns[, 3]) in 8 bits, sRGB.
+
+    `peak`, by default the image's maximum, becomes white, and what is negative or not a number becomes black.
+    """
+    values = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    if peak is None:
+        peak = float(values.max())
+    # An image that is all black stays so.
+    values = np.clip(values / peak, 0, 1) if peak > 0 else np.zeros_like(values)
+    return np.round(255 * _srgb(values)).astype(np.uint8)
+
+
+def shrink(image: np.ndarray, longest: int) -> np.ndarray:
+    """Average blocks of pixels, whole blocks only, until neither side is longer than `longest`."""
+    rows, columns = image.shape[:2]
+    factor = -(-max(rows, columns) // longest)
+    if factor == 1:
+        return image
+    # A long and narrow image keeps at least one block on its short side.
+    down, across = min(factor, rows), min(factor, columns)
+    whole = image[: rows // down * down, : columns // across * across]
+    blocks = whole.reshape(rows // down, down, columns // across, across, *image.shape[2:])
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear values from 0 to 1 (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+_MOST_STOPS = 100.0
+
+_DEFAULT_PERCENTILE = 99.5
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """A rule for the value that becomes white; what is brighter is white, too."""
+
+    # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
+    exposure: float | None = None
+    # Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default: 99.5
+    # where there is no exposure. If it is black, the brightest becomes white.
+    percentile: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.exposure is not None and self.percentile is not None:
+            raise InputError(f"exposure = {self.exposure:g}, percentile = {self.percentile:g}: give one of the two")
+        if self.exposure is not None:
+            require_number("exposure", self.exposure, minimum=-_MOST_STOPS, maximum=_MOST_STOPS)
+        if self.percentile is not None:
+            require_number("percentile", self.percentile, positive=True, maximum=100)
+
+    def white(self, images: Sequence[np.ndarray]) -> float:
+        """Return the value that becomes white in pictures that are looked at together; NaN counts as nothing."""
+        if self.exposure is not None:
+            return float(2.0**-self.exposure)
+        values = np.concatenate([image[np.isfinite(image)] for image in images])
+        if not values.size:
+            return 1.0
+        percentile = _DEFAULT_PERCENTILE if self.percentile is None else self.percentile
+        for value in (np.percentile(values, percentile), values.max()):
+            if value > 0:
+                return float(value)
+        return 1.0
+
 
 _AUTOMATIC = Brightness()
 
@@ -44,8 +117,7 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[P
         return [path]
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
     for name, distance in zip(names, distances, strict=True):
-        if names.count(name) > 1:
-            raise InputError(f"distance = {distance:g}: it is given twice")
+        refuse_if(names.count(name) > 1, f"distance = {distance:g}: it is given twice")
     return [require_writable(path.with_name(name)) for name in names]
 
 
@@ -68,7 +140,7 @@ def write_reconstructions(
 
 
 def write_views(path: str | Path, lf: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
-    """Write the views of a light field: a part each named by its place on the pupil, or a mosaic as PNG.
+    """Write the views of a light field: a part each named by its position on the pupil, or a mosaic as PNG.
 
     Ground truth that the light field has is in each part, too, in the channels of its own file.
     """
@@ -107,8 +179,8 @@ def write_depth(path: str | Path, found: xr.Dataset, brightness: Brightness = _A
     parts = {str(name): np.asarray(values) for name, values in found.items()}
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
-    nearness = (high - parts["disparity"]) / ((high - low) or 1)
-    maps = [parts["image"] / brightness.white([parts["image"]]), nearness, parts["confidence"]]
+    closeness = (high - parts["disparity"]) / ((high - low) or 1)
+    maps = [parts["image"] / brightness.white([parts["image"]]), closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     _write(path, "depth", found, _images(**parts), _enlarged(np.concatenate(maps, axis=1)), 1.0)
@@ -142,7 +214,7 @@ def _enlarged(image: np.ndarray) -> np.ndarray:
 
 
 def _tiled(images: list[np.ndarray]) -> np.ndarray:
-    """Lay images of one size out in rows, as near to a square as can be; empty places stay black."""
+    """Lay images of one size out in rows, as near to a square as can be; empty positions stay black."""
     columns = int(np.ceil(np.sqrt(len(images))))
     empty = [np.zeros_like(images[0])] * (-len(images) % columns)
     every = images + empty

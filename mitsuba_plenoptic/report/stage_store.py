@@ -1,7 +1,7 @@
-"""Long computations in stages, each kept on disk and made again only when something it depends on has changed.
+"""Long computations in stages, each stored on disk and repeated only when something it depends on has changed.
 
 A stage's key is a hash of its name, its settings, the keys of the stages before it and the software. Its file
-carries the key and appears whole or not at all, so that a run that was killed goes on where it stood.
+carries the key and appears whole or not at all, so that a killed run resumes where it was.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class StageStore:
         self._known = _read_json(self._log)
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
-        """Return a stage that is a capture, and its key; while it is under way it has a checkpoint."""
+        """Return a stage that is a capture, and its key; while it is computed it has a checkpoint."""
 
         def write(path: Path, value: Capture, key: str) -> None:
             write_capture(path, replace(value, metadata={**value.metadata, "key": key}))
@@ -143,6 +143,7 @@ def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
     return _hash({"files": _content(path, dict(parameters)), "parameters": dict(parameters)})
 
 
+# The source text is read once: it does not change while a process runs.
 @cache
 def software() -> dict[str, str]:
     """Return the versions that stages depend on, our own by the source text."""

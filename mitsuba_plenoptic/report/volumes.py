@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..reconstruction.results import Volume
-from .images import write_png
+from .output_files import write_png
 
 _GAP = 4
 """Black pixels between the parts of a picture."""
@@ -22,7 +22,7 @@ _LEAST_PLANE = 3
 
 
 def depth_coded(volume: Volume) -> NDArray[np.float32]:
-    """Return a picture whose brightness is the brightest voxel's along z and whose colour tells where that is.
+    """Return a picture whose brightness is the brightest voxel's along z and whose colour shows where that is.
 
     Colours run from blue for the nearest plane to red for the farthest.
 

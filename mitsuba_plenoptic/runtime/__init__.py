@@ -1,1 +1,1 @@
-"""What computes, and under which limits: processor or device, memory, batches, threads and workers."""
+"""Means of computation and their limits: processor or device, memory, batches, threads and workers."""

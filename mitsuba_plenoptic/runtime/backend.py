@@ -1,4 +1,4 @@
-"""Which libraries to compute with, outside of Mitsuba's plugins: Dr.Jit beside NumPy and SciPy, or beside CuPy.
+"""Which libraries to compute with, outside of Mitsuba's plugins: Dr.Jit with NumPy and SciPy, or with CuPy.
 
 The active variant of Mitsuba chooses. The same code runs on both: it takes its modules from here, and arrays that it
 made on a CUDA device stay there until `Backend.to_host` fetches what is finished. Dr.Jit and CuPy share the memory of
@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from . import llvm
 
 _P = ParamSpec("_P")
@@ -44,11 +44,11 @@ if hasattr(os, "register_at_fork"):
 
 def require_own_process() -> None:
     """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later."""
-    if _forked:
-        raise InputError(
-            "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
-            "multiprocessing.get_context('spawn')"
-        )
+    refuse_if(
+        _forked,
+        "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
+        "multiprocessing.get_context('spawn')",
+    )
 
 
 def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -125,11 +125,13 @@ def array_module() -> Any:
     return dr.llvm
 
 
+# One for the process: it holds no data of a camera.
 @functools.cache
 def _processor() -> Backend:
     return Backend(dr.llvm, np, scipy.fft, scipy.sparse, is_cuda=False)
 
 
+# One for the process, as importing CuPy and asking for the device take long.
 @functools.cache
 def _cuda() -> Backend:
     try:

@@ -71,12 +71,12 @@ class BatchMap(Protocol):
         """How many of them are computed in this process."""
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
-        """Compute the batches; closed early, it drops what is under way."""
+        """Compute the batches; closed early, it drops those in progress."""
 
 
 @dataclass(frozen=True)
 class PartialSum:
-    """A sum under way."""
+    """A partial sum."""
 
     # The batches that are in it: the first ones.
     batches: int

@@ -24,10 +24,10 @@ from .limits import software
 from .variant import set_variant
 
 _GROUP_SAMPLES = 2**22
-"""Samples of the fields that a worker computes at a time, some tenths of a second: more than the way there costs."""
+"""Samples of the fields that a worker computes at a time, some tenths of a second: more than sending them costs."""
 
 _AHEAD = 3
-"""Groups under way for each worker, so that none is idle and memory stays bounded."""
+"""Groups in progress for each worker, so that none is idle and memory stays bounded."""
 
 _PATIENCE = "20s"
 
@@ -149,7 +149,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
-    """Gather batches that follow one another until they are worth the way to a worker."""
+    """Gather batches that follow one another until they are worth sending to a worker."""
     group: list[Batch] = []
     samples = 0
     for batch in batches:

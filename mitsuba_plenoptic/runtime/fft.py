@@ -4,8 +4,8 @@ Dr.Jit has no FFT of its own. A field travels between the libraries without bein
 per sample whose lower half is the real part and whose upper half is the imaginary part: that is how NumPy and
 CuPy lay out ``complex64``, and a Dr.Jit kernel takes the halves apart again at no cost.
 
-SciPy transforms in place what it is told it may overwrite, views too. CuPy does so with whole arrays, copies a view
-first, and keeps the plans of cuFFT by shape (`cupy.fft.config.get_plan_cache`). So callers go on with the array that
+SciPy transforms in place where overwriting is allowed, views too. CuPy does so with whole arrays, copies a view
+first, and keeps the plans of cuFFT by shape (`cupy.fft.config.get_plan_cache`). So callers continue with the array that
 a transform returns, and on neither side need anything else be said.
 """
 

@@ -1,4 +1,4 @@
-"""Long sums: who computes their batches, who is told of the progress, and where what is done is kept."""
+"""Long sums: who computes their batches, who is notified of the progress, and where partial results are stored."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import refuse_if
 from .batches import Batch, BatchMap, Box, PartialSum, Threads, add
 
 Progress = Callable[[int, int], None]
@@ -45,7 +45,7 @@ class LongSum(Protocol):
 
 
 @dataclass(frozen=True)
-class Task:
+class SumTask:
     """One of several sums that make an image."""
 
     # Its items, those too that are in no batch.
@@ -58,7 +58,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Several sums under way."""
+    """Several sums in progress."""
 
     sums: int
     # Their images, added up; (rows, columns, channels).
@@ -67,11 +67,11 @@ class Snapshot:
     partial: PartialSum | None = None
 
 
-class Keeper(Protocol):
-    """Keeps what is done of a job, so that it can go on after a crash: see `io.checkpoints.Checkpoint`."""
+class CheckpointStore(Protocol):
+    """Stores the partial result of a job, so that it can resume after a crash: see `io.checkpoints.Checkpoint`."""
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Return what is kept of the job with these facts, None if nothing is; refuse another job's."""
+        """Return the stored partial result of the job with these facts or None; refuse that of another job."""
 
     def save(self, snapshot: Snapshot) -> None:
         """Keep a snapshot, if it is time to."""
@@ -87,13 +87,13 @@ class Job:
         Called with the items done and their number.
     batch_map : BatchMap, optional
         Computes the batches. Default: threads of this process.
-    keeper : Keeper, optional
+    keeper : CheckpointStore, optional
         Keeps what is done.
     """
 
     progress: Progress | None = None
     batch_map: BatchMap | None = None
-    keeper: Keeper | None = None
+    keeper: CheckpointStore | None = None
 
     @property
     def workers(self) -> BatchMap:
@@ -101,7 +101,11 @@ class Job:
         return self.batch_map or Threads()
 
     def run(
-        self, tasks: Iterable[Task], shape: tuple[int, int, int], items: int, facts: Callable[[], dict[str, Any]] = dict
+        self,
+        tasks: Iterable[SumTask],
+        shape: tuple[int, int, int],
+        items: int,
+        facts: Callable[[], dict[str, Any]] = dict,
     ) -> NDArray[np.float32]:
         """Compute sums one after another, and add their images.
 
@@ -109,14 +113,15 @@ class Job:
 
         Parameters
         ----------
-        tasks : iterable of Task
+        tasks : iterable of SumTask
             The sums.
         shape : (int, int, int)
             Rows, columns and channels of the image.
         items : int
             Items of all sums.
         facts : callable
-            Returns what the job is computed from, in plain JSON values, by which a kept one is known as the same.
+            Returns what the job is computed from, in plain JSON values, by which a stored one is recognised as the
+            same.
 
         Returns
         -------
@@ -131,20 +136,19 @@ class Job:
                 image = task.combine(self._sum(task, state, done, items))
                 state = Snapshot(number, np.add(state.image, image, out=state.image))
             done += task.items
-        if state.sums > number:
-            raise InputError(f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
+        refuse_if(state.sums > number, f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
         return state.image
 
-    def _sum(self, task: Task, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
+    def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
         """Compute one sum, from where it stands."""
         work = task.plan()
         shape = (work.channels, work.box.rows, work.box.columns)
         start = state.partial or PartialSum(0, work.arrays.zeros(shape, np.float32))
-        if start.sums.shape != shape or not 0 <= start.batches <= len(work.items):
-            raise InputError(
-                f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
-                f"shape {shape}"
-            )
+        refuse_if(
+            start.sums.shape != shape or not 0 <= start.batches <= len(work.items),
+            f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
+            f"shape {shape}",
+        )
         left = work.items[start.batches :].tolist()
         total = replace(start, sums=work.arrays.asarray(start.sums))
         batches, done = work.batches(start.batches), before + task.items - sum(left)
@@ -158,7 +162,7 @@ class Job:
         return work.image(total)
 
     def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Generator[Any, None, None]:
-        """Compute batches of so many items each, and yield their results in order.
+        """Compute batches of `size` items each, and yield their results in order.
 
         Parameters
         ----------

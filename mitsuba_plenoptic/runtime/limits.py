@@ -32,13 +32,13 @@ def memory_limit() -> float:
     Three quarters of the memory that the machine, or the container that the process runs in, has; or as many GiB as
     the environment variable ``MITSUBA_PLENOPTIC_MEMORY`` says.
     """
-    told = os.environ.get(VARIABLE)
-    if told is None:
+    text = os.environ.get(VARIABLE)
+    if text is None:
         return _FRACTION * _machine_memory()
     try:
-        number = float(told)
+        number = float(text)
     except ValueError:
-        raise InputError(f"{VARIABLE} = {told!r}: it must be a number of GiB") from None
+        raise InputError(f"{VARIABLE} = {text!r}: it must be a number of GiB") from None
     return require_number(VARIABLE, number, positive=True) * GIB
 
 
@@ -66,6 +66,7 @@ def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int
     return low
 
 
+# The memory of a machine does not change.
 @cache
 def _machine_memory() -> float:
     """Bytes of memory of the machine or of the container, whichever has less."""
@@ -91,6 +92,7 @@ def _gib(size: float) -> str:
 _SHOWING = {"report", "cli"}
 
 
+# The versions are those of the loaded modules.
 @cache
 def software() -> dict[str, str]:
     """Return the versions that results depend on, our own by its source text."""

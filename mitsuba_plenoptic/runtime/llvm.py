@@ -2,8 +2,8 @@
 
 Dr.Jit loads LLVM when it is first imported, from where ``DRJIT_LIBLLVM_PATH`` says or else from a few folders
 that it searches itself, and it takes what it finds: 14 is refused, and with 15 and 16 the process aborts at
-the first kernel that needs a minimum or maximum. So `choose` looks in more places and names a usable library
-before Dr.Jit loads, and `require` tells a user what to do where there is none, before a kernel is compiled.
+the first kernel that needs a minimum or maximum. So `choose` looks in more folders and names a usable library
+before Dr.Jit loads, and `require` explains what to do where there is no library, before a kernel is compiled.
 
 Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.
 """
@@ -27,13 +27,13 @@ MINIMUM = 17
 _NAME = re.compile(
     r"libLLVM(?:[-.](?P<stem>\d[\d.]*?)(?:\.so(?:\.\d+)*|\.dylib)|\.so\.(?P<suffix>\d[\d.]*)|\.so|\.dylib)"
 )
-# Homebrew's Cellar/llvm/19.1.7/lib/libLLVM.dylib and Fedora's llvm19/lib64/libLLVM.so: the folder tells.
+# Homebrew's Cellar/llvm/19.1.7/lib/libLLVM.dylib and Fedora's llvm19/lib64/libLLVM.so: the folder has the version.
 _FOLDER = re.compile(r"llvm(?:@\d+/|[-/])?(\d[\d.]*)")
 
 
 @dataclass(frozen=True)
 class Library:
-    """An LLVM library on this machine, and its version as far as its name tells."""
+    """An LLVM library on this machine, and its version as far as its name states it."""
 
     path: Path
     version: tuple[int, ...]
@@ -166,7 +166,7 @@ def _newest_usable(found: list[Library]) -> Library | None:
 def _folders() -> Iterator[Path]:
     """Yield the folders in which package managers put LLVM."""
     root = Path("/")
-    # Only this machine's own architecture: Debian's multiarch puts foreign ones beside it.
+    # Only this machine's own architecture: Debian's multiarch puts foreign ones next to it.
     yield root / "usr/lib" / f"{platform.machine()}-linux-gnu"
     yield from sorted(root.glob("usr/lib/llvm-*/lib"))
     yield root / "usr/lib64"

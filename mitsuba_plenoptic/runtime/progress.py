@@ -32,7 +32,7 @@ class ProgressBar:
         self._show = show
 
     def __call__(self, done: int, total: int) -> None:
-        """Show that so much of the total is done."""
+        """Show the fraction of the total that is done."""
         self.fraction = done / max(total, 1)
         if self._show:
             self._show(done, total)
@@ -45,7 +45,7 @@ def progress_bar(label: str) -> Iterator[ProgressBar]:
     Parameters
     ----------
     label : str
-        What is going on.
+        Name of the work.
 
     Yields
     ------
@@ -75,7 +75,7 @@ def has_screen() -> bool:
 
 
 _under_way: list[ProgressBar] = []
-"""What plain lines are about, the innermost last."""
+"""Labels of the plain lines, the innermost last."""
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError, require_choice
+from ..errors import refuse_if, require_choice
 from . import llvm
 from .backend import one_at_a_time
 
@@ -19,7 +19,9 @@ def set_variant(variant: str | None) -> None:
     require_choice("variant", variant, mi.variants())
     if variant.startswith("llvm"):
         llvm.require()
-    if variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):
-        raise InputError(f"variant = {variant!r}: no usable CUDA device was found; use an llvm_ad_* variant")
+    refuse_if(
+        variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA),
+        f"variant = {variant!r}: no usable CUDA device was found; use an llvm_ad_* variant",
+    )
     if mi.variant() != variant:
         mi.set_variant(variant)

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, shown
+from ..errors import InputError, short_repr
 from ..lattice import Lattice
 from ..optics.phase import in_millimetres
 from ..runtime.limits import single_threaded_blas
@@ -140,7 +140,7 @@ class PhaseSpace:
             ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
-                raise InputError(f"{name} = {shown(getattr(camera, name))}: for signed rays it must be {rule}")
+                raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
 
     @property
     def defocus(self) -> float:

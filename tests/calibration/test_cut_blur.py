@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.calibration.blur import CutBlur
-from mitsuba_plenoptic.calibration.saddle import find_saddles
+from mitsuba_plenoptic.calibration.boards import find_saddles
 
 CAMERA = PlenopticCamera.preset("raytrix").replace(mla_aperture="circle")
 COUNT, SIDE = 20, 23
@@ -60,7 +60,7 @@ def test_corners_are_met_in_spite_of_the_rim(kind, ratio):
         found = find_saddles(image / np.maximum(white, 1e-9), *given, radius=RADIUS, even=RADIUS, seen=seen)
         good = np.isfinite(found.deviation)
         assert good.sum() > 0.7 * COUNT
-        miss = (found.place - centre - place)[good]
+        miss = (found.position - centre - place)[good]
         outwards.append(float(((miss * place[good]).sum(1) / arm[good]).mean()))
     plain, mended = outwards
     assert abs(plain) > 0.15

@@ -8,12 +8,19 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
-from mitsuba_plenoptic.calibration import Board, calibrate, camera_centres, detect_corners, find_centres, read_corners
-from mitsuba_plenoptic.calibration import boards as board_scene
+from mitsuba_plenoptic.calibration import (
+    Board,
+    board_scene,
+    calibrate,
+    camera_centres,
+    detect_corners,
+    find_centres,
+    read_corners,
+)
+from mitsuba_plenoptic.calibration.boards import find_saddles
 from mitsuba_plenoptic.calibration.detect import evenly_lit
 from mitsuba_plenoptic.calibration.model import NAMES, Observations, predict
 from mitsuba_plenoptic.calibration.numbers import numbers_of
-from mitsuba_plenoptic.calibration.saddle import find_saddles
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import white_image
 
@@ -41,7 +48,7 @@ def test_saddles_and_their_deviations_are_true(blur):
     start = true + shift + generator.uniform(-0.7, 0.7, (count, 2))
     centre = np.full((count, 2), side // 2) + shift
     found = find_saddles(strip, np.ones_like(strip), start, angles + 0.1, centre, radius=9.0, even=9.0)
-    error = found.place - true - shift
+    error = found.position - true - shift
     assert np.abs(error.mean(0)).max() < 4 * np.sqrt((error**2).mean() / count)
     assert np.sqrt((error**2).sum(1).mean()) < 0.06 + 0.06 * blur
     # The deviation is that along the worse axis.

@@ -10,7 +10,7 @@ from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
 from mitsuba_plenoptic.calibration.model import NAMES, predict_centres
 from mitsuba_plenoptic.calibration.numbers import numbers_of
-from mitsuba_plenoptic.calibration.residuals import GROUPED_BY
+from mitsuba_plenoptic.calibration.result import GROUPED_BY
 from mitsuba_plenoptic.report.calibration import write_calibration_report
 
 TABLE, SEEN = cases.corners()

@@ -22,7 +22,7 @@ from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_draws import Cells
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
-from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.runtime.jobs import Job, SumTask
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
 from mitsuba_plenoptic.system.ray_coefficients import coefficients_of
@@ -143,7 +143,7 @@ def node():
 
 def image(work):
     items = int(work.items.sum())
-    return Job().run([Task(items, lambda: work, lambda image: image)], (PIXELS, PIXELS, 1), items)[..., 0]
+    return Job().run([SumTask(items, lambda: work, lambda image: image)], (PIXELS, PIXELS, 1), items)[..., 0]
 
 
 def unit(name):
@@ -182,7 +182,7 @@ def test_reverse_is_the_transpose_of_forward():
     with dr.suspend_grad():
         work = CameraTangents(camera, two_values, nodes, **options, changes=changes)
         items = int(work.items.sum())
-        change = Job().run([Task(items, lambda: work, lambda image: image)], (32, 32, 2), items)
+        change = Job().run([SumTask(items, lambda: work, lambda image: image)], (32, 32, 2), items)
         found = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes)).backward(
             np.moveaxis(gradient, -1, 0)
         )

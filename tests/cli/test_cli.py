@@ -186,8 +186,8 @@ def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130, error
     stopping, stopped = error.splitlines()[-2:]
-    assert "stopping after the batch under way" in stopping
-    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: --resume goes on", stopped)
+    assert "stopping after the current batch" in stopping
+    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: resume with --resume", stopped)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 

@@ -25,14 +25,14 @@ def test_a_camera_from_a_capture(tmp_path, capsys):
     write_capture(tmp_path / "raw.exr", capture)
     start = tmp_path / "start.json"
     start.write_text(capture.camera.replace(mla_offset=(0.0005, -0.0003)).to_json())
-    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--photons", "1e5"]
+    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--parameter", "mla_offset", "--photons", "1e5"]
     words += ["--camera", start, "--points-per-lens", "4", "--accuracy", "0.05", "-o", tmp_path / "camera.json"]
     assert main(list(map(str, words))) == 0
     found = json.loads((tmp_path / "camera.json").read_text())
     # The points are those of another camera, by half a micrometre.
     assert np.abs(found["mla_offset"]).max() < 2e-4
     printed = capsys.readouterr().out
-    assert "mla_offset.1 = " in printed and " +- " in printed and "told to " in printed
+    assert "mla_offset.1 = " in printed and " +- " in printed and "determined to " in printed
 
 
 def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complaint):
@@ -45,7 +45,7 @@ def test_noise_and_saturation_are_those_that_expose_keeps(tmp_path, run, complai
     masked = np.zeros(capture.image.shape, np.uint8)
     masked[:10] = 255
     Image.fromarray(masked).save(tmp_path / "mask.png")
-    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--accuracy", "0.05"]
+    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--parameter", "mla_offset", "--accuracy", "0.05"]
     words += ["--points-per-lens", "4", "-o", tmp_path / "camera.json"]
     output = run(*words, "--mask", tmp_path / "mask.png")
     chi_square, deviation, pixels = re.search(r"per pixel (\S+) \+- (\S+) over (\d+) pixels", output).groups()
@@ -67,8 +67,8 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     write_capture(tmp_path / "raw.exr", capture)
     start = tmp_path / "start.json"
     start.write_text(capture.camera.replace(mla_offset=(0.005, -0.003)).to_json())
-    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--number", "mla_offset", "--photons", "1e5"]
-    words += ["--camera", start, "--method", "rays", "-o", tmp_path / "camera.json"]
+    words = ["fit", tmp_path / "raw.exr", "--scene", path, "--parameter", "mla_offset", "--photons", "1e5"]
+    words += ["--camera", start, "--model", "ray", "-o", tmp_path / "camera.json"]
     assert main(list(map(str, words))) == 0
     found = json.loads((tmp_path / "camera.json").read_text())
     assert np.abs(found["mla_offset"]).max() < 1e-3
@@ -86,7 +86,7 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     ],
 )
 def test_mistakes_are_one_line(tmp_path, capsys, words, message):
-    given = ["fit", str(tmp_path / "raw.exr"), "--number", "mla_pitch", "-o", str(tmp_path / "camera.json")]
+    given = ["fit", str(tmp_path / "raw.exr"), "--parameter", "mla_pitch", "-o", str(tmp_path / "camera.json")]
     assert main([*given, *([] if "--photons" in words else ["--photons", "10"]), *words]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1

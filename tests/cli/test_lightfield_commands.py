@@ -102,7 +102,7 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
     assert main(["depth", str(tmp_path / "even.exr"), "-o", str(tmp_path / "a.png"), "--planes", "8"]) == 0
     output, error = capfd.readouterr()
     assert "0 % of the bins" in output
-    assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin tells it")
+    assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin determines it")
 
 
 def test_expose(raw, tmp_path, run):

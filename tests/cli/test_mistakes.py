@@ -40,7 +40,7 @@ def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkey
         raise AssertionError("light was found")
 
     monkeypatch.setattr("mitsuba_plenoptic.fitting.known_view", found)
-    words = ["fit", raw, "-o", tmp_path / "camera.json", "--scene", "letters", "--number"]
+    words = ["fit", raw, "-o", tmp_path / "camera.json", "--scene", "letters", "--parameter"]
     assert "'zoom': it is none of the numbers" in complaint(*words, "zoom", "--photons", "9")
     assert "photons = -1" in complaint(*words, "mla_pitch", "--photons", "-1")
 
@@ -57,7 +57,7 @@ def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkey
         "expose {copy} -o {link} --photons 100",
         "demosaic {copy} -o {copy} --mosaic RGGB",
         "calibrate {copy} -o {copy}",
-        "fit {copy} -o {json} --scene letters --number mla_pitch --photons 9",
+        "fit {copy} -o {json} --scene letters --parameter mla_pitch --photons 9",
     ],
 )
 def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
@@ -203,7 +203,7 @@ def test_options_that_would_be_ignored_are_refused(line, words, raw, tmp_path, c
         ("demosaic {raw} -o {out}.exr --mosaic RGGG", "did you mean RGGB?"),
         ("reproduce --preset quik -o {out}", "did you mean quick?"),
         ("sweep letters -o {out}.nc --vary aperture_radios=3,4", "did you mean aperture_radius?"),
-        ("fit {raw} -o {out}.json --scene letters --number mla_pich --photons 9", "did you mean mla_pitch?"),
+        ("fit {raw} -o {out}.json --scene letters --parameter mla_pich --photons 9", "did you mean mla_pitch?"),
     ],
 )
 def test_unknown_names_come_with_those_that_they_resemble(line, words, raw, tmp_path, complaint):

@@ -15,8 +15,8 @@ from scipy import stats
 from mitsuba_plenoptic import InputError, design
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
-from mitsuba_plenoptic.dataset.draws import draw, parse
-from mitsuba_plenoptic.dataset.generators import Light, Shapes
+from mitsuba_plenoptic.dataset.generators import Illumination, Shapes
+from mitsuba_plenoptic.dataset.recipe import draw, parse
 
 
 def drawn(value, count=2000):
@@ -55,7 +55,7 @@ def test_scenes_are_chosen_by_their_shares():
 def test_shapes_stand_where_the_camera_resolves_them():
     camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
     near, far = design.refocus_range(camera)
-    scene = Shapes(objects=200, tilt=0).scene(camera, Light(), np.random.default_rng(0))
+    scene = Shapes(objects=200, tilt=0).scene(camera, Illumination(), np.random.default_rng(0))
     places = [item["to_world"].matrix for name, item in scene.items() if name.startswith("object")]
     depths = np.array([matrix[2, 3] for matrix in places])
     assert near < depths.min() < depths.max() < far

@@ -9,7 +9,7 @@ from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.detector import Detector, expose
-from mitsuba_plenoptic.fitting import View, come_near, kept_noise, lattice_from_white
+from mitsuba_plenoptic.fitting import View, coarse_fit, kept_noise, lattice_from_white
 from mitsuba_plenoptic.fitting.ray_model import PointRays
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.factory import main_lens
@@ -84,7 +84,7 @@ def test_numbers_are_found_by_rays():
     seen = np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS
     start = true.replace(mla_pitch=0.0646, mla_offset=(0.004, -0.003), focal_length=1.01 * true.focal_length)
     view = View(seen, points, weights)
-    found = fit(start, view, ["mla_pitch", "mla_offset", "focal_length"], photons=PHOTONS, method="rays")
+    found = fit(start, view, ["mla_pitch", "mla_offset", "focal_length"], photons=PHOTONS, model="ray")
     errors = np.array(list(found.values.values())) - (0.064, 0.0, 0.0, true.focal_length)
     # Chi-squared of four numbers: a hundredth lies beyond 13.3.
     assert errors @ np.linalg.solve(found.covariance, errors) < 13.3
@@ -102,7 +102,7 @@ def test_a_fit_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
     def fitted(existing, progress, **changes):
         with checkpoints.Checkpoint(tmp_path / "kept", existing) as kept:
             given = {"wavelength": WAVELENGTH} | changes
-            return fit(start, view, "mla_pitch", method="rays", checkpoint=kept, progress=progress, **given)
+            return fit(start, view, "mla_pitch", model="ray", checkpoint=kept, progress=progress, **given)
 
     def stop(tried, total):
         if tried == 3:
@@ -131,8 +131,8 @@ def test_a_camera_is_found_from_afar():
     off = {"focal_length": 0.98, "mla_distance": 1.02, "detector_distance": 1.02}
     start = true.replace(**{name: factor * getattr(true, name) for name, factor in off.items()})
     names = [*off, "mla_offset"]
-    near = come_near(start, view, names)
-    found = fit(near, view, names, photons=PHOTONS, method="rays")
+    near = coarse_fit(start, view, names)
+    found = fit(near, view, names, photons=PHOTONS, model="ray")
     for name in off:
         assert getattr(near, name) == pytest.approx(getattr(true, name), rel=0.005)
         assert getattr(found.camera, name) == pytest.approx(getattr(true, name), abs=4 * found.deviations[name])
@@ -163,7 +163,7 @@ def recorded():
 def quickly(camera, view, names="mla_pitch", **options):
     """Fit by rays, from near."""
     start = camera.replace(mla_pitch=0.06402)
-    return fit(start, view, names, wavelength=WAVELENGTH, method="rays", **({"photons": PHOTONS} | options))
+    return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 
 
 @pytest.mark.parametrize("photons", [20.0, 200.0, 2000.0, 20000.0])
@@ -251,17 +251,17 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
 def test_from_afar_no_number_leaves_its_bounds(recorded):
     true, points, image, weights = recorded
     start = true.replace(mla_pitch=0.068)
-    with pytest.warns(UserWarning, match="come_near: at a bound: mla_pitch = "):
-        near = come_near(start, View(image, points, weights), "mla_pitch", bounds={"mla_pitch": (0.067, 0.07)})
+    with pytest.warns(UserWarning, match="coarse_fit: at a bound: mla_pitch = "):
+        near = coarse_fit(start, View(image, points, weights), "mla_pitch", bounds={"mla_pitch": (0.067, 0.07)})
     assert near.mla_pitch == pytest.approx(0.067, abs=1e-5)
     # By default lengths stay within half of where they start; what shows no lattice does not tell the pitch.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        near = come_near(start, View(np.eye(*true.shape), points, weights), ["mla_pitch", "mla_distance"])
+        near = coarse_fit(start, View(np.eye(*true.shape), points, weights), ["mla_pitch", "mla_distance"])
     assert 0.034 <= near.mla_pitch <= 0.102 and 30 <= near.mla_distance <= 90
 
 
-@pytest.mark.parametrize("find", [fit, come_near])
+@pytest.mark.parametrize("find", [fit, coarse_fit])
 @pytest.mark.parametrize("image", [np.zeros(TRUE.shape), np.full(TRUE.shape, -0.1)])
 def test_nothing_is_found_by_black_captures(find, image):
     options = {"photons": PHOTONS} if find is fit else {}
@@ -332,9 +332,9 @@ def test_lattice_from_white(numbers):
         ("f_number", {}, "f_number"),
         ("wavefront", {}, "wavefront: the camera has no coefficients"),
         ((), {}, "names = .*: name at least one"),
-        ("mla_fill", {"method": "rays"}, "mla_fill: rays from points know no gaps"),
-        ("mla_pitch", {"method": "light"}, "method = 'light': it must be one of waves, rays"),
-        ("mla_pitch", {"method": "rays", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by waves"),
+        ("mla_fill", {"model": "ray"}, "mla_fill: rays from points know no gaps"),
+        ("mla_pitch", {"model": "light"}, "model = 'light': it must be one of ray, wave"),
+        ("mla_pitch", {"model": "ray", "accuracy": 0.1}, "accuracy = 0.1: it is for fits by the wave model"),
         ("mla_pitch", {"photons": None}, "photons: give them, or the noise"),
         ("mla_pitch", {"photons": -1}, "photons"),
         ("mla_pitch", {"bounds": {"mla_pitch": (0.07, 0.08)}}, "bounds: mla_pitch starts at 0.064: it must lie from"),

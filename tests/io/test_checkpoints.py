@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scene_cases import definitions, letters
-from stopped_runs import Keeper, StoppedError, start_command, stopped_before
+from stopped_runs import CheckpointStore, StoppedError, start_command, stopped_before
 from wave_cases import scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture
@@ -79,14 +79,14 @@ def test_a_sum_goes_on_from_any_batch(method, count):
     operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633, method=method)
     weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
     weights[1] = 0
-    keeper = Keeper()
+    keeper = CheckpointStore()
     whole = operator.forward(weights, job=Job(keeper=keeper))
     states = keeper.kept
     assert len(states) >= 2
     assert [state.partial.batches for state in states] == list(range(1, len(states) + 1))
     for state in (states[0], states[len(states) // 2], states[-1]):
         calls = []
-        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=Keeper(state))
+        job = Job(progress=lambda *call, calls=calls: calls.append(call), keeper=CheckpointStore(state))
         np.testing.assert_array_equal(operator.forward(weights, job=job), whole)
         assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
 
@@ -258,7 +258,7 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
     kept.write_bytes(b"days of work")
     words = ["letters", "-o", str(tmp_path / "raw.exr"), "-D", "resolution=64"]
     assert main(["render", *words, "--model", "wave"]) == 2
-    assert "go on from it with --resume, or remove the file" in capfd.readouterr().err
+    assert "resume from it with --resume, or remove the file" in capfd.readouterr().err
     assert main(["render", *words, "--resume"]) == 2
     assert "--resume: a ray capture does not take it" in capfd.readouterr().err
     assert main(["render", *words]) == 0
@@ -285,7 +285,7 @@ def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
     process = start_command(*WAVE, "-o", output, "--resume")
     told.append(process.communicate(timeout=300)[1])
     assert process.returncode == 0, told
-    assert "going on from there" in "".join(told)
+    assert "resuming from there" in "".join(told)
     np.testing.assert_array_equal(read_capture(output).image, clean)
     assert [item.name for item in tmp_path.iterdir()] == ["raw.exr"]
 

@@ -44,7 +44,7 @@ def test_pictures_of_other_programs_need_a_camera_and_their_black_level(tmp_path
     camera = capture_of().camera
     tifffile.imwrite(tmp_path / "other.tiff", np.full((33, 40), 1064, np.uint16))
     with pytest.raises(
-        InputError, match=r"other.tiff: it tells no camera and detector; such a raw picture needs its --camera"
+        InputError, match=r"other.tiff: it states no camera and detector; such a raw picture needs its --camera"
     ):
         read_recorded(tmp_path / "other.tiff", None, True)
     found = read_recorded(tmp_path / "other.tiff", camera, True, black_level=64)

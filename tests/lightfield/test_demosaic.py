@@ -10,9 +10,9 @@ from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, de
 
 from mitsuba_plenoptic import demosaic, write_capture  # isort: skip
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.detector import MOSAICS, filters
 from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.lightfield.grid import lens_numbers
-from mitsuba_plenoptic.mosaic import MOSAICS, filters
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=0.512)
 PERFECT = {"quantum_efficiency": 1, "read_noise": 0, "bits": 16, "full_well": 6e4, "black_level": 0}
@@ -108,7 +108,7 @@ def test_white_of_its_own():
     [
         (lambda: Detector(mosaic="RGBG"), "mosaic = 'RGBG': it must be one of RGGB"),
         (lambda: demosaic(coloured(CAMERA), mosaic="RGGB"), "capture of 3 channels: a mosaic has one"),
-        (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture tells none"),
+        (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture does not state it"),
         (lambda: demosaic(mosaicked(coloured(CAMERA)), mosaic="X"), "mosaic = 'X': it must be one of"),
         (
             lambda: expose(mosaicked(coloured(CAMERA)), Detector(mosaic="RGGB"), photons=9),

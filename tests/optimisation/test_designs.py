@@ -130,7 +130,7 @@ def test_search_finds_the_top_of_a_hill_and_keeps_to_bounds():
         ({"mla_focal_length": (0.6, 0.7)}, "bounds: mla_focal_length starts at 0.512"),
         ({"mla_focal_length": (0.6, 0.5)}, "bounds: .*mla_focal_length.* the lowest and the highest"),
         ({"wavefront.12": (-1, 1)}, "bounds: .*wavefront.12.*: the camera has wavefront.2, .*wavefront.11"),
-        ({"wavefront": (-1, 1), "wavefront.5": (-1, 1)}, "bounds: a number has two"),
+        ({"wavefront": (-1, 1), "wavefront.5": (-1, 1)}, "bounds: a parameter has two"),
     ],
 )
 def test_mistakes_in_bounds(bounds, message):
@@ -144,7 +144,7 @@ def test_mistakes_in_figures():
     with pytest.raises(InputError, match="background"):
         DepthInformation(POINT, 3000.0, background=0.0)
     figure = RefocusedContrast(CAMERA, POINT, (0.5,))
-    with pytest.raises(InputError, match="mla_pitch: refocusing is held"):
+    with pytest.raises(InputError, match="mla_pitch: refocusing does not follow it"):
         figure.gradient(CAMERA, ["mla_pitch"])
     with pytest.raises(InputError, match=r"focal_length = 41\.0: this figure is of cameras with 40\.0"):
         figure.value(CAMERA.replace(focal_length=41.0))

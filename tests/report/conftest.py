@@ -9,8 +9,8 @@ from scene_cases import letters
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Capture
+from mitsuba_plenoptic.report import comparison as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
-from mitsuba_plenoptic.report import reproduce as reproductions
 from mitsuba_plenoptic.report.experiment import Settings
 
 

@@ -9,8 +9,7 @@ import shutil
 import pytest
 
 from mitsuba_plenoptic import scene_path
-from mitsuba_plenoptic.report.compare import compare
-from mitsuba_plenoptic.report.reproduce import reproduce
+from mitsuba_plenoptic.report.comparison import compare, reproduce
 
 FLAGS = (
     "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "

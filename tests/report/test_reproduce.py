@@ -22,11 +22,10 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.capture import signed_rays
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.report import comparison as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
-from mitsuba_plenoptic.report import reproduce as reproductions
-from mitsuba_plenoptic.report.compare import compare
+from mitsuba_plenoptic.report.comparison import compare, reproduce, seconds_on_one_core
 from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
-from mitsuba_plenoptic.report.reproduce import reproduce, seconds_on_one_core
 from mitsuba_plenoptic.report.stage_store import StageOptions, StageStore, scene_fingerprint
 
 
@@ -37,7 +36,7 @@ def files(folder):
 def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tiny, tmp_path, capsys):
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
-    assert "capture wave " in told.err and "partial 280 " in told.err and "kept" not in told.err
+    assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
     figures = {"fig2.png", "fig4.png", "methods.png", "interference.png", "captures.png"}

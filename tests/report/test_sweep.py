@@ -135,14 +135,14 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
 def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     """Only one point's images are held at a time."""
     held = []
-    put = sweeps.Layout.put
+    put = sweeps.SweepFile.put
 
     def watched(layout, index, capture, images):
         held.append(weakref.ref(capture))
         put(layout, index, capture, images)
         assert sum(reference() is not None for reference in held) <= 2
 
-    monkeypatch.setattr(sweeps.Layout, "put", watched)
+    monkeypatch.setattr(sweeps.SweepFile, "put", watched)
     sweep(RAYS, {"aperture_radius": [2, 3, 4, 5]}, tmp_path / "out.nc").close()
     assert len(held) == 4
 
@@ -230,6 +230,6 @@ def test_a_full_disk_leaves_what_was_there(tmp_path):
     _, errors = run.communicate(timeout=300)
     assert run.returncode == 2, errors
     assert errors.splitlines()[-1].endswith("out.nc: it cannot be written: File too large")
-    assert "Traceback" not in errors and "kept" in errors
+    assert "Traceback" not in errors and "reused" in errors
     assert (tmp_path / "out.nc").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.nc", "out.points"]

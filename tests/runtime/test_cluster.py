@@ -13,7 +13,7 @@ import time
 import numpy as np
 import pytest
 from scene_cases import definitions, letters
-from stopped_runs import Keeper, start_command
+from stopped_runs import CheckpointStore, start_command
 from wave_cases import capture, scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, render_capture
@@ -70,7 +70,7 @@ def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
         if len(done) == 3:
             os.kill(min(processes), signal.SIGKILL)
 
-    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=Keeper(save=kill_one)))
+    shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=CheckpointStore(save=kill_one)))
     np.testing.assert_array_equal(shared, alone)
     # It was in the midst of the work, not at its end, that the worker died.
     assert len(done) > 10
@@ -80,9 +80,9 @@ def test_a_worker_that_is_killed_costs_no_bit(cluster, tiny_groups):
 
 def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
     positions, weights = radiators(20)
-    keeper = Keeper()
+    keeper = CheckpointStore()
     alone = capture(SMALL, positions, weights, job=Job(keeper=keeper))
-    half = Keeper(keeper.kept[len(keeper.kept) // 2])
+    half = CheckpointStore(keeper.kept[len(keeper.kept) // 2])
     shared = capture(SMALL, positions, weights, job=Job(batch_map=cluster, keeper=half))
     np.testing.assert_array_equal(shared, alone)
 
@@ -121,7 +121,7 @@ def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_
 
             return call(watch())
 
-    keeper = Keeper(save=lambda state: behind.append(len(made) - state.partial.batches))
+    keeper = CheckpointStore(save=lambda state: behind.append(len(made) - state.partial.batches))
     capture(SMALL, positions, weights, job=Job(batch_map=Watched(), keeper=keeper))
     assert len(made) > 15
     assert max(behind) <= distributed._AHEAD * 2

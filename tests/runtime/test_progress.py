@@ -77,6 +77,6 @@ def test_a_command_loads_no_other(python):
     import sys
     from mitsuba_plenoptic.cli import main
     status = main(["render", "nosuch", "-o", "x.exr"])
-    print(status, "xarray" in sys.modules, "mitsuba_plenoptic.cli.depth" in sys.modules)
+    print(status, "xarray" in sys.modules, "mitsuba_plenoptic.cli.light_field" in sys.modules)
     """
     assert python(code).stdout == "2 False False\n"

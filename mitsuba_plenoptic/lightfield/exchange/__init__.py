@@ -1,7 +1,13 @@
 """Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
 
-from .files import open_light_field, open_micro_images, require_light_field_path, save_light_field
-from .labelled import read_labelled, write_labelled
+from .files import (
+    open_light_field,
+    open_micro_images,
+    read_labelled,
+    require_light_field_path,
+    save_light_field,
+    write_labelled,
+)
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
 

@@ -6,7 +6,7 @@ manual calls the first four axes t, s, v, u, with the letters of pupil and field
 
 ``LensletGridModel`` describes the micro-image centres: spacings, the offset of the first centre, rotation, counts, and
 ``FirstPosShiftRow``, the first (1 or 2) of the rows that are shifted by half a spacing. Its pixels are counted from
-1 and centred on whole numbers, ours cover [k, k + 1), so that offsets differ by a half.
+1 and centred on integers, ours cover [k, k + 1), so that offsets differ by a half.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import scipy.io
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, require_choice, require_number
+from ...errors import InputError, refuse_if, require_choice, require_number
 from ...io.files import atomic_output, require_file
-from ...io.tables import h5py_module, stored_array
+from ...io.plain_data import h5py_module, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
@@ -39,7 +39,7 @@ _HEADER, _PACKED, _PIECE = 128, 15, 2**20
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
 
-# MATLAB's version 5 files hold at most so many bytes in one variable.
+# MATLAB's version 5 files hold at most this number of bytes in one variable.
 _MAX_BYTES = 2**31 - 1
 
 # MATLAB's names of the arrays that a light field may be.
@@ -75,8 +75,10 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         values = values[..., None]
     kind = np.dtype(_TYPES[precision])
     size = values[..., 0].size * (values.shape[4] + 1) * kind.itemsize
-    if size > _MAX_BYTES:
-        raise InputError(f"{path}: a light field of shape {lf.shape} takes {size} bytes; the format holds {_MAX_BYTES}")
+    refuse_if(
+        size > _MAX_BYTES,
+        f"{path}: a light field of shape {lf.shape} takes {size} bytes; the format holds {_MAX_BYTES}",
+    )
     peak = float(values.max(initial=0)) or 1.0
     if kind.kind == "f":
         peak = 1.0
@@ -148,8 +150,10 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
 
 
 def _check(shape: tuple[int, ...]) -> None:
-    if len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1:
-        raise InputError(f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels")
+    refuse_if(
+        len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1,
+        f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels",
+    )
     require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
 
 
@@ -167,8 +171,7 @@ def _require_unpacked(path: Path) -> None:
                 while piece:
                     left -= len(unpacking.decompress(piece, _PIECE))
                     piece = unpacking.unconsumed_tail
-                    if left < 0:
-                        raise InputError(f"it unpacks into more than {limit} bytes, which is what may be taken")
+                    refuse_if(left < 0, f"it unpacks into more than {limit} bytes, which is what may be taken")
             file.seek(end)
 
 
@@ -177,8 +180,7 @@ def _read_version_5(path: Path) -> dict[str, Any]:
     variables = scipy.io.whosmat(path)
     for name, shape, kind in variables:
         if name == "LF":
-            if kind not in _NUMERIC:
-                raise InputError("LF is not an array of numbers")
+            refuse_if(kind not in _NUMERIC, "LF is not an array of numbers")
             _check(shape)
     # One number, one structure, or one line of text.
     small = [
@@ -188,10 +190,8 @@ def _read_version_5(path: Path) -> dict[str, Any]:
         if math.prod(shape) == 1
     ]
     found = scipy.io.loadmat(path, variable_names=["LF", *small], simplify_cells=True)
-    if "LF" not in found:
-        raise InputError("it has no variable LF")
-    if found["LF"].dtype.kind not in "fiu":
-        raise InputError("LF is not an array of numbers")
+    refuse_if("LF" not in found, "it has no variable LF")
+    refuse_if(found["LF"].dtype.kind not in "fiu", "LF is not an array of numbers")
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from ...errors import InputError, require_choice, require_count
+from ...errors import InputError, refuse_if, require_choice, require_count
 from ...io.files import atomic_output, native_output_dropped, require_file
 from ...runtime.limits import require_memory
 from ..geometry import light_field, require_light_field
@@ -154,8 +154,10 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear:
     image = read_picture(path, linear=linear)
     views = require_count("views", views, maximum=min(image.shape[:2]))
     rows, columns = image.shape[:2]
-    if rows % views or columns % views:
-        raise InputError(f"{path}: {columns} x {rows} pixels are not a whole number of {views} x {views} views")
+    refuse_if(
+        rows % views or columns % views,
+        f"{path}: {columns} x {rows} pixels are not a whole number of {views} x {views} views",
+    )
     rest = image.shape[2:]
     if layout == "lenses":
         values = image.reshape(rows // views, views, columns // views, views, *rest)

@@ -12,7 +12,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError
 from ...optics import guards
 from ...runtime.batches import Threads
-from ...runtime.jobs import Job, Task
+from ...runtime.jobs import Job, SumTask
 from ...runtime.limits import single_threaded_blas
 from ...system.optical_system import OpticalSystem
 from ..mixing import groups, mix
@@ -76,12 +76,12 @@ class Differentials:
             numbers = list(range(len(directions)))
             parts += [(wavelength, some, numbers[first : first + step]) for first in range(0, len(directions), step)]
 
-        def tasks() -> Iterator[Task]:
+        def tasks() -> Iterator[SumTask]:
             for wavelength, some, which in parts:
                 plan = self._plan(wavelength, job, len(which) * len(some))
                 push = partial(plan.push, weights[:, some], [directions[number] for number in which])
                 own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
-                yield Task(len(self._points), push, partial(mix, matrix=own))
+                yield SumTask(len(self._points), push, partial(mix, matrix=own))
 
         with guards.watch():
             shape = (*self._camera.shape, len(directions) * len(matrix))

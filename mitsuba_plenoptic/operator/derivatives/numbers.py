@@ -14,7 +14,7 @@ from ...camera import PlenopticCamera
 from ...camera.entry import Captures
 from ...camera.parameters import with_gradient
 from ...camera.vector import change_of, parts_of, size_of
-from ...errors import InputError, did_you_mean, require_number, shown
+from ...errors import InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...runtime.backend import array_module
 from ...system.microlens_derivatives import VaryingMicrolenses
@@ -48,7 +48,7 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
     for name in names:
         if name not in NUMBERS:
             raise InputError(
-                f"{shown(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}"
+                f"{short_repr(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}"
                 f"{did_you_mean(name, NUMBERS)}"
             )
     return tuple(names)
@@ -57,7 +57,7 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
 def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
     """Return changes of parameters by name, each of all parts that `values_of` returns; others are refused."""
     if not isinstance(changes, dict):
-        raise InputError(f"changes = {shown(changes)}: they must be numbers by name")
+        raise InputError(f"changes = {short_repr(changes)}: they must be numbers by name")
     check_names(changes)
     checked = {}
     for name, change in changes.items():
@@ -65,7 +65,7 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
         numbers = np.array([require_number(name, number) for number in np.ravel(np.asarray(change, object)).tolist()])
         checked[name] = numbers if name == WAVELENGTH else change_of(camera, name, numbers)
         if len(checked[name]) != size:
-            raise InputError(f"{name} = {shown(change)}: its change must be {size} number{'s' * (size > 1)}")
+            raise InputError(f"{name} = {short_repr(change)}: its change must be {size} number{'s' * (size > 1)}")
     return checked
 
 

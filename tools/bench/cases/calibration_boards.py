@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mitsuba_plenoptic import PlenopticCamera, calibrate, render_capture
-from mitsuba_plenoptic.calibration import Board, LensIndex, board_scene, camera_centres, detect_corners, joined
+from mitsuba_plenoptic.calibration import Board, LensIndex, board_scene, camera_centres, concatenate, detect_corners
 from mitsuba_plenoptic.calibration.model import Observations, predict
 from mitsuba_plenoptic.calibration.numbers import numbers_of
 from mitsuba_plenoptic.calibration.observations import observations
@@ -88,7 +88,7 @@ def round_trip(*, seeds: int = 40, spp: int = 128) -> Iterator[Row]:
             picture = render_capture(scene, spp=spp, seed=seed * len(poses) + frame).image
             noisy = generator.poisson(ROUND_TRIP_PHOTONS * picture.clip(0).astype(float)) / ROUND_TRIP_PHOTONS
             tables.append(detect_corners(noisy, white, centres, board, frame=frame))
-        corners = joined(tables)
+        corners = concatenate(tables)
         found = calibrate(corners, board, start)
         rows, _ = observations(corners, board, LensIndex(0.5, 1, (0, 0)))
         errors.append(combined_errors(rows, found.evaluation.residuals, poses, errors[0] if errors else None))

@@ -23,7 +23,7 @@ from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
 from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radiance_weight
-from mitsuba_plenoptic.runtime.jobs import Task
+from mitsuba_plenoptic.runtime.jobs import SumTask
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
 from mitsuba_plenoptic.thin_lens import conjugate_distance
@@ -225,4 +225,6 @@ def capture(plan: PhaseSpace, camera: PlenopticCamera, wall: Wall, samples: int,
     """Capture the wall by signed rays."""
     work = SignedRaySum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], parts=parts, spp=samples, seed=seed)
     items = int(work.items.sum())
-    return Job().run([Task(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
+    return (
+        Job().run([SumTask(items, lambda: work, lambda image: image)], (*camera.shape, 1), items)[..., 0].astype(float)
+    )

@@ -1,4 +1,4 @@
-"""The paper "Wave-Optical Reconstruction of Plenoptic Camera Images", computed again in one go."""
+"""Rays against waves on one scene: a comparison for any scene, and the reproduction of the paper."""
 
 from __future__ import annotations
 
@@ -11,17 +11,56 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, require_choice
+from ..errors import InputError, refuse_if, require_choice
 from ..io.captures import read_capture
 from ..reconstruction import reconstruct
 from ..runtime.variant import set_variant
 from .claims import check_claims, timing_table
 from .experiment import METHODS, Settings, open_store, run_experiment
 from .figures import draw_comparison, figure_2, figure_4
-from .framing import letter_zooms
+from .framing import brightest_zoom, letter_zooms
 from .measurements import measure
 from .page import Report, write_report
 from .stage_store import StageOptions
+
+
+def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
+    """Capture a scene by rays and by waves, refocus it by every method, and report how they differ.
+
+    The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
+    diffraction is the only difference.
+    """
+    refuse_if(not settings.distances, "distance: give at least one to refocus to")
+    store = open_store(output, stages)
+    experiment = run_experiment(settings, store)
+    numbers = measure(experiment)
+    zooms = [brightest_zoom(experiment)]
+    columns, rows = experiment.camera.bin_count
+    name = Path(settings.scene).stem.replace("_", " ")
+    report = Report(
+        title=f"Rays and waves: {name}",
+        lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
+        f"{settings.wavelength:g} nm, and refocused from one capture.",
+        experiment=experiment,
+        numbers=numbers,
+        zooms=zooms,
+        plates=draw_comparison(output, experiment, numbers, zooms),
+        command=_command(settings),
+    )
+    return write_report(output, report)
+
+
+def _command(settings: Settings) -> str:
+    words = ["mitsuba-plenoptic compare", settings.scene]
+    words += [f"--distance {distance:g}" for distance in settings.distances]
+    words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
+    words += [
+        f"--wavelength {settings.wavelength:g}",
+        f"--spp {settings.spp}",
+        f"--variant {settings.variant}",
+    ]
+    return " ".join(words)
+
 
 # The methods of the paper's comparison.
 TIMED = ("ray", "coherent", "partial")

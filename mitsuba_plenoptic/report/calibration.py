@@ -1,4 +1,4 @@
-"""The report on a calibration: one HTML file with its numbers, residuals and poses."""
+"""The report on a calibration: one HTML file with its parameters, residuals and poses."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from ...calibration import Board, Calibration, ResidualMap, Table, residual_map
-from ...calibration.model import UNITS
-from ...calibration.observations import placed
-from ...calibration.residuals import field_cells, group_means
-from ...io.files import atomic_output
+from ..calibration import Board, Calibration, ResidualMap, Table, residual_map
+from ..calibration.model import UNITS
+from ..calibration.observations import placed
+from ..calibration.result import field_cells, group_means
+from ..io.files import atomic_output
+from .page import template
 
 # Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
 _CELLS = 24
@@ -31,14 +31,6 @@ def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
 ) -> None:
     """Write the report on a calibration."""
-    folder = Path(__file__).parent
-    environment = Environment(
-        loader=FileSystemLoader([folder, folder.parent / "page"]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     size, seen = calibration.camera.crop_size, calibration.evaluation
     outliers = seen.outliers
     lens = residual_map(calibration, board, corners, "lens", 1)
@@ -50,12 +42,12 @@ def write_calibration_report(
     )
     maps = [("Corners", _arrows(field.key, field.mean, size))]
     if centres is not None:
-        kept = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
-        middle, cell = field_cells(centres.pixel[kept], size[0] / _CELLS)
-        means = group_means(-calibration.centre_residuals[kept], cell)[1]
+        used = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
+        middle, cell = field_cells(centres.pixel[used], size[0] / _CELLS)
+        means = group_means(-calibration.centre_residuals[used], cell)[1]
         maps.append(("Centres of micro-images", _arrows(middle, means, size)))
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
-    page = environment.get_template("calibration.html").render(
+    page = template("calibration.html").render(
         calibration=calibration,
         seen=seen,
         outliers=outliers + 2,
@@ -85,7 +77,7 @@ def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[t
 
 
 def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
-    """Return place and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
+    """Return position and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
     place = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
     dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
     return [tuple(mark) for mark in np.column_stack([place.round(1), dark.round(2)]).tolist()]

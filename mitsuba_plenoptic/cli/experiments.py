@@ -1,0 +1,237 @@
+"""Commands that run whole experiments: ``compare``, ``sweep``, ``dataset``, and ``reproduce`` for the paper."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .. import reconstruction
+from ..bounds import require_wavelength
+from ..capture.render import MOST_SAMPLES
+from ..errors import InputError, require_count, require_number
+from ..runtime.progress import progress_bar
+from ..runtime.variant import DEFAULT_VARIANT
+from .inputs import (
+    Definitions,
+    Distances,
+    Model,
+    OutputFolder,
+    ResumeOnly,
+    Samples,
+    Scene,
+    Scheduler,
+    Seed,
+    Variant,
+    Workers,
+    batches_on,
+    number,
+    output_option,
+    parse_definitions,
+)
+from .terminal import stage_lines
+
+
+def compare(
+    scene: Scene,
+    output: OutputFolder,
+    distance: Distances,
+    wavelength: Annotated[float, number("Wavelength in nanometres.", unit="NM")] = 633.0,
+    spp: Annotated[int, number("Samples per pixel, by rays and by waves.")] = 16,
+    resume: ResumeOnly = False,
+    define: Definitions = None,
+    variant: Annotated[
+        str, typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono.")
+    ] = "llvm_ad_mono",
+) -> None:
+    """Capture a scene by rays and by waves, refocus it by every method, and compare.
+
+    Writes figures, captures and reconstructions, all results and report.html,
+    which shows them in a browser. The ray capture has parabolic lenses, so that
+    diffraction is its only difference from the wave capture. A run that was
+    stopped resumes where it was.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic compare chart -o chart --distance 210 --distance 240
+
+      mitsuba-plenoptic compare still_life -o still_life --distance 215
+      --distance 258 -D resolution=2048 -D detector_width=4.096
+    """
+    # Figures need libraries that take a second to load, which other commands need not wait for.
+    from ..report.comparison import compare as compute
+    from ..report.experiment import Settings
+    from ..report.metrics import ssim_text
+
+    settings = Settings(
+        scene=scene,
+        distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
+        parameters=parse_definitions(define),
+        wavelength=require_wavelength(wavelength),
+        spp=require_count("spp", spp, maximum=MOST_SAMPLES),
+        noise=spp > 1,
+        variant=variant,
+    )
+    with stage_lines(resume) as stages:
+        results = compute(settings, output, stages=stages)
+    found = results["captures"]
+    similarity = ssim_text(found["ssim"])
+    typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {similarity}, energy {found['energy']:.3f}")
+    found = found["difference"]
+    if found["all"]["noise"] is None:
+        typer.echo("Noise: not known of one sample; use --spp 2 or more")
+    elif found["all"]["noise_alone"]:
+        typer.echo(f"They differ by {found['all']['measured']:.2%}, which noise alone explains; use more --spp")
+    else:
+        typer.echo(
+            f"They differ by {found['all']['measured']:.2%}: noise {found['all']['noise']:.2%}, diffraction "
+            f"{found['all']['true']:.2%} ({found['middle']['true']:.2%} in the middle of micro-images, "
+            f"{found['rim']['true']:.2%} at their rim)"
+        )
+    typer.echo(f"{output / 'report.html'}: open it in a browser")
+
+
+def sweep(
+    scene: Scene,
+    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write.")],
+    grid: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=V1,V2,...",
+            help="One name of the grid and its values: a $NAME of the scene, 'wavelength' in nanometres, or "
+            "'distance' to refocus to; repeat for several.",
+        ),
+    ] = None,
+    model: Model = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(reconstruction.METHODS), show_default="ray", help="How captures are refocused."),
+    ] = None,
+    spp: Samples = None,
+    seed: Seed = 0,
+    resume: ResumeOnly = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    define: Definitions = None,
+    variant: Variant = None,
+) -> None:
+    """Render a scene over a grid of cameras and wavelengths, refocus to distances.
+
+    Writes one labelled dataset, which xarray opens. Every point is stored in a
+    folder next to it (FILE.points): a sweep that was stopped, or whose grid has
+    grown, computes only what is missing.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic sweep letters -o sweep.nc --vary aperture_radius=3,4,5
+      --vary distance=210,240,280
+
+      mitsuba-plenoptic sweep letters -o colours.nc --model wave
+      --vary wavelength=450,550,633 --workers 4
+
+      mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
+    """
+    # Datasets need libraries that take a second to load, which other commands need not wait for.
+    from ..report.sweep import SweepSettings, check_grid, merge_grids, parse_grid, read_grid
+    from ..report.sweep import sweep as compute
+
+    wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    if method is not None and "distance" not in wanted:
+        raise InputError("--method: nothing is refocused without a 'distance' in the grid; leave it out")
+    settings = SweepSettings(
+        scene=scene,
+        parameters=parse_definitions(define),
+        model=model,
+        spp=spp,
+        seed=seed,
+        method=method or "ray",
+        variant=variant or DEFAULT_VARIANT,
+    )
+    with batches_on(workers, scheduler) as batch_map, stage_lines(resume) as stages:
+        dataset = compute(settings, wanted, output, batch_map=batch_map, stages=stages)
+    axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
+    typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")
+
+
+_log = logging.getLogger(__name__)
+
+
+def dataset(
+    recipe: Annotated[Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.")],
+    output: OutputFolder,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", show_default="this process", help="Number of processes of this machine to render on."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Render on the workers of this Dask scheduler, which must see the output and the scenes under the "
+            "same names.",
+        ),
+    ] = None,
+) -> None:
+    """Make a data set: random scenes captured by rays and by waves, with ground truth.
+
+    Run it again to resume after it was stopped, or to let it grow to a larger
+    count: the files have the same bits. The folder holds shards (HDF5), a data
+    card (README.md), a preview, and checksums.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic dataset shapes.yaml -o shapes --workers 2
+    """
+    # Data sets need libraries that take a second to load.
+    from ..dataset import make_dataset, read_recipe
+
+    wanted = read_recipe(recipe)
+    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
+        try:
+            made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
+        except KeyboardInterrupt:
+            _log.info("stopped at %.0f %%: the same command resumes", 100 * progress.fraction)
+            raise
+    size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
+    typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")
+
+
+def reproduce(
+    output: OutputFolder,
+    preset: Annotated[
+        str,
+        typer.Option(
+            metavar="quick|paper",
+            help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels.",
+        ),
+    ] = "quick",
+    resume: ResumeOnly = False,
+) -> None:
+    """Compute the paper's figures, timing and conclusions again.
+
+    Writes figures, captures and reconstructions, all results and report.html,
+    which shows them in a browser. Valid results that the folder already
+    holds are reused: a run that was stopped resumes where it was, even within
+    the wave capture.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic reproduce -o demo
+
+      mitsuba-plenoptic reproduce --preset paper -o paper
+    """
+    # Figures need libraries that take a second to load, which other commands need not wait for.
+    from ..report.comparison import reproduce as compute
+
+    with stage_lines(resume) as stages:
+        results = compute(output, preset=preset, stages=stages)
+    for claim in results["claims"]:
+        typer.echo(f"{claim['verdict']:<15} {claim['statement']}")
+    typer.echo(f"{output / 'report.html'}: open it in a browser")

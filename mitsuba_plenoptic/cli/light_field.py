@@ -1,0 +1,270 @@
+"""Commands on light fields: ``views``, ``epi``, ``stack``, ``depth``, and ``convert`` to other formats."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..io.files import require_apart
+from ..lightfield import depth_error, depth_map, epipolar_image, focal_stack, pick_views
+from ..lightfield.depth import is_focused
+from ..lightfield.exchange import open_light_field, open_micro_images, require_light_field_path, save_light_field
+from ..lightfield.refocus import METHODS
+from ..lightfield.views import AXES
+from ..report.output_files import require_picture_path, write_depth, write_epipolar_image, write_stack, write_views
+from ..runtime.progress import progress_bar
+from .inputs import (
+    CameraFile,
+    Distances,
+    Exposure,
+    LightFieldSource,
+    Linear,
+    Percentile,
+    Truth,
+    ViewCount,
+    White,
+    brightness_of,
+    named_camera,
+    number,
+    output_option,
+)
+
+
+def views(
+    source: LightFieldSource,
+    output: Annotated[
+        Path,
+        output_option(
+            "FILE", "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png."
+        ),
+    ],
+    count: Annotated[int | None, number("Write N x N views, evenly spread over the pupil.", "all")] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+    truth: Truth = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
+) -> None:
+    """Show the scene from many positions on the main lens.
+
+    Each view is an image with one pixel a lens, as a camera with a small
+    aperture at that position would take it. The mosaic shows the views as they
+    lie on the pupil, the upper left first, seen from behind the camera.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic views raw.exr -o views.png --count 5
+
+      mitsuba-plenoptic views raw.exr -o centre.png --count 1
+    """
+    require_apart(require_picture_path(output), source, white, truth)
+    brightness = brightness_of(exposure, percentile, output)
+    lf = open_light_field(
+        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
+    )
+    if count is not None:
+        lf = pick_views(lf, count)
+    write_views(output, lf, brightness)
+    typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
+
+
+def epi(
+    source: LightFieldSource,
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png four times as large.")],
+    axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
+    at: Annotated[
+        float | None,
+        number(
+            "Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+            "nearest to the axis",
+            unit="MM",
+        ),
+    ] = None,
+    through: Annotated[
+        float | None,
+        number(
+            "Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
+            "nearest to the middle",
+            unit="MM",
+        ),
+    ] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
+) -> None:
+    """Show one line of the scene from every view along the same direction.
+
+    A point of the scene draws a line: upright in focus, slanted by its depth.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
+    """
+    require_apart(require_picture_path(output), source, white)
+    brightness = brightness_of(exposure, percentile, output)
+    image = epipolar_image(
+        open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
+        axis,
+        at=at,
+        through=through,
+    )
+    write_epipolar_image(output, image, brightness)
+    rows, columns = image.shape[:2]
+    typer.echo(f"{output}: {rows} views of {columns} pixels")
+
+
+def stack(
+    source: LightFieldSource,
+    output: Annotated[
+        Path,
+        output_option(
+            "FILE",
+            "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
+            "in .png.",
+        ),
+    ],
+    distance: Distances,
+    method: Annotated[
+        str, typer.Option(metavar="|".join(METHODS), help="Shift views and add, or slice the spectrum.")
+    ] = "shift",
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
+) -> None:
+    """Make a focal stack: one image for each distance, in focus there and blurred elsewhere.
+
+    The capture is decoded into views, which are moved against each other and
+    added. All images have the same size, one pixel per microlens.
+    'reconstruct' refocuses the capture itself, by rays and by waves.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
+    """
+    require_apart(require_picture_path(output), source, white)
+    brightness = brightness_of(exposure, percentile, output)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    with progress_bar("Refocusing") as progress:
+        images = focal_stack(lf, distance, method=method, progress=progress)
+    write_stack(output, images, brightness)
+    rows, columns = images.shape[1:3]
+    typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")
+
+
+_LITTLE = 0.1
+"""Fraction of the bins with a confidence above half, below which a user is warned."""
+
+
+def depth(
+    source: LightFieldSource,
+    output: Annotated[
+        Path,
+        output_option(
+            "FILE",
+            "File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
+            "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence.",
+        ),
+    ],
+    near: Annotated[
+        float | None, number("Nearest distance to search.", "as near as the capture shows depth", unit="MM")
+    ] = None,
+    far: Annotated[
+        float | None, number("Farthest distance to search.", "as far as the capture shows depth", unit="MM")
+    ] = None,
+    planes: Annotated[int | None, number("Number of distances to try.", "64, more for a wide search")] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+    truth: Truth = None,
+    exposure: Exposure = None,
+    percentile: Percentile = None,
+) -> None:
+    """Estimate depth, and an image in focus everywhere, from how well the views agree.
+
+    Depth is measured from the main lens along the axis. The confidence is an
+    estimate of the probability that it is within 1 %; below half the depth is
+    unknown. It is 0 where the views agree best at an end of the search. Where
+    ground truth is known, the depth's error is printed.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
+    """
+    require_apart(require_picture_path(output), source, white, truth)
+    brightness = brightness_of(exposure, percentile, output)
+    known = named_camera(camera)
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)
+    images = None
+    if lf.attrs.get("camera") and is_focused(lf):
+        images = open_micro_images(source, white=white, linear=linear, camera=known)
+    with progress_bar("Comparing views") as progress:
+        found = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
+    write_depth(output, found, brightness)
+    sure = found.confidence > 0.5
+    where = found.depth.where(sure)
+    fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
+    if float(sure.mean()) < _LITTLE:
+        warnings.warn(
+            "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
+            "farther than --far; look at the confidence before you use a depth",
+            stacklevel=2,
+        )
+    span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
+    typer.echo(f"{output}: {fraction}{span}")
+    if "truth" in found and (error := depth_error(found)).share:
+        typer.echo(
+            f"error there against ground truth: median {error.median:.2%} of the distance, 90th percentile "
+            f"{error.percentile_90:.2%}"
+        )
+
+
+def convert(
+    source: LightFieldSource,
+    output: Annotated[
+        Path,
+        output_option(
+            "FILE",
+            "File to write: .nc or .zarr for NetCDF or Zarr, .mat for LFToolbox, .eslf.png for the samples of each "
+            "lens together, .png for a 16-bit mosaic of views.",
+        ),
+    ],
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+    truth: Truth = None,
+) -> None:
+    """Decode a capture into a light field, or translate between formats of light fields.
+
+    NetCDF and Zarr keep all about it, axes, weights and camera, for xarray and
+    for the other commands.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic convert raw.exr -o lf.nc
+
+      mitsuba-plenoptic convert raw.exr -o lf.mat
+
+      mitsuba-plenoptic convert photo.png --white white.png -o lf.mat
+
+      mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
+    """
+    require_light_field_path(output)
+    require_apart(output, source, white, truth)
+    lf = open_light_field(
+        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
+    )
+    save_light_field(output, lf)
+    typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -1,0 +1,250 @@
+"""The report: all results as JSON, and one HTML file with everything in it, to be opened from anywhere."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from PIL import Image
+
+from .. import design
+from ..io.files import atomic_output
+from .claims import Claim
+from .design_sheet import design_sheet
+from .experiment import SLIDER_METHODS, TITLES, Experiment
+from .framing import Window, Zoom, common_peak, lit_window
+from .metrics import ssim_text
+from .output_files import to_bytes
+from .stage_store import software, time_summary, write_json
+
+_EXPLANATIONS = {
+    "truth": "Mitsuba's own thin-lens camera, focused at the distance",
+    "ray": "each pixel is followed back as rays through its lens",
+    "coherent": "one field, propagated back as if all light were coherent",
+    "partial": "four subsets of lenses, each coherent in itself",
+}
+
+
+@dataclass(frozen=True)
+class Report:
+    """The content of a report."""
+
+    # Headline and the sentence under it.
+    title: str
+    lead: str
+    experiment: Experiment
+    numbers: dict[str, Any]
+    # Places on the detector that a button leads to.
+    zooms: Sequence[Zoom]
+    # Captions of the figures by their files' names.
+    plates: dict[str, str]
+    # What makes the report again, without the folder.
+    command: str
+    # The paper's conclusions; none for other scenes.
+    claims: Sequence[Claim] = field(default=())
+    # Rows as from `timing_table`; none for other scenes.
+    timing: Sequence[dict[str, Any]] = field(default=())
+
+
+def write_report(folder: Path, report: Report) -> dict[str, Any]:
+    """Write ``results.json`` and ``report.html`` into the folder that holds the figures; return the results."""
+    experiment = report.experiment
+    results = {
+        "command": report.command,
+        "settings": asdict(experiment.settings),
+        "camera": experiment.camera.to_dict(),
+        "software": software(),
+        **report.numbers,
+        "timing": list(report.timing),
+        "claims": [asdict(claim) for claim in report.claims],
+        "stage_seconds": experiment.seconds,
+    }
+    write_json(folder / "results.json", results)
+    with atomic_output(folder / "report.html") as temporary:
+        temporary.write_text(_page(folder, report), encoding="utf-8")
+    return results
+
+
+def template(name: str) -> Template:
+    """Load a page's template."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "prose": _prose,
+        "number": format,
+        "ratio": _ratio,
+        "first_upper": lambda text: text[:1].upper() + text[1:],
+        "ssim": ssim_text,
+    }
+    return environment.get_template(name)
+
+
+def _prose(text: str) -> str:
+    """Set quotation marks and apostrophes as books do."""
+    return re.sub(r'"(.*?)"', "“\\1”", text.replace("'", "\N{RIGHT SINGLE QUOTATION MARK}"))
+
+
+def _ratio(value: float) -> str:
+    """Write a ratio with two digits that mean something and no exponent."""
+    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def _page(folder: Path, report: Report) -> str:
+    experiment = report.experiment
+    camera, wavelength = experiment.camera, experiment.settings.wavelength
+    window = report_window(experiment)
+    return template("page.html").render(
+        report=report,
+        experiment=experiment,
+        numbers=report.numbers,
+        titles=TITLES,
+        explanations=_EXPLANATIONS,
+        folder=folder.name,
+        spot=design.spot_radius(camera, wavelength) / camera.pixel_size,
+        pictures=captures(experiment, window),
+        geometry=geometry(experiment, report.zooms, window),
+        distances=shown_distances(experiment),
+        screen=window.of(next(iter(experiment.truths.values()))).shape,
+        refocus=reconstructions(experiment, report.numbers, window),
+        plates=[plate(folder / name, caption) for name, caption in report.plates.items()],
+        sheet=groupby(design_sheet(camera, wavelength), key=lambda row: row.group),
+        warnings=design.design_warnings(camera, wavelength),
+        facts=_facts(experiment, report.numbers),
+    )
+
+
+def _facts(experiment: Experiment, numbers: dict[str, Any]) -> list[tuple[str, str]]:
+    """List what the experiment was made with."""
+    settings = experiment.settings
+    return [
+        ("Wavelength", f"{settings.wavelength:g} nm"),
+        ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
+        *_points(settings.points, numbers["captures"]["points"]),
+        ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
+        ("Scene", settings.scene),
+        *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
+        ("Mitsuba variant", settings.variant),
+        *(
+            (f"Version of {name}", str(version))
+            for name, version in sorted(experiment.wave.metadata.get("software", {}).items())
+        ),
+        ("Time", time_summary(experiment.seconds)),
+    ]
+
+
+def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str, str]]:
+    """State how far the wave capture is from that of points."""
+    if found is None:
+        return []
+    apart = f"{found['relative_error']:.2%} (relative L2, with the noise of both), energy {found['energy']:.4f}"
+    return [(f"Wave capture against {count} points per lens, each propagated by itself", apart)]
+
+
+# Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
+_CAPTURE_BYTES = 3_500_000
+_QUALITIES = (85, 70, 50, 30)
+
+
+def report_window(experiment: Experiment) -> Window:
+    """Return the part of the field that the page shows."""
+    return lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
+
+
+def captures(experiment: Experiment, window: Window) -> dict[str, str]:
+    """Encode the captures, of one scale, as pictures of bounded size."""
+    ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
+    peak = float(np.quantile(ray[ray > 0.05 * ray.max()], 0.98)) if ray.max() > 0 else 1.0
+    return {"ray": _webp(ray, peak), "wave": _webp(wave, peak)}
+
+
+def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
+    """Return the size of the capture's cut-out, and the positions to zoom to in fractions of it."""
+    rows, columns = experiment.wave.image.shape
+    height, width = window.of(experiment.wave.image).shape
+    top, left = round(window.top * rows), round(window.left * columns)
+    return {
+        "width": width,
+        "height": height,
+        "pixel": experiment.camera.pixel_size,
+        "regions": [
+            {
+                "x": ((zoom.columns.start + zoom.columns.stop) / 2 - left) / width,
+                "y": ((zoom.rows.start + zoom.rows.stop) / 2 - top) / height,
+                "size": (zoom.columns.stop - zoom.columns.start) / width,
+            }
+            for zoom in zooms
+        ],
+    }
+
+
+def shown_distances(experiment: Experiment) -> list[float]:
+    """List the distances of the slider."""
+    return sorted({*experiment.settings.slider, *experiment.settings.distances})
+
+
+def reconstructions(experiment: Experiment, numbers: dict[str, Any], window: Window) -> dict[str, Any]:
+    """Return pictures by method and distance, with the metrics of those that have some."""
+    distances = shown_distances(experiment)
+    peak = common_peak([experiment.truths[distance] for distance in distances], window)
+    facts: dict[str, dict[str, list[list[str]]]] = {}
+    for row in numbers["reconstructions"]:
+        metrics = [
+            ["PSNR", f"{row['psnr']:.1f} dB"],
+            ["SSIM", ssim_text(row["ssim"])],
+            ["Energy", f"{row['energy']:.3f}"],
+        ]
+        if "interference" in row:
+            metrics.append(["Interference", f"{row['interference']:.1%}"])
+        facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = metrics
+    return {
+        "distances": [float(f"{distance:g}") for distance in distances],
+        "images": {
+            name: {f"{distance:g}": _png(window.of(experiment.image(name, distance)), peak) for distance in distances}
+            for name in ("truth", *SLIDER_METHODS)
+        },
+        "facts": facts,
+    }
+
+
+def plate(path: Path, caption: str) -> dict[str, Any]:
+    """Take a figure into the page."""
+    content = path.read_bytes()
+    width, height = Image.open(io.BytesIO(content)).size
+    return {"source": _data_url("png", content), "width": width, "height": height, "caption": caption}
+
+
+def _webp(image: np.ndarray, peak: float) -> str:
+    picture = Image.fromarray(to_bytes(image, peak))
+    content = b""
+    for quality in _QUALITIES:
+        content = _encoded(picture, format="WEBP", quality=quality, method=4)
+        if len(content) <= _CAPTURE_BYTES:
+            break
+    return _data_url("webp", content)
+
+
+def _png(image: np.ndarray, peak: float) -> str:
+    return _data_url("png", _encoded(Image.fromarray(to_bytes(image, peak)), format="PNG", optimize=True))
+
+
+def _encoded(picture: Image.Image, **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, **options)
+    return buffer.getvalue()
+
+
+def _data_url(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
