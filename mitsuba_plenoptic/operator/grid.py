@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..lattice import turn
 from ..lenses.fitted_lens import lens_of_waves
 from ..lenses.main_lens import MainLens
 from ..optics.phase import in_millimetres
+from ..system.microlens_orders import MicrolensArray
 from ..system.microlenses import diffraction, scattering, upright
 from ..system.sampling import check_samples, fast_length, footprint
 
@@ -96,6 +98,11 @@ class Grid:
     cosine: float
     pitch: NDArray[np.float64]
     origin: NDArray[np.float64]
+
+    @cached_property
+    def microlenses(self) -> MicrolensArray:
+        """The microlenses in the frame of their lattice."""
+        return MicrolensArray(self.camera, self.wavelength)
 
     @property
     def lens_samples(self) -> NDArray[np.int64]:

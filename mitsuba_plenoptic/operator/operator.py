@@ -253,7 +253,7 @@ class CaptureOperator:
         if not checked:
             raise InputError("directions: give at least one")
         wavelengths, matrix = self._mixing(factors.shape[1])
-        image = self._for_derivatives().push(factors, checked, wavelengths, matrix, job or Job())
+        image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
         made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
         flat = np.ndim(weights) == 1 and len(matrix) == 1
         return np.ascontiguousarray(made[..., 0] if flat else made)
@@ -293,7 +293,7 @@ class CaptureOperator:
         wavelengths, matrix = self._mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
-        return self._for_derivatives().pull(factors, channels, chosen, wavelengths, matrix, job or Job())
+        return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
 
     def _for_derivatives(self) -> Differentials:
         """Return the derivatives of the sums, or refuse methods that have none."""

@@ -19,14 +19,14 @@ from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
-from ..system.microlenses import is_separable
 from ..system.sampling import check_memory
 from .accuracy import band_for, wavefront_step
 from .grid import Band, Grid, place
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .sharing import ZONES, find_patterns
-from .tile import Copies, Fields, Gather, Scatter, aperture_power, tile_extent
+from .patch_factors import Fields
+from .tile import Copies, Gather, Scatter, aperture_power, tile_extent
 
 _CHUNK = 64
 """Point spreads that are prepared together and added into one tile, at most."""
@@ -144,7 +144,7 @@ class PatchPlan:
         for group in np.split(order, np.flatnonzero(changes) + 1):
             first = group[0]
             across = (self._placement.last[first] - self._placement.first[first]).max() + 2
-            if not is_separable(self._grid.camera):
+            if (0, 1) in self._grid.microlenses.axes:
                 across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
             size = int(min(most, max(1, _CHUNK_BYTES // (8 * across**2))))
             chunks += [group[start : start + size] for start in range(0, len(group), size)]

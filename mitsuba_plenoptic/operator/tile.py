@@ -21,10 +21,8 @@ from ..optics.phase import in_millimetres
 from ..runtime.backend import array_module, backend
 from ..runtime.batches import Box, Part
 from ..runtime.fft import fft2, resting_drjit
-from ..system.microlens_orders import open_fraction
-from .grid import Grid, Placement
 from .patch import PatchBatch, Workspace
-from .pupil_weights import PupilWeights
+from .patch_factors import Fields
 
 _FEWEST_COPIES = 3
 """Copies of a pattern, in the mean, from which on cutting it pays."""
@@ -293,25 +291,6 @@ def tile_extent(
 
 
 @dataclass(frozen=True)
-class Fields:
-    """What the fields of a batch are made of; attributes as of `PatchBatch`."""
-
-    grid: Grid
-    placement: Placement
-    positions: NDArray[np.float64]
-    pupil_weights: PupilWeights | None
-
-    @property
-    def samples(self) -> int:
-        """Samples of all patches."""
-        return int((self.placement.samples**2).sum())
-
-    def make(self, amplitudes: NDArray[np.float64]) -> PatchBatch:
-        """Make them, each times a factor."""
-        return PatchBatch(self.grid, self.placement, self.positions, amplitudes, self.pupil_weights)
-
-
-@dataclass(frozen=True)
 class Scatter:
     """Point spreads to be added, each with factors on its field and on its copies."""
 
@@ -326,7 +305,7 @@ class Scatter:
 
     def prepare(self) -> Callable[[], Part]:
         """Make the fields, and return the function that adds their intensities."""
-        return partial(_sum, self.fields.make(self.amplitudes), self.copies)
+        return partial(_sum, PatchBatch(self.fields, self.amplitudes), self.copies)
 
 
 def _sum(batch: PatchBatch, copies: list[Copies]) -> Part:
@@ -350,7 +329,7 @@ class Gather:
 
     def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
         """Make the fields, and return the function that multiplies their intensities with the tile."""
-        return partial(_products, self.fields.make(np.ones(len(self.copies))), self.copies, self.tile)
+        return partial(_products, PatchBatch(self.fields, np.ones(len(self.copies))), self.copies, self.tile)
 
 
 def _products(batch: PatchBatch, copies: list[Copies], tile: NDArray[np.float32]) -> list[NDArray[np.float64]]:
@@ -362,7 +341,7 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
     """
-    batch, grid = fields.make(np.ones(len(fields.positions))), fields.grid
+    batch, grid = PatchBatch(fields, np.ones(len(fields.positions))), fields.grid
     arrays, types = batch.libraries.arrays, array_module()
     count, directions = batch.mla_samples, batch.pupil.shape[1]
     pitch = batch.samples * grid.pitch / count
@@ -376,7 +355,7 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
             intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
         x0, y0 = grid.origin + batch.corner[point] * grid.pitch
         x, y = types.Float64(x0 + column * pitch[0]), types.Float64(y0 + row * pitch[1])
-        passed = batch.libraries.from_drjit(open_fraction(grid.camera, grid.wavelength, cosine, x, y))
+        passed = batch.libraries.from_drjit(grid.microlenses.open_fraction(cosine, x, y))
         passed = intensity * passed.reshape(count, count)
         result[point] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
     return result

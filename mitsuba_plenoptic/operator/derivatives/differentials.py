@@ -39,7 +39,7 @@ class Differentials:
         self._plans: dict[float, DerivativePlan] = {}
 
     @single_threaded_blas()
-    def push(
+    def jvp(
         self,
         weights: NDArray[np.float64],
         directions: list[Direction],
@@ -74,16 +74,16 @@ class Differentials:
         def tasks() -> Iterator[Task]:
             for wavelength, some, which in parts:
                 plan = self._plan(wavelength, job, len(which) * len(some))
-                push = partial(plan.push, weights[:, some], [directions[number] for number in which])
+                change = partial(plan.jvp, weights[:, some], [directions[number] for number in which])
                 own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
-                yield Task(len(self._points), push, partial(mix, matrix=own))
+                yield Task(len(self._points), change, partial(mix, matrix=own))
 
         with guards.watch():
             shape = (*self._camera.shape, len(directions) * len(matrix))
             return job.run(tasks(), shape, len(parts) * len(self._points))
 
     @single_threaded_blas()
-    def pull(
+    def vjp(
         self,
         weights: NDArray[np.float64],
         image: NDArray[np.float32],
@@ -97,7 +97,7 @@ class Differentials:
         Parameters
         ----------
         weights, wavelengths, matrix, job
-            As of `push`.
+            As of `jvp`.
         names : tuple of str
             The numbers.
         """
@@ -108,7 +108,7 @@ class Differentials:
                 given = mix(image, matrix[:, some].T)
                 plan = self._plan(wavelength, job, len(some))
                 counted = done * len(self._points), self._items(wavelengths)
-                found = plan.pull(weights[:, some], given, names, job, *counted)
+                found = plan.vjp(weights[:, some], given, names, job, *counted)
                 total = {name: found[name] + total.get(name, 0.0) for name in names}
         return total
 

@@ -18,7 +18,7 @@ from ...lenses.lens_changes import LENS_NUMBERS, VaryingLens, open_area_slopes
 from ...lenses.main_lens import MainLens
 from ...lenses.thin import ThinLens
 from ...runtime.backend import array_module
-from ...system.microlens_derivatives import VaryingMicrolenses
+from ...system.microlens_orders import VaryingArrayFactor
 from ..grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness
@@ -183,9 +183,12 @@ class VaryingNumbers:
         angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         lattice = self._lattice(get, camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
         wavelength = get["wavelength"][0]
-        microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
+        array = [
+            VaryingArrayFactor(factor, lattice, get["mla_focal_length"], wavelength)
+            for factor in grid.microlenses.factors(cosine)
+        ]
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
-        return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth, aberration)
+        return Elements(lens, array, wavelength, get["detector_distance"][0], turned, growth, aberration)
 
     def _over(self, name: str, number: Any, lanes: int) -> Any:
         """Return a number for each lane, if it varies."""

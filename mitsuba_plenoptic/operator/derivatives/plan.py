@@ -17,11 +17,11 @@ from ...runtime.jobs import Job
 from ...runtime.limits import largest_fitting, memory_limit
 from ...system.sampling import MEMORY_LIMIT
 from ..accuracy import derivative_band_for, derivatives_share
+from ..patch_factors import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
 from ..recorder import STEPS, Recorder
-from ..tile import Fields
-from .batches import Pull, Push, varying_factors
+from .batches import JvpBatch, VjpBatch, varying_factors
 from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, SpreadCopies, copy_slopes, covered
 from .numbers import MOVES, VaryingNumbers
 
@@ -67,11 +67,11 @@ class DerivativePlan(PatchPlan):
         # From samples of the patch between copies to the distance of their lenses.
         self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
 
-    def push(self, weights: NDArray[np.float64], directions: list[Direction]) -> PushSum:
+    def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
         """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
-        return PushSum(self, weights, directions)
+        return JvpSum(self, weights, directions)
 
-    def pull(
+    def vjp(
         self,
         weights: NDArray[np.float64],
         image: NDArray[np.float32],
@@ -102,10 +102,10 @@ class DerivativePlan(PatchPlan):
         moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
-        batches = (self._pull(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
-        waiting: list[Pull] = []
+        batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
+        waiting: list[VjpBatch] = []
 
-        def kept() -> Iterator[Pull]:
+        def kept() -> Iterator[VjpBatch]:
             for batch in batches:
                 waiting.append(batch)
                 yield batch
@@ -172,7 +172,7 @@ class DerivativePlan(PatchPlan):
             copies.append(SpreadCopies(shifts, places, factors.astype(np.float32), bool(moving[pattern])))
         return self._fields(np.array(kept, np.int64)), copies
 
-    def _pull(
+    def _vjp_batch(
         self,
         chunk: NDArray[np.int64],
         weights: NDArray[np.float64],
@@ -181,14 +181,14 @@ class DerivativePlan(PatchPlan):
         samples: Any,
         summed: int,
         varies: tuple[bool, ...],
-    ) -> Pull:
+    ) -> VjpBatch:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
         fields, copies = self.lit(chunk, weights, moving)
         placement = fields.placement
         box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
         low = np.array([box.left, box.top])
         tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
-        return Pull(fields, copies, self._finer, offset, tile, summed, varies)
+        return VjpBatch(fields, copies, self._finer, offset, tile, summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
@@ -207,7 +207,7 @@ class DerivativePlan(PatchPlan):
         return channels + 3 if self._finer == 1 else 4 * channels
 
 
-class PushSum:
+class JvpSum:
     """Changes of a sum in several directions, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
 
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
@@ -229,7 +229,7 @@ class PushSum:
             for changes in directions
         ]
 
-    def batches(self, first: int) -> Iterator[Push]:
+    def batches(self, first: int) -> Iterator[JvpBatch]:
         """Yield the batches from one on, in their order."""
         plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
         offset = plan.offset_for(name for changes in self._directions for name in changes)
@@ -239,7 +239,7 @@ class PushSum:
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
             fields, copies = plan.lit(chunk, self._weights, moving)
-            yield Push(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
+            yield JvpBatch(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add what their own moves change."""

@@ -18,7 +18,8 @@ from ...lenses.main_lens import main_lens
 from ...lenses.open_pupil import open_fraction
 from ...operator.accuracy import band_for
 from ...operator.grid import Grid, place
-from ...operator.tile import Copies, Fields, Scatter
+from ...operator.patch_factors import Fields
+from ...operator.tile import Copies, Scatter
 from ...operator.units import radiance_weight
 from ...optics.rays import cosines_to_slopes
 from ...runtime.batches import Box, Part
