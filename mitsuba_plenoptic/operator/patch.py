@@ -86,7 +86,7 @@ class PatchBatch:
 
     @property
     def is_separable(self) -> bool:
-        """Whether the microlens array has a factor for each axis."""
+        """Whether all factors on the array are along one axis."""
         return len(self.factors.axes) == 2
 
     @cached_property
@@ -120,7 +120,7 @@ class PatchBatch:
                 yield point, block, part
 
     def _through_axes(self, start: int, stop: int, work: Workspace) -> Iterator[tuple[slice, Field]]:
-        """Yield columns of the fields, spectra along x, behind microlenses with a factor for each axis."""
+        """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
         count, (along_x, along_y) = stop - start, (part[start:stop, None] for part in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop], work.rows[:count])
         rows *= along_x
@@ -133,14 +133,17 @@ class PatchBatch:
             yield block, columns
 
     def _through_plane(self, start: int, stop: int, work: Workspace) -> Iterator[tuple[slice, Field]]:
-        """Yield columns of the fields, spectra along x, behind microlenses with one factor for both axes."""
-        count, n, m, (plane,) = stop - start, self.samples, self.mla_samples, self.parts[1:-1]
+        """Yield columns of the fields, spectra along x, behind microlenses that are a function of both axes."""
+        count, n, m = stop - start, self.samples, self.mla_samples
+        along_x, along_y, plane = (part[start:stop] for part in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop].transpose(0, 2, 1), work.rows[:count])
+        rows *= along_y[:, None]
         for block in _blocks(m, m, self.sizes.block):
             columns = _to_array(
                 rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start]
             )
-            columns *= plane[start:stop, block]
+            columns *= along_x[:, None]
+            columns *= plane[:, block]
             work.plane[:count, block] = _forward(columns, axis=2)[..., :n]
         for block in _blocks(n, m, self.sizes.block):
             columns = work.columns[:count, : block.stop - block.start]

@@ -65,8 +65,8 @@ class Fields:
 class PatchFactors:
     """The factors of fields on patches of one size, in the order in which the fields pass them.
 
-    These are the pupil, (n, directions along y, along x), those of the microlens array with the curvature of the
-    light, on its samples along their `axes`, and the transfer function to the detector, of all points' directions.
+    These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on samples
+    of the array along their `axes`; and the transfer function to the detector, of the directions of all points.
     """
 
     def __init__(
@@ -91,7 +91,8 @@ class PatchFactors:
         # Orders that would fold back into the band are cut; a few more samples hold those of use.
         self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
-        self.axes = grid.microlenses.axes
+        # Each axis has a factor, the curvature; microlenses of one coordinate are in it, others are a factor beside them.
+        self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
         self.chief = (placement.first + placement.last) // 2  # number of the middle direction of each, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
         self._low, count = self.chief.min(0), len(self._positions)
@@ -116,9 +117,9 @@ class PatchFactors:
         dr.schedule(power)  # with the pupil, of which it is a sum
         yield pupil
         scale = self._scale(self._elements(self.shapes[0][:1]), power)
-        along = self._curvatures(scale)
-        for number in range(len(self.axes)):
-            yield self._on_array(number, along)
+        for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
+            elements = self._elements(shape)
+            yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
         yield self._transfer(self._elements(self.shapes[-1]))
 
     def _of_camera(self, cosine: float, lanes: int) -> Elements:
@@ -219,46 +220,38 @@ class PatchFactors:
         step = float(self.samples * grid.pitch[axis] / self.mla_samples)
         return self._each(corner, number) + self._types.Float64(sample) * self._constant(step)
 
-    def _curvatures(self, scale: Any) -> list[Any]:
-        """Return the curvature of the light on the MLA along x and along y, (n, samples); that along y has the scale.
+    def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
+        """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
 
         The tilt of the chief ray is left out.
         """
         types, placement = self._types, self._placement
         shape = len(self._positions), self.mla_samples
         _, number, sample = split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
-        elements, factors = self._elements(shape), []
-        for axis in (0, 1):
-            image, growth = self._each(placement.image[:, axis], number), elements.growth
-            mu = (self._position(number, sample, axis) - image) * growth
-            # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
-            b = self._constant(elements.lens.pupil_distance)
-            square = self._each((placement.image**2).sum(1), number) * growth * growth + b * b
-            own = image * image * growth * growth
-            spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
-            curvature = spread * elements.lens.curvature(square)
-            shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
-            factors.append(phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, number)))
-        factors[1] *= types.Float(self._each(scale, number))
-        return factors
+        m = self._position(number, sample, axis)
+        image, growth = self._each(placement.image[:, axis], number), elements.growth
+        mu = (m - image) * growth
+        # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
+        b = self._constant(elements.lens.pupil_distance)
+        square = self._each((placement.image**2).sum(1), number) * growth * growth + b * b
+        own = image * image * growth * growth
+        spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
+        curvature = spread * elements.lens.curvature(square)
+        shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
+        product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, number))
+        for factor in elements.array:
+            if factor.axes == (axis,):
+                product *= factor.at(m * growth)
+        return product * types.Float(self._each(scale, number)) if axis else product
 
-    def _on_array(self, factor: int, curvatures: list[Any]) -> Any:
-        """Return a factor of the microlens array times the curvatures along its axes."""
-        types, axes, shape = self._types, self.axes[factor], self.shapes[1 + factor]
-        elements, size = self._elements(shape), self.mla_samples
-        image, row, column = split(types, dr.arange(types.UInt32, math.prod(shape)), shape[-2], size)
-        along_both = len(axes) == 2
-        number, samples = (image, (column, row)) if along_both else (row, (column,))
-        places = [
-            self._position(number, sample, axis) * elements.growth for axis, sample in zip(axes, samples, strict=True)
-        ]
-        product = elements.array[factor].at(*places)
-        for axis, sample in zip(axes, samples, strict=True):
-            curvature = curvatures[axis]
-            if along_both:
-                curvature = dr.gather(type(curvature), curvature, number * size + sample)
-            product = curvature * product
-        return product
+    def _on_plane(self, elements: Elements) -> Any:
+        """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
+        types, size, (factor,) = self._types, self.mla_samples, elements.array
+        number, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
+        x, y = (
+            self._position(number, sample, axis) * elements.growth for axis, sample in enumerate((column, row))
+        )
+        return factor.at(x, y)
 
     def _transfer(self, elements: Elements) -> Any:
         """Return the transfer function from MLA to detector."""

@@ -148,7 +148,7 @@ def bare(runs: int) -> Iterator[Row]:
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
         weights = np.ones((count, 1))
         first = next(PatchPlan(camera, positions, None, WAVELENGTH, 0.0).sum(weights).batches(0))
-        batch = first.fields.make(first.amplitudes)
+        batch = PatchBatch(first.fields, first.amplitudes)
         operator = CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=0)
         works = {
             "FFTs": _transforms(batch, count),

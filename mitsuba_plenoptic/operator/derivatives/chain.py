@@ -1,8 +1,9 @@
 """The field of one point on its way from the pupil to the detector, and how its intensity changes with its factors.
 
-A field is multiplied by the pupil, by each factor of the microlens array on the array's samples along the factor's
-axes, and by the transfer function of free space; in between there are Fourier transforms. So a Jacobian-vector product
-(jvp) is the same chain for changes of the factors, and a vector-Jacobian product (vjp) goes back through it.
+A field is multiplied by the pupil, by the factors on the microlens array, and by the transfer function of free space; in
+between there are Fourier transforms. Where all factors on the array are along one axis, the field passes it in two
+stages, axis by axis, else in one. A Jacobian-vector product (jvp) is the same chain for changes of the factors, and a
+vector-Jacobian product (vjp) goes back through it.
 """
 
 from __future__ import annotations
@@ -74,6 +75,9 @@ _BLOCK = 2**16
 Parts = Sequence[Field | None]
 """For each factor of a field a change or a cotangent, None where there is none."""
 
+_Factor = tuple[tuple[int, ...], Field]
+"""Axes of the camera, and the factor as fields are multiplied by it."""
+
 
 class FieldChain:
     """A field from the pupil to the detector, with what it has been in between.
@@ -94,16 +98,15 @@ class FieldChain:
         pupil, *lenses, self._transfer = factors
         self._finer, self._returning, self._memory, self._arrays = finer, returning, memory, memory.arrays
         self._directions, self._samples = len(pupil), len(self._transfer)
-        # Arrays have x along the last axis.
-        self._lenses = [
-            (tuple(1 - axis for axis in own), _upright(lens, own)) for own, lens in zip(axes, lenses, strict=True)
-        ]
-        self._size, self._before, field = len(lenses[0]), [], pupil
-        for own, lens in self._lenses:
-            self._before.append(self._inverse(field, self._size, own))
-            field = _forward(memory.product(self._before[-1], lens), self._samples, own)
-        self._spectrum = field
-        self.field = self._to_detector(memory.product(field, self._transfer))
+        # Fields have x along the last axis.
+        upright = [lens[:, None] if own == (1,) else lens for own, lens in zip(axes, lenses, strict=True)]
+        named: list[_Factor] = list(zip(axes, upright, strict=True))
+        self._stages = [((1, 0), named)] if len(named) > 2 else [((1,), named[:1]), ((0,), named[1:])]
+        self._size, self._before, self._spectrum = len(lenses[0]), [], pupil
+        for own, factors in self._stages:
+            self._before.append(self._inverse(self._spectrum, self._size, own))
+            self._spectrum = _forward(self._product(self._before[-1], factors), self._samples, own)
+        self.field = self._to_detector(memory.product(self._spectrum, self._transfer))
 
     @property
     def intensity(self) -> Any:
@@ -139,14 +142,14 @@ class FieldChain:
         """
         memory, arrays, spectrum = self._memory, self._arrays, self._from_detector(gradient)
         parts: list[Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
-        field = self._before_space(spectrum)
-        stages = zip(self._lenses, self._before, varies[1:-1], strict=True)
-        for (axes, lens), before, wanted in reversed(list(stages)):
+        field, wanted = self._before_space(spectrum), list(varies[1:-1])
+        for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
             field = self._inverse(field, self._size, axes)
-            across = tuple({0, 1} - set(axes))
-            own = arrays.multiply(arrays.conj(before, out=before), field, out=before) if wanted else None
-            parts.append(own.sum(across) if own is not None and across else own)
-            field *= arrays.conj(lens, out=memory.take(lens.shape))
+            product = arrays.multiply(arrays.conj(before, out=before), field, out=before)
+            for which in reversed(range(len(factors))):
+                parts.append(self._cotangent(product, factors, which) if wanted.pop() else None)
+            for _, factor in factors:
+                field *= arrays.conj(factor, out=memory.take(factor.shape))
             field = _forward(field, self._directions, axes)
         return [field if varies[0] else None, *parts[::-1]]
 
@@ -157,14 +160,30 @@ class FieldChain:
 
     def _moved(self, changes: Parts) -> Field | None:
         """Return the change of the spectrum with changes of all factors before free space."""
-        moved, product = changes[0], self._memory.product
-        for (axes, lens), before, own in zip(self._lenses, self._before, changes[1:-1], strict=True):
-            on_array = _total(
-                None if moved is None else product(self._inverse(moved, self._size, axes), lens),
-                None if own is None else product(before, own.reshape(lens.shape)),
-            )
-            moved = None if on_array is None else _forward(on_array, self._samples, axes)
+        moved, own = changes[0], list(changes[1:-1])
+        for (axes, factors), before in zip(self._stages, self._before, strict=True):
+            total = None if moved is None else self._product(self._inverse(moved, self._size, axes), factors)
+            for which, (_, factor) in enumerate(factors):
+                if (change := own.pop(0)) is not None:
+                    others = factors[:which] + factors[which + 1 :]
+                    part = self._product(self._memory.product(before, change.reshape(factor.shape)), others)
+                    total = _total(total, part)
+            moved = None if total is None else _forward(total, self._samples, axes)
         return moved
+
+    def _product(self, field: Field, factors: list[_Factor]) -> Field:
+        """Multiply a field on the array by factors."""
+        for _, factor in factors:
+            field = self._memory.product(field, factor)
+        return field
+
+    def _cotangent(self, product: Field, factors: list[_Factor], which: int) -> Field:
+        """Return the cotangent of one factor of a stage from that of the product of all."""
+        for _, factor in factors[:which] + factors[which + 1 :]:
+            product = self._memory.product(product, self._arrays.conj(factor))
+        # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
+        axes, _ = factors[which]
+        return product.sum(axes[0]) if len(axes) == 1 else product
 
     def _intensity_change(self, spectrum: Field) -> Any:
         """Return the change of the intensity with one of the spectrum on the detector, whose memory is used."""
@@ -195,11 +214,6 @@ class FieldChain:
         for axis in axes:
             field = _inverse(self._memory.widened(field, size, axis), axis)
         return field
-
-
-def _upright(lens: Field, axes: tuple[int, ...]) -> Field:
-    """Return a factor along some axes as one that fields, of rows and columns, are multiplied by."""
-    return lens[:, None] if axes == (1,) else lens
 
 
 def _total(one: Field | None, other: Field | None) -> Field | None:
