@@ -106,7 +106,7 @@ class PatchBatch:
         parts of their fields, (samples along x, some samples along y), and where these lie along y; the memory of a
         part and of `work` is used again.
         """
-        n, m, count = self.samples, self.mla_samples, stop - start
+        n, count = self.samples, stop - start
         through = self._through_axes if self.is_separable else self._through_plane
         for block, columns in through(start, stop, work):
             spectrum = _forward(columns, axis=2)[..., :n]
@@ -126,9 +126,7 @@ class PatchBatch:
         rows *= along_x
         rows = _forward(rows, axis=2)
         for block in _blocks(self.samples, self.mla_samples, self.sizes.block):
-            columns = _to_array(
-                rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start]
-            )
+            columns = _to_array(rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start])
             columns *= along_y
             yield block, columns
 
@@ -139,9 +137,7 @@ class PatchBatch:
         rows = _to_array(self.pupil[start:stop].transpose(0, 2, 1), work.rows[:count])
         rows *= along_y[:, None]
         for block in _blocks(m, m, self.sizes.block):
-            columns = _to_array(
-                rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start]
-            )
+            columns = _to_array(rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start])
             columns *= along_x[:, None]
             columns *= plane[:, block]
             work.plane[:count, block] = _forward(columns, axis=2)[..., :n]

@@ -65,8 +65,8 @@ class Fields:
 class PatchFactors:
     """The factors of fields on patches of one size, in the order in which the fields pass them.
 
-    These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on samples
-    of the array along their `axes`; and the transfer function to the detector, of the directions of all points.
+    These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on the
+    array's samples along their `axes`; and the transfer function to the detector, of the directions of all points.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class PatchFactors:
         # Orders that would fold back into the band are cut; a few more samples hold those of use.
         self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
-        # Each axis has a factor, the curvature; microlenses of one coordinate are in it, others are a factor beside them.
+        # Each axis has a factor, the curvature, with the microlenses' factor of its coordinate; one of both is separate.
         self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
         self.chief = (placement.first + placement.last) // 2  # number of the middle direction of each, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
@@ -248,9 +248,7 @@ class PatchFactors:
         """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
         types, size, (factor,) = self._types, self.mla_samples, elements.array
         number, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
-        x, y = (
-            self._position(number, sample, axis) * elements.growth for axis, sample in enumerate((column, row))
-        )
+        x, y = (self._position(number, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
         return factor.at(x, y)
 
     def _transfer(self, elements: Elements) -> Any:

@@ -22,10 +22,10 @@ from ..runtime.jobs import Job
 from ..system.sampling import check_memory
 from .accuracy import band_for, wavefront_step
 from .grid import Band, Grid, place
+from .patch_factors import Fields
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .sharing import ZONES, find_patterns
-from .patch_factors import Fields
 from .tile import Copies, Gather, Scatter, aperture_power, tile_extent
 
 _CHUNK = 64

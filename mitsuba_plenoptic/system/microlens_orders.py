@@ -122,7 +122,7 @@ class ArrayFactor(ABC):
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
         """Return one period of a sum of orders, with its first samples again at the end, as 64-bit words."""
-        spectrum = np.zeros(self._shape, self._precision)
+        spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
         padded = np.pad(table.astype(np.complex64, copy=False), [(0, 1)] * table.ndim, mode="wrap")

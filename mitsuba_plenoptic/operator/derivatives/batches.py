@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...lattice import turn
 from ...runtime.backend import array_module
 from ...runtime.batches import Part
-from ...runtime.fft import Field, as_field, as_words, pack, unpack
+from ...runtime.fft import as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from .chain import FieldChain, Memory, Parts

@@ -1,7 +1,7 @@
 """The field of one point on its way from the pupil to the detector, and how its intensity changes with its factors.
 
-A field is multiplied by the pupil, by the factors on the microlens array, and by the transfer function of free space; in
-between there are Fourier transforms. Where all factors on the array are along one axis, the field passes it in two
+A field is multiplied by the pupil, by the factors on the microlens array, and by the transfer function of free space;
+in between there are Fourier transforms. Where all factors on the array are along one axis, the field passes it in two
 stages, axis by axis, else in one. A Jacobian-vector product (jvp) is the same chain for changes of the factors, and a
 vector-Jacobian product (vjp) goes back through it.
 """
@@ -102,10 +102,11 @@ class FieldChain:
         upright = [lens[:, None] if own == (1,) else lens for own, lens in zip(axes, lenses, strict=True)]
         named: list[_Factor] = list(zip(axes, upright, strict=True))
         self._stages = [((1, 0), named)] if len(named) > 2 else [((1,), named[:1]), ((0,), named[1:])]
-        self._size, self._before, self._spectrum = len(lenses[0]), [], pupil
-        for own, factors in self._stages:
-            self._before.append(self._inverse(self._spectrum, self._size, own))
-            self._spectrum = _forward(self._product(self._before[-1], factors), self._samples, own)
+        self._size, self._spectrum = len(lenses[0]), pupil
+        self._before: list[Field] = []
+        for along, stage in self._stages:
+            self._before.append(self._inverse(self._spectrum, self._size, along))
+            self._spectrum = _forward(self._product(self._before[-1], stage), self._samples, along)
         self.field = self._to_detector(memory.product(self._spectrum, self._transfer))
 
     @property
