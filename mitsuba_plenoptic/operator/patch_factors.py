@@ -91,7 +91,7 @@ class PatchFactors:
         # Orders that would fold back into the band are cut; a few more samples hold those of use.
         self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
-        # Each axis has a factor, the curvature, with the microlenses' factor of its coordinate; one of both is separate.
+        # Each axis has a factor, the curvature, with the microlenses of its coordinate; those of both are separate.
         self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
         self.chief = (placement.first + placement.last) // 2  # number of the middle direction of each, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
