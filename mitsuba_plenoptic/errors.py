@@ -42,15 +42,7 @@ class InputError(ValueError):
 
 
 def printable(text: str, longest: int | None = None) -> str:
-    """Make one line that no terminal acts on: white space becomes a space, other control characters escapes.
-
-    Parameters
-    ----------
-    text : str
-        Text from anywhere.
-    longest : int, optional
-        Characters to keep.
-    """
+    """Make one line that no terminal acts on: white space becomes a space, other control characters escapes."""
     if longest is not None and len(text) > longest:
         text = f"{text[: longest - 3]}..."
     if text.isprintable():
@@ -135,21 +127,7 @@ def require_number(
     positive: bool = False,
     finite: bool = True,
 ) -> float:
-    """Return `value` as a float.
-
-    Parameters
-    ----------
-    name : str
-        What the message calls the number.
-    value : Any
-        What the user gave. Booleans and strings are refused, not converted.
-    minimum, maximum : float, optional
-        Smallest and largest allowed value; the largest does not rule out infinity, `finite` does.
-    positive : bool
-        Whether the number must be greater than zero.
-    finite : bool
-        Whether infinity is refused. NaN always is.
-    """
+    """Return `value` as a float."""
     if isinstance(value, (bool, np.bool_, str, bytes, bytearray)) or value is None:
         raise InputError(f"{name} = {shown(value)}: it must be a number")
     try:

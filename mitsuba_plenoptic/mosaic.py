@@ -14,15 +14,7 @@ MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
 
 
 def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
-    """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; the mosaic begins at the first pixel of its full detector, whatever its crop window.
-    mosaic : str
-        One of `MOSAICS`.
-    """
+    """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
     tile = np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)
     left, top = camera.crop_offset
     rows, columns = camera.shape
@@ -37,18 +29,7 @@ def mosaic_of(capture: Capture) -> str | None:
 
 
 def require_demosaiced(capture: Capture) -> None:
-    """Refuse a capture whose pixels have colours of their own, for work that takes them for one.
-
-    Parameters
-    ----------
-    capture : Capture
-        The capture.
-
-    Raises
-    ------
-    InputError
-        If it is such a mosaic.
-    """
+    """Refuse a capture whose pixels have colours of their own, for work that takes them for one."""
     mosaic = mosaic_of(capture)
     if mosaic is not None:
         raise InputError(f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

@@ -34,13 +34,7 @@ def conjugate_distance(focal_length: float, distance: float) -> float:
 
 
 def image_distance(focal_length: float, distance: float, *, name: str = "distance") -> float:
-    """Return the distance behind a thin lens at which an object at `distance` is in focus.
-
-    Raises
-    ------
-    InputError
-        If the object is at or inside the focal length, where a lens forms no real image.
-    """
+    """Return the distance behind a thin lens at which an object at `distance` is in focus."""
     if not distance > focal_length:
         raise InputError(f"{name} = {distance:g}: it must be greater than the focal length {focal_length:g}")
     if LONGEST < distance < math.inf:

@@ -20,6 +20,7 @@ import numpy as np
 from verdict import Verdict
 
 from mitsuba_plenoptic import Capture, CaptureOperator, PlenopticCamera, reconstruct
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 
 WAVELENGTH = 633.0
@@ -74,7 +75,7 @@ def rows(d: float, name: str, iterations: int) -> list[accuracy.Row]:
     found = reconstruct(capture, distance, method="deconvolved", oversample=oversample, iterations=iterations)
     light = np.nan_to_num(found.image.astype(np.float64))
     pitch = camera.mla_pitch / oversample
-    light *= radiance_weight(camera, pitch**2)
+    light *= radiance_weight(camera, main_lens(camera), pitch**2)
     y, x = ((np.arange(count) - (count - 1) / 2) * pitch for count in light.shape)
     made = []
     for place, power in zip(places, POWERS, strict=True):

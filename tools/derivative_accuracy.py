@@ -35,6 +35,7 @@ from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 WAVELENGTH = 633.0
 STEP = 0.01
@@ -93,7 +94,7 @@ ABERRATIONS = 36
 
 def difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: Any, step: float) -> np.ndarray:
     """Central difference of the full field."""
-    base = field_grids(camera, point, WAVELENGTH, FINER, WINDOW)
+    base = field_grids(OpticalSystem(camera, WAVELENGTH), point, FINER, WINDOW)
     sides = []
     for amount in (step, -step):
         changed, wavelength = camera, WAVELENGTH
@@ -109,7 +110,7 @@ def difference(camera: PlenopticCamera, point: np.ndarray, name: str, change: An
         grids = _grown(base, changed.detector_width / camera.detector_width)
         order = wavelength / WAVELENGTH * camera.mla_pitch / changed.mla_pitch
         grids = replace(grids, bend=base.bend * order * (1 + 1e-9))
-        sides.append(full_field(changed, point, wavelength, grids=grids))
+        sides.append(full_field(OpticalSystem(changed, wavelength), point, grids=grids))
     return (sides[0] - sides[1]) / (2 * step)
 
 

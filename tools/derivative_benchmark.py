@@ -36,11 +36,13 @@ from verdict import Verdict
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.capture.scene_light import SceneLight
 from mitsuba_plenoptic.capture.scene_points import find_points
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.accuracy import derivative_band_for
 from mitsuba_plenoptic.operator.grid import Grid, place
 from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 WAVELENGTH = 633.0
 TIME, MEMORY = 4.0, 3.0
@@ -103,7 +105,7 @@ def points_of(scene: Any, camera: mp.PlenopticCamera, per_lens: int) -> tuple[np
     """Return where rays from each lens first hit what shines, and the light of these points: together 1 for a lens."""
     light = SceneLight(scene, scene.sensors()[0], scene.integrator())
     found = find_points([light], camera, per_lens, seed=0, paths=1)
-    return found.positions, found.weights[:, 0] / radiance_weight(camera, camera.lattice.cell_area)
+    return found.positions, found.weights[:, 0] / radiance_weight(camera, main_lens(camera), camera.lattice.cell_area)
 
 
 def beside_torchoptics(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -120,7 +122,7 @@ def beside_torchoptics(arguments: argparse.Namespace) -> dict[str, Any]:
         "gradient": fastest(lambda: operator.gradient([1.0], image, ("focal_length",), job=job), arguments.runs),
     }
     points = np.array(operator.points)
-    grid = Grid.of(camera, WAVELENGTH, derivative_band_for(0.02, 1), points)
+    grid = Grid.of(OpticalSystem(camera, WAVELENGTH), derivative_band_for(0.02, 1), points)
     size, pitch = int(place(grid, points).samples[0]), float(grid.pitch.min())
     theirs = of_torchoptics(arguments.torchoptics, size, pitch, arguments.runs)
     print(f"{size} x {size} samples; ours {ours}, torchoptics {theirs}, in s", flush=True)

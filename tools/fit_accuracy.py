@@ -25,7 +25,9 @@ from verdict import Verdict
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, fit
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.fitting.ray_model import PointRays
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import brightness_of
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 WAVELENGTH = 633.0
 SPREAD, BOUND = 0.25, 0.2
@@ -57,11 +59,11 @@ def main() -> None:
     g = rng.uniform(112, 128, options.points)
     points = np.column_stack([rng.uniform(-0.4, 0.4, (options.points, 2)) * side * -g[:, None] / 60, g])
     if options.method == "rays":
-        image = PointRays(camera, points, WAVELENGTH).image(camera, np.ones(options.points))
+        image = PointRays(camera, points, WAVELENGTH).image(OpticalSystem(camera, WAVELENGTH), np.ones(options.points))
     else:
         operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=options.accuracy)
         image = operator.forward(np.ones(options.points)).astype(np.float64)
-    image *= brightness_of(camera)
+    image *= brightness_of(camera, main_lens(camera))
     weights = np.full(options.points, 1 / image.max())
     image /= image.max()
     names = options.numbers.split(",")

@@ -47,6 +47,7 @@ from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, come_near, lattice_
 from mitsuba_plenoptic.fitting.model import Model, changed, limits_of, numbers_of, scales, values
 from mitsuba_plenoptic.fitting.noise import Pixels
 from mitsuba_plenoptic.fitting.result import summary
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import brightness_of
 
 WAVELENGTH = 633.0
@@ -174,7 +175,7 @@ class Study:
         images = []
         for (points, weights), (_, own), top in zip(lights, self.lights, self._tops, strict=True):
             operator = mp.CaptureOperator(self.camera, points, wavelength=WAVELENGTH)
-            scale = brightness_of(self.camera) / top * float(own.sum() / weights.sum())
+            scale = brightness_of(self.camera, main_lens(self.camera)) / top * float(own.sum() / weights.sum())
             images.append(scale * operator.forward(weights))
         return np.stack(images).astype(np.float64)
 

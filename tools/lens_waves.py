@@ -25,8 +25,8 @@ from mitsuba_plenoptic import (
     render_capture,
     with_camera,
 )
-from mitsuba_plenoptic.lenses.fitted_lens import lens_of_waves
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 WAVELENGTH = 633.0
 LENSES = {"double_gauss": 5.0, "cooke_triplet": 7.0, "tessar": 7.0, "singlet": 5.0}
@@ -48,7 +48,7 @@ def fit(name: str) -> Row:
     """Return how well the path of points all over the paper's detector is fitted, at 200 to 300 mm."""
     corner = np.array([(x, y, g) for x in (-11.0, 11.0) for y in (-11.0, 11.0) for g in (200.0, 300.0)])
     began = time.perf_counter()
-    lens = lens_of_waves(behind(name, LENSES[name]), corner, WAVELENGTH)
+    lens = OpticalSystem(behind(name, LENSES[name]), WAVELENGTH).waves_of(corner)
     return {"lens": name, "waves": lens.fitted.error, "seconds": time.perf_counter() - began}  # type: ignore[attr-defined]
 
 
@@ -86,7 +86,7 @@ def places(name: str) -> Row:
     """Return by how many pixels chief rays of the fit miss where rays traced from the array come from."""
     camera, random = behind(name, LENSES[name]), np.random.default_rng(0)
     points = np.column_stack([*random.uniform(-7, 7, (2, 200)), random.uniform(210, 280, 200)])
-    lens = lens_of_waves(camera, points, WAVELENGTH)
+    lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     x, y = lens.images(points).T
     point, slope, _ = LensSystem.of(camera, WAVELENGTH).ray((0 * x, 0 * y), (x, y))
     # How far from the point the ray passes in its plane, brought back to the array, in pixels.

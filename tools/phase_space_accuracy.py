@@ -24,10 +24,12 @@ import numpy as np
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
 from mitsuba_plenoptic.thin_lens import conjugate_distance
 
@@ -135,8 +137,10 @@ class Wall:
         place = np.stack(np.meshgrid(self.axis, self.axis), -1).reshape(-1, 2) + self.centre
         self.points = np.column_stack([place * self._scale, np.full(len(place), self.distance)])
         # What surfaces vignette is dark.
-        is_open = brightness_at(camera, self.points, WAVELENGTH) / brightness_of(camera)
-        self.weight = radiance_weight(camera, self.step**2) * is_open
+        is_open = brightness_at(OpticalSystem(camera, WAVELENGTH), self.points) / brightness_of(
+            camera, main_lens(camera)
+        )
+        self.weight = radiance_weight(camera, main_lens(camera), self.step**2) * is_open
         # The points' spectrum, cut half-way between what the pupil passes and its first repetition.
         self._fine, count = self.step / 16, 1 << 16
         frequency = np.fft.rfftfreq(count, self._fine)

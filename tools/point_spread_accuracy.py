@@ -20,6 +20,7 @@ from mitsuba_plenoptic.operator.full_field import full_field
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 PAPER = PlenopticCamera()
 SECOND = PlenopticCamera(
@@ -146,15 +147,15 @@ def measure(case: Case) -> accuracy.Row:
     }
     if case.converge:
         point = np.array(case.position)
-        finer = full_field(case.camera, point, case.wavelength, refinement=2)
-        wider = full_field(case.camera, point, case.wavelength, growth=1.4)
+        finer = full_field(OpticalSystem(case.camera, case.wavelength), point, refinement=2)
+        wider = full_field(OpticalSystem(case.camera, case.wavelength), point, growth=1.4)
         result |= {"finer": _difference(full, finer), "wider": _difference(full, wider)}
     return result
 
 
 def _refined(camera: PlenopticCamera, position: Any) -> np.ndarray:
     """Full field on a finer grid in a wider window, by the paper's wavelength."""
-    return full_field(camera, np.array(position), 633.0, refinement=1.4, growth=1.2)
+    return full_field(OpticalSystem(camera, 633.0), np.array(position), refinement=1.4, growth=1.2)
 
 
 def extremes() -> list[Figure]:
@@ -178,7 +179,7 @@ def gapped() -> list[Figure]:
     for (name, parameters), fill in itertools.product(GAPPED.items(), FILLS):
         camera = PAPER.replace(detector_width=0.256, resolution=(128, 128), mla_fill=fill, **parameters)
         references = [_refined(camera, point) for point in points]
-        reference, full = sum(references), full_field(camera, points[0], 633.0)
+        reference, full = sum(references), full_field(OpticalSystem(camera, 633.0), points[0])
         patch = CaptureOperator(camera, many, wavelength=633.0).forward(np.full(len(many), 1 / 50))
         figures.append(Figure(f"{name}, mla_fill {fill:g}, full_field", _difference(full, references[0]), 0.003))
         figures.append(Figure(f"{name}, mla_fill {fill:g}, patch", _difference(patch, reference), 0.01))
@@ -193,7 +194,9 @@ def hidden_pupils() -> list[Figure]:
     for (name, mask), g in itertools.product(masks.items(), (225.0, 240.0)):
         weights, point = mask[None], np.array([0.06, -0.05, g])
         reference, full = (
-            full_field(SMALL, point, 633.0, pupil_weights=PupilWeights.of(weights, 1), refinement=refinement)
+            full_field(
+                OpticalSystem(SMALL, 633.0), point, pupil_weights=PupilWeights.of(weights, 1), refinement=refinement
+            )
             for refinement in (2, 1)
         )
         patch = CaptureOperator(SMALL, [point], wavelength=633.0, accuracy=0, pupil_weights=weights).forward([1.0])

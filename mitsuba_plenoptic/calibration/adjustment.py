@@ -49,20 +49,7 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 
     The least sum of distances shows which rows are outliers; the others are then fitted by least squares.
 
-    Parameters
-    ----------
-    matrix : (n, 2, k) array
-        What each of k coefficients adds to a position.
-    values : (n, 2) array
-        The positions.
-
-    Returns
-    -------
-    coefficients : (k,) array
-    distance : (n,) array
-        Of each position from the fitted one.
-    good : (n,) bool array
-        Rows that are no outliers.
+    Shapes: `matrix` (n, 2, k), `values` (n, 2); the result (k,), (n,), (n,).
     """
     scale = np.sqrt((matrix**2).sum((0, 1)))
     matrix = matrix / np.where(scale > 0, scale, 1)
@@ -103,24 +90,15 @@ _MOST_DAMPING = 1e10
 
 @dataclass(frozen=True)
 class Problem:
-    """What is fitted.
+    """What is fitted."""
 
-    Attributes
-    ----------
-    corners : Observations
-        Corners seen through lenses.
-    pixel_size, row_ratio : float
-        As for `model.predict`.
-    centres : Observations, optional
-        Centres of micro-images, fitted jointly; their `board` and `pose` mean nothing.
-    centre_weight : float
-        Weight of a centre's residual: the deviation of a corner over that of a centre.
-    """
-
+    # Corners seen through lenses.
     corners: Observations
     pixel_size: float
     row_ratio: float
+    # Centres of micro-images, fitted jointly; their `board` and `pose` mean nothing.
     centres: Observations | None = None
+    # Weight of a centre's residual: the deviation of a corner over that of a centre.
     centre_weight: float = 1.0
 
     def residuals(self, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -150,11 +128,7 @@ class Problem:
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return, of the weighted linear system, the triangle of each pose and the rows of the camera alone.
 
-        Returns
-        -------
-        poses : list of (6, 6 + free + 1) arrays
-        camera : list of (rows, free + 1) arrays
-            Derivatives, and in the last column minus the residuals: of each pose, then of the centres.
+        The result has the shape (6, 6 + free + 1), (rows, free + 1).
         """
         pixel, by_numbers, by_pose = self._predict(numbers, poses)
         rows = (
@@ -183,21 +157,14 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solution:
-    """Numbers that fit best.
+    """Numbers that fit best."""
 
-    Attributes
-    ----------
-    numbers : (17,) array
-    poses : (poses, 6) array
-    cost : float
-        Half the weighted sum of squares.
-    steps : int
-        How often the linear system was solved.
-    """
-
+    # (17,).
     numbers: np.ndarray
     poses: np.ndarray
+    # Half the weighted sum of squares.
     cost: float
+    # How often the linear system was solved.
     steps: int
 
 
@@ -213,23 +180,7 @@ def adjust(
 ) -> Solution:
     """Minimise the weighted sum of squares over some of the camera's numbers and all poses.
 
-    Parameters
-    ----------
-    problem : Problem
-        The data.
-    numbers, poses : arrays
-        Where to start.
-    free : sequence of str
-        Names of the numbers that may change.
-    weights : (n,) array, optional
-        Weight of each corner's square. Default: 1.
-    most_steps : int
-        When to stop at the latest.
-
-    Raises
-    ------
-    InputError
-        If the model has no value at the start: a board within the focal length, say.
+    Shapes: `weights` (n,).
     """
     chosen = np.array([NAMES.index(name) for name in free], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights

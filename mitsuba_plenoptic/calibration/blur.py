@@ -68,25 +68,7 @@ def fit_blur(
 ) -> Blur:
     """Fit the focal lengths of the microlenses to signed blur radii.
 
-    Parameters
-    ----------
-    radius : (n,) array
-        Blur radius of each observation in pixels, of one sign on one side of focus.
-    seen : Observations
-        Corners seen through lenses.
-    numbers, poses : (17,) and (poses, 6) array
-        The camera and the poses of the board, as `model.predict` takes them.
-    lattice : Lattice
-        Tells which lens is of which type.
-    types : int
-        Number of interleaved types.
-    moved : sequence of Solution
-        Those a deviation away, of `deviations.moved_solutions`. Default: the camera is certain.
-
-    Raises
-    ------
-    InputError
-        If the radii are not explained by such lenses, as those without a sign are not.
+    Shapes: `radius` (n,), `numbers`, `poses` (17,).
     """
     ratio = image_ratios(seen, numbers, poses)
     row = np.round(seen.lens[:, 1])
@@ -151,20 +133,13 @@ _BEYOND = 1.25
 
 
 class CutBlur:
-    """Where the pixels of a camera's micro-images see through their lenses, on average.
+    """Where the pixels of a camera's micro-images see through their lenses, on average."""
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; its tilt and distortion change nothing that matters here.
-
-    Raises
-    ------
-    InputError
-        If its main lens is not thin.
-    """
-
-    def __init__(self, camera: PlenopticCamera) -> None:
+    def __init__(
+        self,
+        # The camera; its tilt and distortion change nothing that matters here.
+        camera: PlenopticCamera,
+    ) -> None:
         camera.require_thin("what the pupil cuts of blur is computed")
         self._z = camera.detector_distance
         self._b = camera.mla_distance
@@ -193,19 +168,7 @@ class CutBlur:
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
         """Return by how much what pixels show lies from where they are.
 
-        Parameters
-        ----------
-        kind : (n,) int array
-            Types of their lenses.
-        defocus : (n,) array
-            As `defocus` gives it.
-        arm : (n, pixels, 2) array
-            Places of the pixels from the centres of their micro-images.
-
-        Returns
-        -------
-        (n, pixels, 2) array
-            In pixels.
+        Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """
         at = arm[:, :, ::-1] / self._step + (_PLACES - 1) / 2
         moved = np.zeros(arm.shape)

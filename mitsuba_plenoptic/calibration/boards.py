@@ -35,55 +35,32 @@ _LENSES = 3
 
 @dataclass(frozen=True)
 class Picture:
-    """A raw picture over its white image, and where its micro-images are.
-
-    Attributes
-    ----------
-    name : str
-        For messages.
-    image : (rows, columns) array
-        Values over those of white.
-    weight : (rows, columns) array
-        How much light white gives, at most 1; 0 where that is too little.
-    centre : (n, 2) array
-        Centres of micro-images, column and row.
-    radius : float
-        Of the micro-images in pixels.
-    even : float
-        Distance from their centres up to which the main lens's rim takes no light from them.
-    """
+    """A raw picture over its white image, and where its micro-images are."""
 
     name: str
+    # Values over those of white; (rows, columns).
     image: np.ndarray
+    # How much light white gives, at most 1; 0 where that is too little; (rows, columns).
     weight: np.ndarray
+    # Centres of micro-images, column and row; (n, 2).
     centre: np.ndarray
+    # Of the micro-images in pixels.
     radius: float
+    # Distance from their centres up to which the main lens's rim takes no light from them.
     even: float
 
 
 @dataclass(frozen=True)
 class BoardView:
-    """Where a board is, roughly.
-
-    Attributes
-    ----------
-    disparity : float
-    corners : (rows, columns, 2) array
-        Places Q of its inner corners; columns run to the right and rows down.
-    """
+    """Where a board is, roughly."""
 
     disparity: float
+    # Places Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
     corners: np.ndarray
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
-    """Find a board in a raw picture.
-
-    Raises
-    ------
-    InputError
-        If OpenCV is not there, or no view shows the whole board.
-    """
+    """Find a board in a raw picture."""
     try:
         import cv2
     except ImportError:

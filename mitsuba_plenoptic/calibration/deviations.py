@@ -34,20 +34,13 @@ _MANY = 100
 
 @dataclass(frozen=True)
 class Deviations:
-    """How well the numbers are known.
+    """How well the numbers are known."""
 
-    Attributes
-    ----------
-    covariance : (17, 17) array
-        Of the numbers' errors.
-    disagreement : float
-        By how much the frames disagree about the numbers, over what their residuals' scatter explains.
-    by_frames : bool
-        Whether that is more than chance allows, so that the covariance is that of leaving out frames.
-    """
-
+    # Of the numbers' errors; (17, 17).
     covariance: np.ndarray
+    # By how much the frames disagree about the numbers, over what their residuals' scatter explains.
     disagreement: float
+    # Whether that is more than chance allows, so that the covariance is that of leaving out frames.
     by_frames: bool
 
     @property
@@ -59,14 +52,7 @@ class Deviations:
 def deviations(problem: Problem, found: Solution, weights: np.ndarray) -> Deviations:
     """Return how well a fit's numbers are known, all of them free.
 
-    Parameters
-    ----------
-    problem : Problem
-        The data.
-    found : Solution
-        Numbers and poses that fit them best.
-    weights : (n,) array
-        Weights of the corners; 0 for outliers.
+    Shapes: `weights` (n,).
     """
     count = len(NAMES)
     _, parts = problem.blocks(found.numbers, found.poses, weights, np.arange(count))

@@ -131,11 +131,6 @@ def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
     COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.
     The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The
     array's rotation becomes tilt and rotation to first order: it is some 1e-4 rad in a real camera.
-
-    Raises
-    ------
-    InputError
-        If an entry is missing or no number.
     """
     try:
         sensor, mla, lens = values["sensor"], values["mla"], values["main_lens"]

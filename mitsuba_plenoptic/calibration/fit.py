@@ -400,13 +400,7 @@ def _require_matching_pupil(
 
 
 def _weights(problem: Problem, found: Solution, frames: np.ndarray) -> np.ndarray:
-    """Return the weights of corners: less for those far from their prediction, 0 for outliers.
-
-    Raises
-    ------
-    InputError
-        If most rows of a frame are outliers.
-    """
+    """Return the weights of corners: less for those far from their prediction, 0 for outliers."""
     distance = _distance(problem, found.numbers, found.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose

@@ -58,23 +58,15 @@ _NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class Observations:
-    """What a fit compares with: all arrays have one row for each observation.
+    """What a fit compares with: all arrays have one row for each observation."""
 
-    Attributes
-    ----------
-    lens : (n, 2) float array
-        Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them.
-    pixel : (n, 2) float array
-        Column and row; the centre of the first pixel is 0.
-    board : (n, 2) float array
-        Place of the corner on its board in mm.
-    pose : (n,) int array
-        Which pose of the board it is, from 0.
-    """
-
+    # Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
     lens: np.ndarray
+    # Column and row; the centre of the first pixel is 0; (n, 2).
     pixel: np.ndarray
+    # Place of the corner on its board in mm; (n, 2).
     board: np.ndarray
+    # Which pose of the board it is, from 0; (n,).
     pose: np.ndarray
 
     def __len__(self) -> int:
@@ -145,10 +137,7 @@ def predict_centres(
 
     :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
 
-    Returns
-    -------
-    pixel : (n, 2) array
-    by_numbers : (n, 2, 17) array
+    The result has the shape (n, 2), (n, 2, 17).
     """
     c, h, c_by, h_by = _lenses(numbers, lens, row_ratio)
     b, z = numbers[1:3]
@@ -165,26 +154,7 @@ def predict(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Predict where corners are seen, and how that changes.
 
-    Parameters
-    ----------
-    numbers : (17,) array
-        The camera, as `NAMES` lists.
-    poses : (poses, 6) array
-        Of each board: rotation vector (radians) and place of its first corner, from the board's to the camera frame.
-    seen : Observations
-        Lenses and corners.
-    pixel_size : float
-        Width of a pixel in mm.
-    row_ratio : float
-        Distance of the lattice's rows over the pitch across them.
-
-    Returns
-    -------
-    pixel : (n, 2) array
-    by_numbers : (n, 2, 17) array
-        Derivatives with respect to the camera's numbers.
-    by_pose : (n, 2, 6) array
-        With respect to the numbers of the observation's own pose.
+    Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
     """
     f, b, z = numbers[:3]
     n = len(seen)

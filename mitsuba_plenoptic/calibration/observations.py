@@ -140,13 +140,7 @@ def joined(tables: Sequence[Table]) -> Table:
 
 
 def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
-    """Read columns of a CSV file, and those of the optional ones that it has.
-
-    Raises
-    ------
-    InputError
-        If the file or a column is missing, or a value is not a finite number, or not whole where it must be.
-    """
+    """Read columns of a CSV file, and those of the optional ones that it has."""
     path = Path(path)
     first, _, rest = read_text(path, LARGEST_FILE).partition("\n")
     header = [name.strip() for name in first.split(",")]
@@ -233,14 +227,7 @@ def read_centres(path: str | Path) -> Table:
 
 
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:
-    """Refuse tables of another detector.
-
-    Raises
-    ------
-    InputError
-        If more than a tenth of the pixels are off the detector: the camera has another one, or other units were used.
-        Single rows are outliers, which a fit names.
-    """
+    """Refuse tables of another detector."""
     off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
     if off.size > _MOST_OFF * len(table.pixel):
         u, v = table.pixel[off[0]]
@@ -267,25 +254,7 @@ def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarra
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
     """Find how a table counts its lenses, from where their pixels lie.
 
-    Parameters
-    ----------
-    table : Table
-        Centres, or corners: a corner is seen within its lens's micro-image.
-    hexagonal : bool
-        Whether every second row is offset.
-    middle : (2,) array
-        Pixel near the axis, to which lens (0, 0) is to be the nearest.
-
-    Returns
-    -------
-    index : LensIndex
-    grid : (3, 2) array
-        Pixel of lens (0, 0), and steps of one along the rows and from row to row.
-
-    Raises
-    ------
-    InputError
-        If the lenses do not span a plane, or are no grid of rows counted one by one.
+    Shapes: `middle` (2,); the result (3, 2).
     """
     pixel, best, other = table.pixel, None, np.inf
     for odd_rows in (-0.5, 0.0, 0.5):
@@ -331,13 +300,7 @@ LARGEST_FILE = 2**26
 
 
 def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
-    """Read the columns k, l, u and v of a JSON file of LFToolbox or PlenoptiCam.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or damaged.
-    """
+    """Read the columns k, l, u and v of a JSON file of LFToolbox or PlenoptiCam."""
     text = read_text(path, LARGEST_FILE)
     try:
         values = json.loads(text)

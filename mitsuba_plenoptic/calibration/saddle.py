@@ -34,23 +34,15 @@ _FARTHEST = 3.0
 
 @dataclass(frozen=True)
 class Saddles:
-    """What was found about each place: arrays of one row each.
+    """What was found about each place: arrays of one row each."""
 
-    Attributes
-    ----------
-    place : (n, 2) array
-        Column and row; the centre of the first pixel is 0.
-    deviation : (n,) array
-        Standard deviation of the place along its worse direction, from what the fit leaves.
-    contrast : (n,) array
-        Half the difference between light and dark squares.
-    blur : (n,) array
-        Radius of the blur, 1.4 of its standard deviations.
-    """
-
+    # Column and row; the centre of the first pixel is 0; (n, 2).
     place: np.ndarray
+    # Standard deviation of the place along its worse direction, from what the fit leaves; (n,).
     deviation: np.ndarray
+    # Half the difference between light and dark squares; (n,).
     contrast: np.ndarray
+    # Radius of the blur, 1.4 of its standard deviations; (n,).
     blur: np.ndarray
 
 
@@ -67,23 +59,7 @@ def find_saddles(
 ) -> Saddles:
     """Refine corners, each within a window of its micro-image.
 
-    Parameters
-    ----------
-    image, weight : (rows, columns) array
-        A picture, and how well each pixel is known: 0 if not at all.
-    place : (n, 2) array
-        Where to look.
-    angles : (n, 2) array
-        Directions of both edges in radians.
-    centre : (n, 2) array
-        Centre of the micro-image that each corner is in.
-    radius : float
-        Of the micro-images in pixels.
-    even : float
-        Distance from their centres within which pixels are used.
-    seen : callable, optional
-        Of corners (n,), by number, and pixels (n, pixels, 2) from the centres of their micro-images: by how much what
-        the pixels show lies from where they are. Default: nothing.
+    Shapes: `image`, `weight` (rows, columns), `place` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
     blocks = np.array_split(np.arange(len(place)), max(1, -(-len(place) // _BLOCK)))
     parts = []

@@ -44,30 +44,7 @@ def start_values(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find numbers from which a fit finds its way.
 
-    Parameters
-    ----------
-    problem : Problem
-        The data.
-    board : Board
-        The board that was seen.
-    frames : array
-        The poses' names for messages.
-    grid : (3, 2) array
-        Pixel of the micro-image of lens (0, 0), and the steps along the rows and across them.
-    principal : (2,) array
-        Pixel taken for the axis.
-
-    Returns
-    -------
-    numbers : (17,) array
-    poses : (poses, 6) array
-    good : (n,) bool array
-        Rows that agree with their frame.
-
-    Raises
-    ------
-    InputError
-        If there are too few poses or corners, all at one depth, or boards that are seen mirrored.
+    Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
     """
     seen, size = problem.corners, problem.pixel_size
     if seen.poses < _FEWEST_POSES:
@@ -123,20 +100,7 @@ def board_images(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find where the main lens images each board, from how its corners move from lens to lens.
 
-    Returns
-    -------
-    slopes : (poses,) array
-        z/a of the board's image.
-    maps : (poses, 3, 2) array
-        Place of the image of the board's first corner, and its steps in mm per mm along the board's columns and rows.
-    good : (n,) bool array
-        Rows that agree with their frame.
-
-    Raises
-    ------
-    InputError
-        If a pose has too few corners, each seen through one lens only, too many rows that agree with no board of this
-        size, or a board that is seen mirrored.
+    The result has the shape (poses,), (poses, 3, 2), (n,).
     """
     seen, size = problem.corners, problem.pixel_size
     slopes, maps = np.empty(seen.poses), np.empty((seen.poses, 3, 2))

@@ -34,15 +34,7 @@ _LOW, _HIGH = 380.0, 730.0
 
 
 def srgb(count: int = WAVELENGTHS, tables: Sequence[Table] = ()) -> Spectrum:
-    """Return the responses of linear sRGB to light, as Mitsuba's films of colours have them.
-
-    Parameters
-    ----------
-    count : int
-        Wavelengths, from 380 to 730 nm; more where tables need them.
-    tables : sequence of pairs of arrays
-        Spectra of the scene, as of `Spectrum.smooth`.
-    """
+    """Return the responses of linear sRGB to light, as Mitsuba's films of colours have them."""
     return Spectrum.smooth(*SRGB, count, tables)
 
 
@@ -73,19 +65,7 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
     A number or a colour as radiance stands for the spectrum of D65, which Mitsuba has from 360 to 830 nm; so it has
     black bodies. A table that emits may end where there is no light. One of a surface may end with 0.
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        The scene, in a spectral variant.
-    wavelengths : tuple of float
-        Those of the capture.
-    responses : array (channels, wavelengths)
-        How strongly each channel answers to them.
-
-    Raises
-    ------
-    InputError
-        Naming emitter or surface, and wavelength, where the channels answer to it.
+    Shapes: `responses` (channels, wavelengths).
     """
     places, visible = np.array(wavelengths), (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
     if (wavelength := _beyond(places, responses, *visible)) is not None:

@@ -31,40 +31,20 @@ _SQUARE = 1024
 
 
 class Convolution:
-    r"""Convolutions of images with kernels, one after another.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; the recorded pixels are what comes out.
-    kernels : sequence of float32 arrays (k, k)
-        The kernels, of any odd sizes.
-    pitch : float
-        Distance of their samples in millimetres: a pixel, or a whole part of one.
-    order : int
-        How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
-        along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
-    size : (int, int), optional
-        Rows and columns of the samples that are convolved together, at most; those of `box` by default.
-
-    Attributes
-    ----------
-    box : Box
-        All samples that pixels feel, counted from the full detector's corner.
-    pitch : float
-        Their distance in millimetres.
-    ranks : int
-        Images in all.
-    tile : (int, int)
-        Rows and columns of the samples that are convolved together.
-    """
+    r"""Convolutions of images with kernels, one after another."""
 
     def __init__(
         self,
+        # The camera; the recorded pixels are what comes out.
         camera: PlenopticCamera,
+        # The kernels, of any odd sizes; (k, k).
         kernels: Sequence[NDArray[np.float32]],
+        # Distance of their samples in millimetres: a pixel, or a whole part of one.
         pitch: float,
+        # How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
+        # along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
         order: int,
+        # Rows and columns of the samples that are convolved together, at most; those of `box` by default; (int, int).
         size: tuple[int, int] | None = None,
     ) -> None:
         self.pitch = pitch
@@ -101,19 +81,7 @@ class Convolution:
     ) -> NDArray[np.float32]:
         """Convolve each image with its kernel, and add.
 
-        Parameters
-        ----------
-        images : iterable of float32 arrays
-            One for each kernel, of the samples of a box: what rays bring of it.
-        box : Box, optional
-            Those samples: `box` by default. Beyond them the images are zero.
-        pixels : Box, optional
-            The wanted pixels, counted from the first recorded one; all by default.
-
-        Returns
-        -------
-        float32 array (rows, columns)
-            Integrals over these pixels.
+        The result has the shape (rows, columns).
         """
         box, p, m = box or self.box, self._parts, self._margin
         pixels = pixels or self.reached(self.box)
@@ -141,12 +109,7 @@ class Convolution:
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
         """Yield for each kernel the image whose product with any image is that of the pixels with its `forward`.
 
-        Parameters
-        ----------
-        pixels : float32 array (rows, columns)
-            All that are recorded.
-        box : Box, optional
-            The samples that the images have: `box` by default.
+        Shapes: `pixels` (rows, columns).
         """
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
@@ -221,23 +184,13 @@ def _even(size: int, most: int) -> int:
 
 @dataclass(frozen=True)
 class Block:
-    """The images of a block of bins, to be convolved with the kernels.
-
-    Attributes
-    ----------
-    bins : Box
-        The bins.
-    images : list of float32 arrays (ranks, rows, columns)
-        What rays bring of the kernels of each convolution.
-    convolutions : list of Convolution
-        For each of the images.
-    channels : sequence of int
-        Those to which they are added, counted from 0; none is left out.
-    """
+    """The images of a block of bins, to be convolved with the kernels."""
 
     bins: Box
+    # What rays bring of the kernels of each convolution; (ranks, rows, columns).
     images: list[NDArray[np.float32]]
     convolutions: list[Convolution]
+    # Those to which they are added, counted from 0; none is left out.
     channels: Sequence[int]
 
     @property

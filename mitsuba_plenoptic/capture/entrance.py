@@ -10,12 +10,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..lattice import Lattice
-from ..lenses.lens_system import LensSystem
-from ..lenses.pupil_fit import Pupils
-from ..operator.pupil_weights import slants
-from ..optics import rays
+from ..lenses.base import Entrance
+from ..system.optical_system import OpticalSystem
 
 _MARGIN = 3
 """Lenses beyond the recorded ones whose points count.
@@ -50,20 +47,19 @@ class LensWindow:
     high: np.ndarray
 
     @classmethod
-    def of(cls, camera: PlenopticCamera) -> LensWindow:
+    def of(cls, system: OpticalSystem) -> LensWindow:
         """Find the window of a camera's recorded pixels."""
+        camera, lattice = system.camera, system.lattice
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
-        recorded = edges * camera.pixel_size
-        if camera.objective is None:
-            recorded = rays.chief_point(recorded, camera.pupil_distance, camera.detector_distance)
+        recorded = system.lens.chief_point(edges * camera.pixel_size, camera.detector_distance)
         pitch = max(camera.mla_pitches)
         margin = (_MARGIN + 0.5) * pitch
         # A lens of whose cell no more than the lower edge is recorded counts as well.
         low, high = recorded[0] - margin * (1 - _ROUNDING), recorded[1] + margin * (1 + _ROUNDING)
-        index = camera.lattice.lenses_within(tuple(low), tuple(high))
+        index = lattice.lenses_within(tuple(low), tuple(high))
         # No point that lies nearer to the recorded part than this is in the cell of a lens beyond the window.
         whole = (_MARGIN - 1) * pitch
-        return cls(camera.lattice, index, recorded[0] - whole, recorded[1] + whole)
+        return cls(lattice, index, recorded[0] - whole, recorded[1] + whole)
 
     def place(self, i: Any, j: Any) -> tuple[Any, Any]:
         """Point of the MLA plane at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
@@ -87,40 +83,6 @@ class LensWindow:
 
 
 @dataclass(frozen=True)
-class Front:
-    """The scene's side of a main lens.
-
-    Attributes
-    ----------
-    entrance : float
-        Place z of the entrance pupil in the camera frame, in millimetres.
-    front : float
-        Place z of a plane before all of the lens.
-    magnification : float
-        Places on the exit pupil over those on the entrance pupil.
-    """
-
-    entrance: float = 0.0
-    front: float = 0.0
-    magnification: float = 1.0
-
-    @classmethod
-    def of(cls, camera: PlenopticCamera) -> Front:
-        """Take that of a camera; a thin lens is its own pupils."""
-        if camera.prescription is None:
-            return cls()
-        system = LensSystem.of(camera)
-        pupils = Pupils.of(system)
-        return cls(pupils.entrance, max(system.front_bounds[1]), pupils.magnification)
-
-    def slants(
-        self, normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float
-    ) -> NDArray[np.float64]:
-        """Return the slants of surfaces (see `pupil_weights.slants`) over an exit pupil of this radius."""
-        return slants(normals, positions - np.array([0, 0, self.entrance]), radius / self.magnification)
-
-
-@dataclass(frozen=True)
 class Entrances:
     """Where the light of some points enters on its way to points of the exit pupil.
 
@@ -129,7 +91,7 @@ class Entrances:
 
     Attributes
     ----------
-    front : Front
+    front : Entrance
         The scene's side of the lens.
     pupil : float64 array (n, 2)
         Where the rays that have found the points pass the exit pupil.
@@ -139,7 +101,7 @@ class Entrances:
         Slopes of these rays towards the scene.
     """
 
-    front: Front
+    front: Entrance
     pupil: NDArray[np.float64]
     line: NDArray[np.float64]
     slope: NDArray[np.float64]
@@ -155,12 +117,12 @@ class Entrances:
             Numbers of the points.
         """
         front = self.front
-        if front == Front():
+        if front == Entrance():
             return mi.Point3f(x, y, 0)
-        depth = self.line[:, 2] - front.entrance
+        depth = self.line[:, 2] - front.pupil
         # Where the ray that has found the point passes the entrance pupil; how far from there the front plane is.
         own = self.line[:, :2] - self.slope * depth[:, None] - self.pupil / front.magnification
-        part = (front.front - front.entrance) / depth
+        part = (front.front - front.pupil) / depth
 
         def value(column: NDArray[np.float64]) -> Any:
             return dr.gather(mi.Float, mi.Float(np.ascontiguousarray(column, np.float32)), which)

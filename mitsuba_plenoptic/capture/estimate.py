@@ -16,7 +16,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from .render import chosen_integrator, film_memory, plenoptic_sensor, require_taken, sample_count
-from .scene import KNOWN_PARAMETERS
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS
 
 _RAYS = 2**20
 """Rays from the detector that are traced at a time."""
@@ -28,7 +28,7 @@ _FEW_PATHS = 16
 """Samples of a pixel that are traced at most."""
 
 
-@functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
+@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
 @one_at_a_time
 def estimate_capture(
     scene: Any,

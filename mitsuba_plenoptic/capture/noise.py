@@ -20,13 +20,7 @@ PARTS = 16
 
 
 def require_samples(spp: int) -> None:
-    """Refuse a number of samples that tells nothing of their spread.
-
-    Raises
-    ------
-    InputError
-        If it is below 2.
-    """
+    """Refuse a number of samples that tells nothing of their spread."""
     if spp < 2:
         raise InputError(f"spp = {spp}: it must be at least 2 for an estimate of the noise")
 
@@ -81,13 +75,6 @@ class Mended:
     """An image without what is below zero, by chance: it is taken from the light around.
 
     To set it to zero would brighten what is dark, the more the fewer samples there are.
-
-    Parameters
-    ----------
-    image : float32 array (rows, columns)
-        As it was computed.
-    size : int
-        Pixels, across, of the squares that share what they lack.
     """
 
     def __init__(self, image: Image, size: int) -> None:

@@ -20,7 +20,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .noise import PARTS, PassSpread, require_samples
-from .scene import KNOWN_PARAMETERS, mitsuba_sentence
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 
 # Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
 # sample each stay at 0.25 GiB beside the film.
@@ -35,7 +35,7 @@ _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
 
-@functools.partial(suggest_keywords, others=KNOWN_PARAMETERS["plenoptic_wave"])
+@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
 @one_at_a_time
 def render_capture(
     scene: Any,
@@ -139,13 +139,7 @@ def render_capture(
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's sensor by its number, or the one that is given; refuse a scene of another variant.
-
-    Raises
-    ------
-    InputError
-        If the scene is not of the active variant, or has no such sensor.
-    """
+    """Return a scene's sensor by its number, or the one that is given; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -185,13 +179,7 @@ def sample_count(sensor: Any, spp: int | None) -> int:
 
 
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped into a wave integrator or taken out of one.
-
-    Raises
-    ------
-    InputError
-        If there is none, a parameter is wrong, or it has extra outputs.
-    """
+    """Return the scene's integrator, wrapped into a wave integrator or taken out of one."""
     integrator = _integrator(scene, model, wave)
     if integrator.aov_names():
         raise InputError(

@@ -41,25 +41,7 @@ _Element = tuple[str, dict[str, str]]
 
 
 def check_scene_file(path: Path, parameters: Mapping[str, str]) -> str:
-    """Refuse a scene file that does what none needs to do; the module's text says what.
-
-    Parameters
-    ----------
-    path : Path
-        An XML file.
-    parameters : mapping
-        Values for its ``$name`` parameters, where they differ from its defaults.
-
-    Returns
-    -------
-    str
-        The text of the file, and of those that it includes.
-
-    Raises
-    ------
-    InputError
-        Naming the file, what is in it and the rule.
-    """
+    """Refuse a scene file that does what none needs to do; the module's text says what."""
     folders = [Path.cwd(), path.parent]
     files: list[Path] = []
     _check(path, dict(parameters), folders, files, ())
@@ -215,6 +197,9 @@ KNOWN_PARAMETERS = {
     ),
 }
 """Parameters of this package's plugins, for the suggestions of messages; it is Mitsuba that finds the unknown ones."""
+
+GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
+"""Parameters of ``plenoptic_wave`` up to 0.2, for captures by radiators, which signed rays have replaced."""
 
 
 def scene_names() -> list[str]:

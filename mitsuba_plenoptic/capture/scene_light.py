@@ -33,21 +33,13 @@ _UNATTACHED = "not attached to the AD graph"
 
 @dataclass(frozen=True)
 class SceneLight:
-    """The radiance along rays from the main lens into a scene.
+    """The radiance along rays from the main lens into a scene."""
 
-    Attributes
-    ----------
-    scene, sensor : mitsuba.Scene, mitsuba.Sensor
-        The scene, and the plenoptic sensor that says where the main lens is and when the shutter is open.
-    integrator : mitsuba.SamplingIntegrator
-        Finds the radiance.
-    wavelength : float, optional
-        For spectral variants, in nanometres.
-    """
-
+    # The scene, and the plenoptic sensor that says where the main lens is and when the shutter is open.
     scene: Any
     sensor: Any
     integrator: Any
+    # For spectral variants, in nanometres.
     wavelength: float | None = None
 
     def __call__(
@@ -89,13 +81,7 @@ class LightDerivatives(SceneLight):
 
     @classmethod
     def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:
-        """Return those of some light.
-
-        Raises
-        ------
-        InputError
-            If Mitsuba does not differentiate it.
-        """
+        """Return those of some light."""
         integrator = _differentiable(light.integrator)
         name = type(integrator).__name__
         if forward and (name == _REVERSE_ONLY or mi.is_spectral):
@@ -130,23 +116,16 @@ class LightDerivatives(SceneLight):
 
 @dataclass(frozen=True)
 class Replay:
-    """Rays whose light paths are known.
+    """Rays whose light paths are known."""
 
-    Attributes
-    ----------
-    scene, integrator, sampler, ray
-        As the integrator has taken them.
-    active : Bool
-        Which of them meet anything: others bring no light.
-    state : object
-        What the integrator has found.
-    """
-
+    # As the integrator has taken them.
     scene: Any
     integrator: Any
     sampler: Any
     ray: Any
+    # Which of them meet anything: others bring no light.
     active: Any
+    # What the integrator has found.
     state: Any
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
@@ -175,13 +154,7 @@ def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
 
 
 def _differentiable(integrator: Any) -> Any:
-    """Return the integrator that differentiates the radiance which another one finds.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Return the integrator that differentiates the radiance which another one finds."""
     if mi.is_polarized:
         raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):

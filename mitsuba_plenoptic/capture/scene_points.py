@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.fitted_lens import lens_of_rays, lens_of_waves
-from ..lenses.open_pupil import open_fraction, pupil_bound
-from ..operator.pupil_weights import PupilWeights
+from ..lenses.wave_cameras import require_ideal
+from ..operator.pupil_weights import PupilWeights, slants
 from ..operator.units import radiance_weight
 from ..runtime.limits import largest_fitting, require_memory
-from .entrance import Entrances, Front, LensWindow
+from ..system.optical_system import OpticalSystem
+from .entrance import Entrances, LensWindow
 from .scene_light import SceneLight
 
 PATHS = 64
@@ -137,10 +137,12 @@ def find_points(
         Light paths averaged for each point.
     """
     camera.require_resolved()
-    window = LensWindow.of(camera)
+    require_ideal(camera)
+    system = OpticalSystem.by_design(camera)
+    window = LensWindow.of(system)
     _require_memory(count, len(window.index))
     pairs = sample_pairs(count, seed)
-    finder = _Finder(lights, camera, window, pairs, paths)
+    finder = _Finder(lights, system, window, pairs, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
     seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
     found = [
@@ -152,12 +154,13 @@ def find_points(
     if len(positions) and not ((bits == 255).all() and (np.abs(slant) < _EVEN).all()):
         masks = PupilWeights.from_bits(bits, _CELLS)
         weights = PupilWeights(masks.table, masks.index, slant, sampled=True)
-    scale = radiance_weight(camera, camera.lattice.cell_area / count) / _landing(camera, positions, weights, window)
-    if camera.prescription is not None:
+    area = system.lattice.cell_area / count
+    scale = radiance_weight(camera, system.lens, area) / _landing(system, positions, weights, window)
+    if not system.lens.is_open_evenly:
         # Of few rays to a lens, those get through that are the open part of the pupil to some percent only.
         x, y = window.place(*(window.index + 0.5).T)
         open_rays = np.bincount(tried, minlength=len(x))
-        scale = scale * (count * open_fraction(camera, x, y) / np.maximum(open_rays, 1))[cell]
+        scale = scale * (count * system.lens.open_fraction(x, y) / np.maximum(open_rays, 1))[cell]
     return ScenePoints(positions, radiance * scale[:, None], weights)
 
 
@@ -178,12 +181,12 @@ class _Finder:
 
     Attributes
     ----------
-    lights, camera, window, pairs, paths
+    lights, system, window, pairs, paths
         As of `find_points`.
     """
 
     lights: Sequence[SceneLight]
-    camera: PlenopticCamera
+    system: OpticalSystem
     window: LensWindow
     pairs: NDArray[np.float64]
     paths: int
@@ -196,11 +199,11 @@ class _Finder:
         """
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
-        radius = pupil_bound(self.camera)
+        lens, radius = self.system.lens, self.system.lens.reach
         P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(mi.Float(s), mi.Float(t))) * radius
         i, j = self.window.index[cell].T
         q = tuple(mi.Float(x) for x in self.window.place(i + u, j + v))
-        point, slope, is_open = lens_of_rays(self.camera).ray((P.x, P.y), q)
+        point, slope, is_open = lens.ray((P.x, P.y), q)
         # As wide as the others: a thin lens's rays all start from the same plane, and it lets all of them through.
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
         is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
@@ -220,8 +223,8 @@ class _Finder:
         ahead = hit.t.numpy()[lit] / np.sqrt(1 + (slopes**2).sum(1))
         positions = np.column_stack([o[:, :2] + slopes * ahead[:, None], o[:, 2] + ahead])
         normals = (self.lights[0].sensor.world_transform().inverse() @ mi.Normal3f(hit.n)).numpy().T[lit]
-        front = Front.of(self.camera)
-        slant = front.slants(normals, positions, radius)
+        front = lens.entrance
+        slant = slants(normals, positions - np.array([0, 0, front.pupil]), radius / front.magnification)
         if len(lit):
             hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
             bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
@@ -263,15 +266,14 @@ class _Finder:
 
 
 def _landing(
-    camera: PlenopticCamera, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
+    system: OpticalSystem, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
 ) -> NDArray[np.float64]:
     """Return the fraction f of the light through the visible pupil that lands in the lenses of a window; (n,)."""
     fraction = np.ones(len(positions))
     if not len(positions):
         return fraction
     # Which rays land there is asked of the light that rays follow.
-    wavelength = 1.0 if camera.prescription is None else camera.prescription.wavelength
-    lens, radius = lens_of_waves(camera, positions, wavelength), pupil_bound(camera)
+    lens, radius = system.waves_of(positions), system.lens.reach
     # Only where the rays from the pupil's edge leave those lenses is there anything to count.
     rim = np.arange(8) * (math.pi / 4)
     edges = lens.bind(positions).land((radius * np.cos(rim), radius * np.sin(rim)), tuple(positions.T[..., None]))

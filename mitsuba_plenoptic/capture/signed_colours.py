@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.lens_system import LensSystem
 from ..optics.phase import in_millimetres
 from ..optics.spectrum import Responses, Spectrum
+from ..system.optical_system import OpticalSystem
 from ..system.phase_space import PhaseSpace
 
 FINE = 0.005
@@ -301,8 +301,5 @@ def _enough(
 
 def _power(camera: PlenopticCamera, wavelength: float) -> float:
     """Return the reciprocal of the distance behind the main lens at which what is in focus is imaged."""
-    if camera.objective is not None:
-        return 0.0
-    if camera.prescription is not None:
-        return float(LensSystem.of(camera, wavelength).vergence(camera.focus_distance))
-    return 1 / camera.at_wavelength(wavelength).focal_length
+    lens = OpticalSystem(camera.at_wavelength(wavelength), wavelength).lens
+    return float(lens.vergence(camera.focus_distance))

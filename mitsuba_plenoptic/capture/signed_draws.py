@@ -17,6 +17,7 @@ from ..camera import PlenopticCamera
 from ..optics.phase import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
+from ..system.optical_system import OpticalSystem
 from ..system.phase_space import PhaseSpace
 from ..system.ray_pupil import RayPupil
 from .signed_colours import Lanes
@@ -155,7 +156,7 @@ class Draws:
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhaseSpace], step: float) -> None:
         self._camera, self._step = camera, step
-        self.pupil = RayPupil(camera, plans[0].wavelength)
+        self.pupil = RayPupil(OpticalSystem(camera, plans[0].wavelength))
         self.kinds = LensKinds(camera)
         # Rays that land by their own points of a lens see the pupil from there.
         self.by_points = plans[0].by_points
@@ -190,8 +191,7 @@ class Draws:
     def _seen(self, radius: float) -> float:
         """Return how far apart rays from one point of the detector pass the array that go to the pupil so far apart."""
         camera = self._camera
-        both = camera.pupil_distance + (camera.objective is None) * camera.detector_distance
-        return radius * camera.detector_distance / both
+        return radius * camera.detector_distance / self.pupil.distance_from(camera.detector_distance)
 
     def aims(self, cells: Cells) -> Aims:
         """Return what cells look at through their lenses."""

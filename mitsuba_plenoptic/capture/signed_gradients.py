@@ -112,31 +112,16 @@ class SignedRayAdjoint(SignedRaySum):
 
 @dataclass(frozen=True)
 class SignedGradients:
-    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws.
-
-    Attributes
-    ----------
-    capture : SignedCapture
-        The capture.
-    light : LightDerivatives, optional
-        The derivatives of its light; None: the light is held.
-    seed, spp
-        As of its `compute`.
-    """
+    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws."""
 
     capture: SignedCapture
+    # The derivatives of its light; None: the light is held.
     light: LightDerivatives | None
     seed: int
     spp: int
 
     def forward(self, changes: Values) -> NDArray[np.float32]:
-        """Return the change of the capture, (rows, columns, channels).
-
-        Parameters
-        ----------
-        changes : dict
-            Of the camera's parameters, by name. The tangents of the scene's parameters are Dr.Jit's.
-        """
+        """Return the change of the capture, (rows, columns, channels)."""
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
             if self.light is not None:
@@ -153,12 +138,7 @@ class SignedGradients:
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
         """Return the gradients by the camera's parameters; those by the scene's are added to Dr.Jit's.
 
-        Parameters
-        ----------
-        gradient : float32 array (rows, columns, channels)
-            Of a figure with respect to the capture.
-        names : sequence of str
-            Of the camera's parameters.
+        Shapes: `gradient` (rows, columns, channels).
         """
         with dr.suspend_grad():
             linear = list(np.moveaxis(gradient, -1, 0))

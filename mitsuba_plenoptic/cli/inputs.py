@@ -34,14 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name.
-
-    Returns
-    -------
-    camera : PlenopticCamera
-    index : LensIndex or None
-        How the data of its calibration count lenses; None unless the file says so.
-    """
+    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name."""
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
@@ -109,21 +102,7 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 def open_scene(
     scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, number: int = 0
 ) -> Any:
-    """Load a scene to be rendered, in the variant of its film's colours unless told, and say what is poor about it.
-
-    Parameters
-    ----------
-    scene : str
-        A file or the name of a built-in scene.
-    parameters : dict
-        Values for its ``$name`` parameters.
-    variant : str, optional
-        Mitsuba variant.
-    camera : str, optional
-        What `load_camera` takes, to be put in the place of the scene's own.
-    number : int
-        Of the sensor that is to be rendered.
-    """
+    """Load a scene to be rendered, in the variant of its film's colours unless told, and say what is poor about it."""
     other = named_camera(camera)
     colours = None if variant else _colours_of_film(scene, parameters)
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)

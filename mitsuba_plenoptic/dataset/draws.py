@@ -19,37 +19,19 @@ _SCALES = ("linear", "log")
 
 
 def generator(seed: int, index: int, name: str) -> np.random.Generator:
-    """Return the random numbers of one name in one sample.
-
-    Parameters
-    ----------
-    seed : int
-        Of the data set.
-    index : int
-        Number of the sample.
-    name : str
-        What is drawn, such as ``camera.focus_distance``.
-    """
+    """Return the random numbers of one name in one sample."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, zlib.crc32(name.encode()))))
 
 
 @dataclass(frozen=True)
 class Between:
-    """A number between two, evenly or evenly in its logarithm; with a step one of those that it reaches.
-
-    Attributes
-    ----------
-    low, high : float
-        The ends.
-    log : bool
-        Whether the logarithm is even.
-    step : float, optional
-        Distance of the values there are, counted from `low`.
-    """
+    """A number between two, evenly or evenly in its logarithm; with a step one of those that it reaches."""
 
     low: float
     high: float
+    # Whether the logarithm is even.
     log: bool = False
+    # Distance of the values there are, counted from `low`.
     step: float | None = None
 
     def draw(self, random: np.random.Generator) -> float:
@@ -64,13 +46,7 @@ class Between:
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of several values, all as probable.
-
-    Attributes
-    ----------
-    values : tuple
-        The values.
-    """
+    """One of several values, all as probable."""
 
     values: tuple[Any, ...]
 
@@ -80,21 +56,7 @@ class OneOf:
 
 
 def parse(name: str, value: Any) -> Any:
-    """Turn what a recipe says about a value into a `Between`, a `OneOf`, or the value itself.
-
-    Parameters
-    ----------
-    name : str
-        What messages call it.
-    value : Any
-        ``{from: 200, to: 300}``, with ``scale: log`` or ``step: 1`` besides; ``{one_of: [532, 633]}``; or anything
-        else, which does not vary.
-
-    Raises
-    ------
-    InputError
-        If it is a mapping of another form, or its ends are no ends.
-    """
+    """Turn what a recipe says about a value into a `Between`, a `OneOf`, or the value itself."""
     if not isinstance(value, Mapping):
         return value
     if set(value) == {"one_of"}:

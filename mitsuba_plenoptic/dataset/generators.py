@@ -31,20 +31,6 @@ def random_diffuse(random: np.random.Generator, plain: float, width: float) -> d
     """Describe a diffuse surface with a random pattern for ``mi.load_dict``.
 
     Band-limited noise or a checkerboard; in variants of three channels between two random colours.
-
-    Parameters
-    ----------
-    random : numpy.random.Generator
-        Source of what is random.
-    plain : float
-        Probability that there is no pattern.
-    width : float
-        Of the surface, in lens pitches where it stands.
-
-    Returns
-    -------
-    dict
-        A ``diffuse`` on both sides.
     """
     # All are drawn, whichever is used, so that what follows does not depend on it.
     is_plain, is_noise = random.random() < plain, random.random() < 0.75
@@ -81,17 +67,11 @@ _BEHIND = 1.02
 
 @dataclass(frozen=True)
 class Light:
-    """Light of generated scenes.
+    """Light of generated scenes."""
 
-    Attributes
-    ----------
-    sky : float
-        Radiance from everywhere, from 0 to 1e6.
-    lamp : float
-        Irradiance, over pi, that a small lamp makes on what faces it in the middle of the scene, from 0 to 1e6.
-    """
-
+    # Radiance from everywhere, from 0 to 1e6.
     sky: float = 0.5
+    # Irradiance, over pi, that a small lamp makes on what faces it in the middle of the scene, from 0 to 1e6.
     lamp: float = 0.5
 
     def __post_init__(self) -> None:
@@ -123,30 +103,20 @@ class Shapes:
     """Textured shapes at random places, turned at random, before a textured wall.
 
     Depths are drawn evenly in disparity, so that near and far are equally frequent in what a light field measures.
-
-    Attributes
-    ----------
-    objects : int
-        How many, 0 to 1000.
-    near, far : float, optional
-        Distances between which they stand. Default: the range that the camera's microlenses resolve
-        (`design.depth_ranges`).
-    size : float
-        Half their width, over that of the field of view at their distance, 0.01 to 1.
-    plain : float
-        Probability that one has no texture, 0 to 1.
-    kinds : list of str
-        Which shapes there are: rectangle, disk, sphere, cube, cylinder.
-    tilt : float
-        Degrees by which flat shapes are turned away from the camera, at most, up to 80.
     """
 
     objects: int = 12
+    # Distances between which they stand. Default: the range that the camera's microlenses resolve
+    # (`design.depth_ranges`).
     near: float | None = None
     far: float | None = None
+    # Half their width, over that of the field of view at their distance, 0.01 to 1.
     size: float = 0.15
+    # Probability that one has no texture, 0 to 1.
     plain: float = 0.2
+    # Which shapes there are: rectangle, disk, sphere, cube, cylinder.
     kinds: tuple[str, ...] = KINDS
+    # Degrees by which flat shapes are turned away from the camera, at most, up to 80.
     tilt: float = 50.0
 
     def __post_init__(self) -> None:
@@ -161,13 +131,7 @@ class Shapes:
             raise InputError(f"kinds = {shown(self.kinds)}: it must be a list of some of {', '.join(KINDS)}")
 
     def between(self, camera: PlenopticCamera) -> tuple[float, float]:
-        """Return the nearest and the farthest distance of objects before a camera.
-
-        Raises
-        ------
-        InputError
-            If the camera resolves no distance and none are given, or near is not before far.
-        """
+        """Return the nearest and the farthest distance of objects before a camera."""
         found = [limits for limits in depth_ranges(camera) if limits]
         if not found and None in (self.near, self.far):
             raise InputError("near, far: give both, as the camera resolves no distance by itself")

@@ -34,17 +34,7 @@ _GROWING = "recipe.count"
 
 @dataclass(frozen=True)
 class Layout:
-    """Files of a data set.
-
-    Attributes
-    ----------
-    folder : path
-        Where it lies.
-    count : int
-        Number of samples.
-    samples_per_shard : int
-        Samples in one file.
-    """
+    """Files of a data set."""
 
     folder: Path
     count: int
@@ -81,13 +71,7 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read which recipe made a data set.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no data set.
-    """
+    """Read which recipe made a data set."""
     path = folder / MANIFEST
     text = read_text(path, LARGEST_LIST)
     try:
@@ -105,11 +89,6 @@ def locked(folder: Path) -> Iterator[None]:
     """Make the folder of a data set and keep other processes from making it, too.
 
     The lock belongs to this process: the system releases it however the process ends. There is none on Windows.
-
-    Raises
-    ------
-    InputError
-        If another process has it, or the folder cannot be made or written.
     """
     path = folder / _LOCK
     try:
@@ -136,13 +115,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def claim(folder: Path, recipe: Recipe) -> Layout:
-    """Find that a folder is empty, or that it holds samples of the same recipe, and write its manifest.
-
-    Raises
-    ------
-    InputError
-        If it holds others, with the first difference, or something else.
-    """
+    """Find that a folder is empty, or that it holds samples of the same recipe, and write its manifest."""
     facts = facts_of(recipe)
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)

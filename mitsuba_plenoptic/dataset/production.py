@@ -27,20 +27,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class SampleTask:
-    """Renders one sample and writes it to a file of its own, in this process or in another.
-
-    Attributes
-    ----------
-    recipe : Recipe
-        The recipe.
-    index : int
-        Number of the sample.
-    path : path
-        The file, which a worker elsewhere must see under the same name.
-    """
+    """Renders one sample and writes it to a file of its own, in this process or in another."""
 
     recipe: Recipe
     index: int
+    # The file, which a worker elsewhere must see under the same name.
     path: Path
 
     @property

@@ -38,61 +38,34 @@ _WAVE = ("spp", "wavelength", "method", "accuracy")
 
 @dataclass(frozen=True)
 class Source:
-    """One kind of scenes.
-
-    Attributes
-    ----------
-    generator : str, optional
-        Name of a generator.
-    scene : str, optional
-        Instead of it, the path of a scene file or the name of a built-in scene.
-    share : float
-        How often it is chosen, in proportion to those of the others.
-    values : dict
-        The generator's settings or the scene's parameters, parsed by `draws.parse`.
-    """
+    """One kind of scenes."""
 
     generator: str | None
+    # Instead of it, the path of a scene file or the name of a built-in scene.
     scene: str | None
+    # How often it is chosen, in proportion to those of the others.
     share: float
+    # The generator's settings or the scene's parameters, parsed by `draws.parse`.
     values: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is drawn for one sample.
-
-    Attributes
-    ----------
-    index : int
-        Number of the sample.
-    source : int
-        Which of the recipe's scenes.
-    camera : PlenopticCamera
-        The camera.
-    light : Light
-        Of generated scenes.
-    maker : SceneGenerator, optional
-        Of a generated scene.
-    parameters : dict
-        Of a scene file.
-    detector, photons
-        As for `expose`; None without noise.
-    options : dict
-        Of each model, as for `render_capture`.
-    draws : dict
-        All drawn values by section, in plain JSON values.
-    """
+    """What is drawn for one sample."""
 
     index: int
+    # Which of the recipe's scenes.
     source: int
     camera: PlenopticCamera
     light: Light
     maker: SceneGenerator | None
     parameters: Mapping[str, str]
+    # As for `expose`; None without noise.
     detector: Detector | None
     photons: float | None
+    # Of each model, as for `render_capture`.
     options: Mapping[str, Mapping[str, Any]]
+    # All drawn values by section, in plain JSON values.
     draws: Mapping[str, Any]
 
 

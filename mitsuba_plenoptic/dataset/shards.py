@@ -53,13 +53,7 @@ def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
 
 
 def open_shard(path: Path) -> Any:
-    """Open a file of samples for reading.
-
-    Raises
-    ------
-    InputError
-        If it does not exist or is no HDF5.
-    """
+    """Open a file of samples for reading."""
     h5py = h5py_module("a data set")
     try:
         return h5py.File(require_file(path), "r")
@@ -68,24 +62,7 @@ def open_shard(path: Path) -> Any:
 
 
 def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None = None) -> Sample:
-    """Read a sample from an open file.
-
-    Parameters
-    ----------
-    file : h5py.File
-        What `open_shard` returned.
-    path : path
-        The file's name, for messages.
-    index : int
-        Number of the sample.
-    names : collection of str, optional
-        The arrays to read. Default: all.
-
-    Raises
-    ------
-    InputError
-        If it has no such sample or array, they are no arrays of numbers in the file itself, or they are damaged.
-    """
+    """Read a sample from an open file."""
     h5py = h5py_module("a data set")
     try:
         if not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink):

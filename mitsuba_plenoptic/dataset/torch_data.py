@@ -23,16 +23,15 @@ class TorchDataset(torch.utils.data.Dataset):
     Colour channels come first, as in PyTorch's convolutions: (3, rows, columns). Everything else is as in `Sample`.
     What is unknown stays NaN, and depths of what is infinitely far stay infinite. Batches need arrays of one size,
     so choose the fields of pixels where cameras differ in their number of views.
-
-    Parameters
-    ----------
-    folder : path
-        What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
-    fields : collection of str, optional
-        Names of the arrays to read. Default: all.
     """
 
-    def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:
+    def __init__(
+        self,
+        # What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
+        folder: str | Path,
+        # Names of the arrays to read. Default: all.
+        fields: Collection[str] | None = None,
+    ) -> None:
         self.samples = DataSet(folder, fields)
 
     def __len__(self) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.lens_system import LensSystem
+from ..lenses.factory import main_lens
 from ..optics.phase import in_millimetres
 
 MOST_OVERLAP = 100_000
@@ -135,15 +134,7 @@ def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     b, z, lattice = camera.pupil_distance, camera.detector_distance, camera.lattice
     # Behind an objective all lenses see the stop in the same directions.
     growth = (camera.objective is None) + b / z
-    reach = _pupil_reach(camera) / growth
+    reach = main_lens(camera).reach / growth
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
     covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2
     return covered / lattice.cell_area, reach, smear
-
-
-@functools.lru_cache(maxsize=64)
-def _pupil_reach(camera: PlenopticCamera) -> float:
-    """Distance from the axis up to which light passes the exit pupil's plane."""
-    if camera.prescription is None:
-        return camera.aperture_radius
-    return LensSystem.of(camera).pupil_reach(math.hypot(camera.detector_width, camera.detector_height) / 2)

@@ -17,18 +17,7 @@ from ..optics.phase import in_millimetres
 
 
 def objective_of(camera: PlenopticCamera) -> Objective:
-    """Return the objective of a microscope.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        If its main lens is none.
-    """
+    """Return the objective of a microscope."""
     if camera.objective is None:
         raise InputError("main_lens: it must be an Objective; this camera is no microscope")
     return camera.objective
@@ -118,15 +107,7 @@ def parallax(camera: PlenopticCamera, place: float) -> float:
 
 
 def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Say in one sentence each what is poor about a microscope.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        A microscope.
-    wavelength : float, optional
-        Wavelength in nanometres. Default: nothing is said of diffraction.
-    """
+    """Say in one sentence each what is poor about a microscope."""
     lens, found = objective_of(camera), []
     if lens.is_fourier:
         across = lenses_across_stop(camera)

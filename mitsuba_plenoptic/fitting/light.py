@@ -20,6 +20,7 @@ from ..io.captures import as_array, require_pixels
 from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera
 from ..runtime.backend import one_at_a_time
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from .noise import PixelNoise, check_light
 
@@ -172,5 +173,5 @@ def known_view(
         raise InputError("scene: a camera is fitted to images of one channel; use a mono variant")
     if not len(found.positions):
         raise InputError("scene: the camera sees nothing that shines")
-    weights = found.weights[:, 0] / brightness_at(camera, found.positions, wavelength)
+    weights = found.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), found.positions)
     return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)

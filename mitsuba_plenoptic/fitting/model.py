@@ -14,6 +14,7 @@ from ..errors import InputError, did_you_mean, shown
 from ..operator.derivatives import NUMBERS, check_names, light_slopes, values_of
 from ..operator.operator import CaptureOperator
 from ..operator.units import brightness_at
+from ..system.optical_system import OpticalSystem
 from .light import View
 
 _FARTHEST = 50.0
@@ -138,8 +139,9 @@ class Model:
     """
 
     def __init__(self, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float) -> None:
-        self._camera, self._views, self._wavelength = camera, views, wavelength
-        self._weights = [brightness_at(camera, view.points, wavelength) * view.weights for view in views]
+        self._camera, self._views = camera, views
+        self._system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
+        self._weights = [brightness_at(self._system, view.points) * view.weights for view in views]
         self._operators = [
             CaptureOperator(
                 camera,
@@ -148,6 +150,7 @@ class Model:
                 accuracy=accuracy,
                 pupil_weights=view.pupil_weights,
                 virtual=view.virtual,
+                system=self._system,
             )
             for view in views
         ]
@@ -167,7 +170,7 @@ class Model:
             directions.append({number.name: change})
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
-            slopes = light_slopes(self._camera, names, view.points, self._wavelength)
+            slopes = light_slopes(self._system, names, view.points)
             growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
             grown = [
                 # All the light together, or each point's by itself.

@@ -91,20 +91,13 @@ def kept_noise(capture: Capture) -> tuple[PixelNoise | None, float | None]:
 
 @dataclass(frozen=True)
 class Pixels:
-    """What is expected of the noise of all pixels of some views, (views, rows, columns).
+    """What is expected of the noise of all pixels of some views, (views, rows, columns)."""
 
-    Attributes
-    ----------
-    weight : float64 array
-        Deviations by which residuals are divided; infinite where a pixel does not count.
-    share : float64 array
-        Expected squares of the residuals after that: 1, less in the dark, and 0 where a pixel does not count.
-    spread : float64 array
-        Variances of those squares.
-    """
-
+    # Deviations by which residuals are divided; infinite where a pixel does not count.
     weight: NDArray[np.float64]
+    # Expected squares of the residuals after that: 1, less in the dark, and 0 where a pixel does not count.
     share: NDArray[np.float64]
+    # Variances of those squares.
     spread: NDArray[np.float64]
 
     @classmethod
@@ -138,13 +131,7 @@ def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | Non
 
 
 def check_light(view: View, default: PixelNoise | None = None) -> None:
-    """Refuse a view that shows no light, or pixels further below zero than noise takes them.
-
-    Raises
-    ------
-    InputError
-        If it does, or all of its pixels are left out.
-    """
+    """Refuse a view that shows no light, or pixels further below zero than noise takes them."""
     noise = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
         dark, least = (np.sqrt(max(noise.dark_variance, some)) / noise.electrons for some in (0.0, _LEAST_ELECTRONS))

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..lattice import Lattice, make_lattice
-from ..lenses.fitted_lens import lens_of_waves
-from ..lenses.main_lens import MainLens
-from ..lenses.thin import ThinLens
+from ..lenses.base import MainLens
 from ..lenses.wave_cameras import require_no_glass
 from ..operator.pupil_weights import PupilWeights
 from ..operator.units import brightness_at
 from ..optics import rays
 from ..runtime.backend import array_module, one_at_a_time
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory, check_positions
 from .light import View
 from .model import Number, changed, scales, values
@@ -78,8 +77,8 @@ class PointRays:
     ) -> None:
         _require_known(camera)
         points = check_positions(points, camera, virtual=True)
-        self._points, self._wavelength, self._pupil_weights = points, wavelength, pupil_weights
-        lens = lens_of_waves(camera, points, wavelength)
+        self._points, self._pupil_weights = points, pupil_weights
+        lens = OpticalSystem(camera, wavelength).waves_of(points)
         on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))
         pixels, lenses = on_detector / camera.pixel_size, on_array / min(camera.mla_pitches)
         sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
@@ -89,17 +88,17 @@ class PointRays:
         check_memory(_RAY_BYTES * float(most) ** 2, f"points by {most} x {most} rays")
 
     @one_at_a_time
-    def image(self, camera: PlenopticCamera, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def image(self, system: OpticalSystem, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
 
         Parameters
         ----------
-        camera : PlenopticCamera
-            The camera that records, of the same lattice and the same count of pixels.
+        system : OpticalSystem
+            The camera that records, of the same lattice and the same count of pixels, at the wavelength.
         weights : float64 array (n,)
             Of the points.
         """
-        lens = lens_of_waves(camera, self._points, self._wavelength)
+        camera, lens = system.camera, system.waves_of(self._points)
         image = array_module().Float64(np.zeros(math.prod(camera.shape)))
         for across in np.unique(self._across).tolist():
             which = np.flatnonzero(self._across == across)
@@ -193,11 +192,7 @@ class _Bundles:
     @cached_property
     def _lens(self) -> MainLens:
         """The main lens, of such numbers where it is thin."""
-        lens = self.lens
-        if not isinstance(lens, ThinLens):
-            return lens
-        f1, radius, b = (self._number(part) for part in (lens.focal_length, lens.pupil_radius, lens.pupil_distance))
-        return ThinLens(f1, radius, b, lens.model, [self._number(part) for part in lens.aberrations])
+        return self.lens.opaque(self._number)
 
     @cached_property
     def _lattice(self) -> Lattice:
@@ -314,9 +309,10 @@ class RayModels:
 
     def images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
         """Return the expected pixels of all views, (views, rows, columns)."""
+        system = OpticalSystem(camera, self._wavelength)
         return np.stack(
             [
-                rays.image(camera, brightness_at(camera, view.points, self._wavelength) * view.weights)
+                rays.image(system, brightness_at(system, view.points) * view.weights)
                 for rays, view in zip(self._rays, self._views, strict=True)
             ]
         )

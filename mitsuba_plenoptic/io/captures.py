@@ -138,21 +138,7 @@ def require_pixels(name: str, image: np.ndarray) -> None:
 
 
 def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
-    """Refuse a white capture by another camera than a capture's, or with many saturated pixels.
-
-    Parameters
-    ----------
-    white : Capture
-        The white capture.
-    cameras : sequence of PlenopticCamera
-        Those that the capture is known by: its own, and one that is given in its place. None: nothing is known.
-
-    Raises
-    ------
-    InputError
-        If it is by none of them, with the first parameter that differs; or if more than 1 % of its pixels are
-        saturated.
-    """
+    """Refuse a white capture by another camera than a capture's, or with many saturated pixels."""
     exposure = white.metadata.get("exposure")
     saturated = exposure.get("saturated_pixels", 0) if isinstance(exposure, dict) else 0
     pixels = math.prod(white.camera.shape)

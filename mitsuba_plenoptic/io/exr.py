@@ -61,23 +61,7 @@ def write_exr(
 ) -> None:
     """Write (rows, columns) as channel Y or (rows, columns, 3) as R, G, B.
 
-    Parameters
-    ----------
-    path : path
-        File to write.
-    image : (rows, columns[, 3]) array
-        Written as float32.
-    attributes : dict
-        Written as JSON into the header attribute ``mitsuba_plenoptic``.
-    noise : array of the image's shape, optional
-        Written as a layer of this name.
-    offset, full_size : (columns, rows)
-        Place of the image in a larger one: the file's data window within its display window.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    Shapes: `image` (rows, columns[, 3]), `offset`, `full_size` (columns, rows).
     """
     channels = image_channels(image)
     if noise is not None:
@@ -136,14 +120,7 @@ def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is no whole OpenEXR file, was not written by this package, or its pixels would take
-        more memory than is allowed.
-    """
+    """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes."""
     path = require_file(path)
     parts = read_parts(path)
     try:
@@ -182,13 +159,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
 
 
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
-    """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes.
-
-    Raises
-    ------
-    InputError
-        As by `read_exr`.
-    """
+    """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes."""
     path = require_file(path)
     parts = read_parts(path)
     try:
@@ -221,13 +192,7 @@ def _attributes(part: Part) -> dict[str, Any]:
 
 
 def read_parts(path: Path) -> list[Part]:
-    """Read the headers of an OpenEXR file, without its pixels.
-
-    Raises
-    ------
-    InputError
-        If the file is no OpenEXR file, or its header is damaged.
-    """
+    """Read the headers of an OpenEXR file, without its pixels."""
     _require_small_header(path)
     try:
         with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:

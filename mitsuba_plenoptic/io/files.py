@@ -22,20 +22,7 @@ _one_at_a_time = threading.Lock()
 
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:
-    """Check, before a long computation, that a file can be written, without touching it.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    *suffixes : str
-        What its name may end in, in small letters; anything if there are none.
-
-    Raises
-    ------
-    InputError
-        If the name ends in something else, the folder does not exist or cannot be written, or the path is a folder.
-    """
+    """Check, before a long computation, that a file can be written, without touching it."""
     path = _path(path)
     try:
         if path.is_dir():
@@ -54,38 +41,14 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that a file that is to be written is none of those that are read, which it would take the place of.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    *sources : Path, or None
-        The files that are read; None stands for one that is not given.
-
-    Raises
-    ------
-    InputError
-        If it is one of them, by whatever name.
-    """
+    """Check that a file that is to be written is none of those that are read, which it would take the place of."""
     for source in sources:
         if source is not None and path.exists() and source.exists() and path.samefile(source):
             raise InputError(f"{path}: it is read, and would be lost; write to another file")
 
 
 def require_different(*paths: Path | None) -> None:
-    """Check that no two of the files that are to be written are the same.
-
-    Parameters
-    ----------
-    *paths : Path, or None
-        The files; None stands for one that is not asked for.
-
-    Raises
-    ------
-    InputError
-        If two are.
-    """
+    """Check that no two of the files that are to be written are the same."""
     found: set[Path] = set()
     for path in filter(None, paths):
         if path.resolve() in found:
@@ -94,13 +57,7 @@ def require_different(*paths: Path | None) -> None:
 
 
 def require_file(path: str | Path) -> Path:
-    """Check that a file can be read.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name, or it is something else: a folder, a device, a pipe.
-    """
+    """Check that a file can be read."""
     path = _path(path)
     try:
         there, regular = path.exists(), path.is_file()
@@ -114,13 +71,7 @@ def require_file(path: str | Path) -> Path:
 
 
 def require_size(path: str | Path, largest: int) -> Path:
-    """Check that a file can be read and has at most `largest` bytes, before any of them is read.
-
-    Raises
-    ------
-    InputError
-        As `require_file` does, or if it is larger.
-    """
+    """Check that a file can be read and has at most `largest` bytes, before any of them is read."""
     path = require_file(path)
     size = path.stat().st_size
     if size > largest:
@@ -129,13 +80,7 @@ def require_size(path: str | Path, largest: int) -> Path:
 
 
 def read_text(path: str | Path, largest: int) -> str:
-    """Read a text file in UTF-8, with a byte-order mark or without one, of at most `largest` bytes.
-
-    Raises
-    ------
-    InputError
-        As `require_size` does, or if it is not such a text.
-    """
+    """Read a text file in UTF-8, with a byte-order mark or without one, of at most `largest` bytes."""
     path = require_size(path, largest)
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -153,20 +98,7 @@ def _path(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
-    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    *suffixes : str
-        What its name may end in, in small letters; anything if there are none.
-
-    Raises
-    ------
-    InputError
-        As by `require_writable`, and if writing fails, as on a full disk.
-    """
+    """Yield a temporary name beside a writable `path` that replaces it once it is written whole, or goes."""
     path = require_writable(path, *suffixes)
     folder = ""
     try:

@@ -66,13 +66,7 @@ class GroundTruth:
 
 
 def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
-    """Return quantities by their names, each once.
-
-    Raises
-    ------
-    InputError
-        If there is none, or one is unknown.
-    """
+    """Return quantities by their names, each once."""
     found = tuple(dict.fromkeys(names))
     for name in found:
         require_choice("aov", name, QUANTITIES)

@@ -87,21 +87,7 @@ def read_text(path: str | Path) -> tuple[Path, str]:
 def to_prescription(
     path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
 ) -> Prescription:
-    """Return the prescription of a file's surfaces, object and image left out.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        The lens's name in it.
-    wavelength : float
-        The primary wavelength in nanometres.
-    unit : float
-        Millimetres in the file's unit of length.
-    surfaces : list of DesignSurface
-        The surfaces.
-    """
+    """Return the prescription of a file's surfaces, object and image left out."""
     plain = []
     for number, surface in enumerate(surfaces, start=1):
         if not surface.semi_aperture > 0:

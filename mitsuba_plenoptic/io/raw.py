@@ -105,24 +105,12 @@ def read_raw(path: str | Path) -> Capture:
 
 
 def tells_detector(path: str | Path) -> bool:
-    """Return whether a picture tells its camera and detector, so that `read_raw` reads it.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist or is damaged.
-    """
+    """Return whether a picture tells its camera and detector, so that `read_raw` reads it."""
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
-    """Return the digital numbers that a detector gave for an exposed capture.
-
-    Raises
-    ------
-    InputError
-        If it was not exposed, or a value is no digital number.
-    """
+    """Return the digital numbers that a detector gave for an exposed capture."""
     exposure = capture.metadata.get("exposure")
     if not isinstance(exposure, dict):
         raise InputError("capture: no detector has recorded it; expose it first")
@@ -173,14 +161,6 @@ def _read(path: Path) -> tuple[NDArray[Any], str]:
 
 
 def scaled_from(capture: Capture, black_level: float) -> Capture:
-    """Return a capture of values from 0 to 1, of 65535 digital numbers, with another number as black.
-
-    Parameters
-    ----------
-    capture : Capture
-        The capture; what is darker comes out below zero, as noise makes it.
-    black_level : float
-        Digital number without light, from 0 to 65534.
-    """
+    """Return a capture of values from 0 to 1, of 65535 digital numbers, with another number as black."""
     black = require_number("black_level", black_level, minimum=0, maximum=65534) / 65535
     return replace(capture, image=(capture.image - np.float32(black)) / np.float32(1 - black))

@@ -17,18 +17,7 @@ _LARGEST_FILE = 2**22
 
 
 def read_table(path: str | Path) -> NDArray[np.float64]:
-    """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it is larger, or its rows are not finite numbers, the same count in each.
-    """
+    """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names."""
     lines = [line for line in read_text(path, _LARGEST_FILE).splitlines() if line.strip()]
     if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
         lines = lines[1:]
@@ -58,13 +47,7 @@ _SMALL = 2**20
 
 
 def h5py_module(purpose: str) -> Any:
-    """Return the module h5py.
-
-    Raises
-    ------
-    InputError
-        If it is not installed: what it is needed for, and how to get it.
-    """
+    """Return the module h5py."""
     try:
         return importlib.import_module("h5py")
     except ImportError:
@@ -76,11 +59,6 @@ def stored_array(group: Any, name: str) -> Any:
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
     stranger that would read files of the user's.
-
-    Raises
-    ------
-    InputError
-        If it is something else, or is stored in chunks that are much larger than itself.
     """
     h5py = h5py_module("HDF5")
     if not isinstance(group, h5py.Group):

@@ -48,13 +48,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Read a YAML or JSON file of at most 64 KiB, without aliases.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it is larger, it is not YAML, or a name is given twice.
-    """
+    """Read a YAML or JSON file of at most 64 KiB, without aliases."""
     text = read_text(path, LARGEST_FILE)
     try:
         return yaml.load(text, Loader=_Loader)

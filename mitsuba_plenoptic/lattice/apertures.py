@@ -43,13 +43,7 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Describe a cell with an aperture, enlarged by `smear`, about each of its points.
-
-        Returns
-        -------
-        reach, scale : float
-            What lies within `reach` of the cell, itself enlarged by `scale`.
-        """
+        """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
 
     def diffraction_width(self, lattice: Lattice) -> float:
         r"""Return the width w for which the first zero of its diffraction lies at :math:`\lambda / w`.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,22 +21,11 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics import guards
 from ..optics.phase import in_millimetres
-from ..runtime.limits import single_threaded_blas
-from .finite_pupil import FinitePupil
-from .lens_system import LensSystem
-from .main_lens import MainLens, UniformLens, main_lens
-from .open_pupil import pupil_bound
-from .pupil_fit import PupilFit, Pupils, covered, fit_pupil, trace
+from .base import FinitePupil
+from .open_pupil import open_area
+from .pupil_fit import PupilFit
 from .pupil_polynomials import LensLight, Place, Polynomial
-from .wave_cameras import require_ideal
-
-_FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
-"""Steps of the fitted range: of fields, by factors, and of nearnesses, over the power of the lens. Fits are kept."""
-
-_NARROWEST = 0.1
-"""Range of fields that is fitted at least, over that of the detector."""
 
 FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
@@ -59,14 +48,34 @@ _AS_TOLD = 2.0
 With the closed form of the thin lens the bounds of sharing have been chosen, and it tells as much more than its path.
 """
 
-_WIDER = 1.1
-"""Field that is asked for over that of the detector's corner: the lens may distort, and light is blurred."""
-
 _NEAR_EDGE = 0.15
 """Distance, over the pupil's radius, up to which places feel by how much an edge moves."""
 
 _EDGE_WEIGHT = 1 / 4
 """Waves of a wavefront that is as unlike as light whose edge moves by what one wave's tilt across a lens does."""
+
+
+_STRETCHED = 257
+"""Distances from the axis at which it is found how images are stretched."""
+
+
+@dataclass(frozen=True)
+class ImageStretch:
+    """Where on the array chief rays of object points come, over where bins of reconstructions have them.
+
+    Attributes
+    ----------
+    places : float64 array (n,)
+        Distances of object points from the axis as bins count them, :math:`X b / g`, as far as light comes from there.
+    ratio : float64 array (n,)
+        Distance of the chief rays from the axis over these.
+    area : float64 array (n,)
+        By how much areas grow.
+    """
+
+    places: NDArray[np.float64]
+    ratio: NDArray[np.float64]
+    area: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +84,7 @@ class FittedLens(FinitePupil):
 
     Attributes
     ----------
-    system : LensSystem
+    system : MainLens
         The lens, for rays.
     pupil_radius : float
         Radius of a circle about the axis that holds the open exit pupil wherever the detector looks, in millimetres.
@@ -83,7 +92,7 @@ class FittedLens(FinitePupil):
         The polynomials.
     """
 
-    system: LensSystem
+    system: Any
     pupil_radius: float
     fitted: PupilFit
 
@@ -109,6 +118,11 @@ class FittedLens(FinitePupil):
     def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
         """Return the ray that comes from a place on the MLA through a pupil point, as `MainLens.ray` does."""
         return self.system.ray(pupil, place)
+
+    def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fraction of the pupil that is open, seen from places on the MLA, as `MainLens.open_fraction`."""
+        found: NDArray[np.float64] = self.system.open_fraction(x, y)
+        return found
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does."""
@@ -136,6 +150,61 @@ class FittedLens(FinitePupil):
             [over_pupil(stop) for stop in fitted.stops],
         )
 
+    def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fraction of the circle of the radius `pupil_radius` that is open to each of some points, (n,)."""
+        return open_area(self, points) / (math.pi * self.pupil_radius**2)
+
+    def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return derivatives of the logarithm of the open area, (1, n), as `MainLens.open_slopes` does."""
+        from .lens_changes import LENS_NUMBERS, open_area_slopes
+
+        return {name: open_area_slopes(self, name, points)[None] for name in names if name in LENS_NUMBERS}
+
+    def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
+        """Return the lens with the gradients of its parameters, as `MainLens.varying` does."""
+        from .lens_changes import LENS_NUMBERS, VaryingLens
+
+        own = {name: numbers[name] for name in LENS_NUMBERS if name in names}
+        return VaryingLens(self, numbers["mla_distance"], own, turned)
+
+    def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
+        """Return the lens itself, whose parameters are in arrays."""
+        return self
+
+    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
+        """Return where chief rays from object points come, as `MainLens.stretch` does."""
+        found = self.image_stretch(camera, distance)
+        ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
+        return x * ratio, y * ratio
+
+    def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
+        """Return how the image of an object plane is stretched, up to the corners of the bins.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera.
+        distance : float
+            Object distance; may be infinite.
+
+        Raises
+        ------
+        InputError
+            If the image folds.
+        """
+        g = min(distance, FAR)
+        near = float(self.nearness(np.array([[0.0, 0.0, g]]))[0])
+        corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
+        corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
+        places = np.linspace(0, corner, _STRETCHED)[1:]
+        points = np.column_stack([0 * places, -places * g / camera.mla_distance, np.full(len(places), g)])
+        images = self.images(points)[:, 1]
+        growth = np.gradient(np.append(0, images), np.append(0, places))[1:]
+        if images.min() <= 0 or growth.min() <= 0:
+            raise InputError(f"distance = {distance:g}: the main_lens distorts so that the image of this plane folds")
+        ratio = images / places
+        return ImageStretch(places, ratio, ratio * growth)
+
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where on the MLA the rays through the middle of the exit pupil come; (n, 2)."""
         zero = np.zeros((len(points), 1))
@@ -144,6 +213,11 @@ class FittedLens(FinitePupil):
     def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reciprocals of the distances of points from the entrance pupil; (n,)."""
         return self.fitted.pupils.field(points)[1]
+
+    @property
+    def reach(self) -> float:
+        """The radius of that circle."""
+        return self.pupil_radius
 
     def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the scene points that have these images and nearnesses, (n, 3)."""
@@ -212,136 +286,3 @@ class FittedLens(FinitePupil):
                 moved = np.where(np.abs(edge) < _NEAR_EDGE * self.pupil_radius, there.inside((x, y)) - edge, 0)
                 edges = np.maximum(edges, np.abs(moved).max(1) / step)
         return places, paths, edges
-
-
-def lens_of_waves(camera: PlenopticCamera, points: NDArray[np.float64], wavelength: float) -> MainLens:
-    """Return a camera's main lens as the waves of some points pass it.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    points : float64 array (n, 3)
-        Scene points in the camera frame, or in one that is turned about the axis.
-    wavelength : float
-        Wavelength in nanometres.
-
-    Raises
-    ------
-    InputError
-        If a point does not lie before a real main lens, or not within the field that it covers, or the camera has what
-        waves do not know.
-    PhysicsError
-        If the path cannot be fitted.
-    """
-    if camera.prescription is None:
-        return main_lens(camera)
-    system = LensSystem.of(camera, wavelength)
-    front = max(system.front_bounds[1])
-    within = (points[:, 2] > 0) & (points[:, 2] <= front)
-    if within.any():
-        raise InputError(
-            f"position: g = {points[within][0, 2]:g}: it must lie before the main_lens, beyond {front:.6g}"
-        )
-    field, nearness = Pupils.of(system).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
-    largest = np.hypot(*field.T)
-    lens = _over_field(camera, wavelength, float(largest.max()), (float(nearness.min()), float(nearness.max())))
-    beyond = largest > lens.fitted.aberration.scales.field
-    if beyond.any():
-        place = ", ".join(f"{c:g}" for c in points[beyond][0])
-        raise InputError(f"position = ({place}): no light of it passes the main_lens")
-    return _judged(lens)
-
-
-def lens_over_field(
-    camera: PlenopticCamera, wavelength: float, field: float, nearness: tuple[float, float]
-) -> FittedLens:
-    """Return a camera's real main lens, fitted up to a field or as far as it lets light through.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    field : float
-        Slope, from the middle of the entrance pupil, of the scene points farthest from the axis.
-    nearness : (float, float)
-        Least and largest reciprocal of the distances of scene points from the entrance pupil, in 1/mm.
-
-    Raises
-    ------
-    InputError
-        If no light passes it.
-    PhysicsError
-        If the path cannot be fitted.
-    """
-    return _judged(_over_field(camera, wavelength, field, nearness))
-
-
-def _over_field(camera: PlenopticCamera, wavelength: float, field: float, nearness: tuple[float, float]) -> FittedLens:
-    """Return a lens that is fitted so far; fits are kept, and their ranges grow by steps."""
-    least = _NARROWEST * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)
-    steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
-    power = _NEARNESS_STEP / camera.focal_length
-    low, high = math.floor(nearness[0] / power), math.ceil(nearness[1] / power)
-    return _fitted(camera, wavelength, least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power)
-
-
-def _judged(lens: FittedLens) -> FittedLens:
-    """Return a lens whose path is fitted well enough."""
-    guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
-    return lens
-
-
-def farthest_points(camera: PlenopticCamera, wavelength: float, distances: Sequence[float]) -> NDArray[np.float64]:
-    """Return points as far from the axis as a detector sees through a real main lens, one at each distance; (n, 3).
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    distances : sequence of float
-        Finite distances in millimetres.
-    """
-    entrance = Pupils.of(LensSystem.of(camera, wavelength)).entrance
-    depths = np.array(distances)
-    near = 1 / (depths - entrance)
-    corner = _WIDER * math.hypot(camera.detector_width, camera.detector_height) / (2 * camera.mla_distance)
-    field = corner * depths * near
-    lens = lens_over_field(camera, wavelength, float(field.max()), (float(near.min()), float(near.max())))
-    field = np.minimum(field, WITHIN * lens.fitted.aberration.scales.field)
-    return np.column_stack([0 * depths, field / near, depths])
-
-
-@functools.lru_cache(maxsize=16)
-def _fitted(camera: PlenopticCamera, wavelength: float, field: float, low: float, high: float) -> FittedLens:
-    """Fit a lens up to a field, or as far as it covers, for a range of nearnesses."""
-    system = LensSystem.of(camera, wavelength)
-    tracer = functools.partial(trace, system)
-    radius, nearness = camera.aperture_radius, (low, high)
-    field = covered(tracer, radius, field, nearness)
-    if not field > 0:
-        raise InputError("main_lens: no light of the scene points passes it")
-    with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
-        fitted = fit_pupil(tracer, Pupils.of(system), radius, field, nearness, wavelength)
-    return FittedLens(system, pupil_bound(camera), fitted)
-
-
-def lens_of_rays(camera: PlenopticCamera) -> UniformLens | LensSystem:
-    """Return a camera's main lens as rays that look for points pass it.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        As of `lens_of_waves`.
-    """
-    require_ideal(camera)
-    return main_lens(camera) if camera.prescription is None else LensSystem.of(camera)

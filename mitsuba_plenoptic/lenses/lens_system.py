@@ -25,6 +25,7 @@ from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.data import height
 from ..thin_lens import vergence
 from . import sequential
+from .base import FiniteDistance
 
 _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
 """Places on the array and points across the exit pupil that are tried for light; how far out, in its radii."""
@@ -35,7 +36,7 @@ _SECANTS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class LensSystem:
+class LensSystem(FiniteDistance):
     """A lens of surfaces, stopped down and scaled, before an array.
 
     Parameters

@@ -1,66 +1,79 @@
-"""How much of the exit pupil of a real main lens is open, seen from the places of the microlens array (MLA)."""
+"""How much of the exit pupil of a fitted lens is open to scene points."""
 
 from __future__ import annotations
 
-import functools
-import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from .lens_system import LensSystem
+from .pupil_polynomials import LensLight, Place
 
-_HEIGHTS, _ACROSS = 17, 151
-"""Distances from the axis at which it is found, and rays across the pupil."""
+if TYPE_CHECKING:
+    from .fitted_lens import FittedLens
 
-_WIDER = 1.05
-"""Up to where, over the corner of the detector: light of lenses beside it reaches it, too."""
+_ACROSS, _EDGE = 192, 4.0
+"""Places across the pupil's bounding circle by which its open part is measured, and steps over which edges count."""
 
+_FIELDS, _DEPTHS = 17, 3
+"""Fields and distances at which it is measured for many points."""
 
-@functools.lru_cache(maxsize=16)
-def pupil_bound(camera: PlenopticCamera) -> float:
-    """Return the radius of a circle about the axis that holds the exit pupil's light wherever a detector looks.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        If no ray gets through the main lens, even to the axis.
-    """
-    if camera.prescription is None:
-        return camera.aperture_radius
-    return LensSystem.of(camera).pupil_reach(_corner(camera))
+_TOGETHER = 16
+"""Points for which it is measured at once."""
 
 
-def open_fraction(camera: PlenopticCamera, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the fraction of that circle that is open, seen from places on the MLA.
+def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the area of the exit pupil that is open to each point, in square millimetres; (n,).
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera, with a real main lens.
-    x, y : float64 array
-        Places in millimetres.
+    lens : FittedLens
+        The lens, fitted to the field and the distances of the points.
+    points : float64 array (n, 3)
+        Scene points in the camera frame.
     """
-    heights, fractions = _fractions(camera)
-    return np.interp(np.hypot(x, y), heights, fractions)
+
+    def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:
+        step, edge, pupil = places(lens)
+        _, least = edges(lens.bind(some), pupil)
+        return np.asarray(np.clip(least / edge + 0.5, 0, 1).sum(1) * step**2)
+
+    return at_all(lens, points, measured)
 
 
-def _corner(camera: PlenopticCamera) -> float:
-    return math.hypot(camera.detector_width, camera.detector_height) / 2
+def places(lens: FittedLens) -> tuple[float, float, Place]:
+    """Return the step of the places, the width of edges, and the places on the exit pupil."""
+    step, beyond = 2 * lens.pupil_radius / _ACROSS, round(_EDGE)
+    axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.pupil_radius
+    x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
+    return step, _EDGE * step, (x, y)
 
 
-@functools.lru_cache(maxsize=16)
-def _fractions(camera: PlenopticCamera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    lens, radius = LensSystem.of(camera), pupil_bound(camera)
-    heights = np.linspace(0, _WIDER * _corner(camera), _HEIGHTS)
-    axis = ((np.arange(_ACROSS) + 0.5) * 2 / _ACROSS - 1) * radius
-    Px, Py = (values[np.hypot(*grid) <= radius] for grid in [np.meshgrid(axis, axis)] for values in grid)
-    return heights, np.array(
-        [np.mean(lens.ray((Px, Py), (np.zeros_like(Px), np.full_like(Py, height)))[2]) for height in heights]
+def edges(light: LensLight, pupil: Place) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the number of the edge that is nearest to each place, and how far within it the place lies."""
+    away = np.stack([replace(light, stops=[stop]).inside(pupil) for stop in light.stops])
+    return away.argmin(0), away.min(0)
+
+
+def at_all(
+    lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return a measure of points: of many from that at some fields and distances, as lenses are round."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    if len(points) <= _FIELDS * _DEPTHS:
+        parts = [measured(points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
+        return np.concatenate([np.empty(0), *parts])
+    field, nearness = lens.fitted.pupils.field(points)
+    heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
+    # Ranges that are no points.
+    axes = (
+        np.linspace(0, heights.max() + 1e-9 * scales.field, _FIELDS),
+        np.linspace(nearness.min(), nearness.max() + 1e-9 * scales.half, _DEPTHS),
     )
+    u, near = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
+    nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
+    table = at_all(lens, nodes, measured).reshape(_FIELDS, _DEPTHS)
+    return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, nearness)))

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..optics.phase import in_millimetres
+from .base import LensNumbers, UniformLens, builds
 
 _Pair = tuple[Any, Any]
 
@@ -39,7 +40,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class TelecentricLens:
+class TelecentricLens(UniformLens):
     """An objective before a microlens array; `MainLens` says what its methods do.
 
     Parameters
@@ -54,6 +55,11 @@ class TelecentricLens:
     def is_round(self) -> bool:
         """It is."""
         return True
+
+    @property
+    def refraction(self) -> float:
+        """The focal length, which is the same at all wavelengths."""
+        return self.objective.focal_length
 
     @property
     def pupil_radius(self) -> float:
@@ -93,9 +99,30 @@ class TelecentricLens:
         """Return `vergence`."""
         return self.vergence(distance)
 
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> TelecentricLens:
-        """Return the lens, which is the same for all points."""
-        return self
+    def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
+        """Return the bounds of the rays on the objective's front principal plane."""
+        steepest = math.tan(self.objective.half_angle)
+        return field / self.objective.magnification - self.front * steepest, (self.front,)
+
+    def chief_point(self, place: Any, detector_distance: Any) -> Any:
+        """Return the place itself: chief rays are parallel to the axis."""
+        return place
+
+    def pupil_distance_from(self, behind: Any) -> float:
+        """Return the focal length of the tube lens, from everywhere: the stop is seen at infinity."""
+        return self.pupil_distance
+
+    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
+        """Return one coordinate on the stop, the same for all places."""
+        return self.pupil_distance * slope
+
+    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
+        """Return the slope in which light of a point of the stop comes to all places."""
+        return pupil / self.pupil_distance
+
+    def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
+        """Return where the light from scene points lands: there is no pupil at a finite distance to start from."""
+        return np.stack(np.broadcast_arrays(*self.land((pupil[0], pupil[1]), point)))
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the places of the chief rays of points in the native image plane, (n, 2)."""
@@ -225,3 +252,10 @@ class TelecentricLens:
         x, y = self._sines(pupil)
         M, (X, Y, d) = self.objective.magnification, point
         return -M * (X + d * x * scale), -M * (Y + d * y * scale)
+
+
+@builds(Objective)
+def telecentric_lens(numbers: LensNumbers) -> TelecentricLens:
+    """Return the main lens of a camera behind an objective."""
+    assert isinstance(numbers.camera.main_lens, Objective)
+    return TelecentricLens(numbers.camera.main_lens)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 from ..optics import rays
 from ..optics.phase import in_millimetres, parabola
 from ..thin_lens import vergence
+from .base import FinitePupil, LensNumbers, UniformLens, builds
 from .distortion import undistort
-from .finite_pupil import FinitePupil
 from .wavefront import Wavefront
 
 _ROUNDING = 1e-9
@@ -21,7 +22,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class ThinLens(FinitePupil):
+class ThinLens(UniformLens, FinitePupil):
     r"""A thin lens with a round pupil.
 
     Parameters
@@ -55,6 +56,11 @@ class ThinLens(FinitePupil):
         """Without aberrations it is."""
         return len(self.aberrations) == 0
 
+    @property
+    def refraction(self) -> Any:
+        """The focal length."""
+        return self.focal_length
+
     def vergence(self, distance: Any) -> Any:
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
         return vergence(self.focal_length, distance)
@@ -86,9 +92,19 @@ class ThinLens(FinitePupil):
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return (*pupil, 0.0), self._refract((tx, ty), pupil), True
 
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> ThinLens:
-        """Return the lens, which is the same for all points."""
-        return self
+    def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
+        """Return the lens of Dr.Jit's parameters."""
+        own = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
+        return ThinLens(*own, self.model, numbers["wavefront"])
+
+    def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
+        """Return the lens of parameters that are not compiled into kernels."""
+        own = number(self.focal_length), number(self.pupil_radius), number(self.pupil_distance)
+        return ThinLens(*own, self.model, [number(value) for value in self.aberrations])
+
+    def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
+        """Return the bounds of the pupil, in which all rays start."""
+        return self.pupil_radius, (0.0,)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
@@ -205,3 +221,12 @@ class DistortedLens(ThinLens):
         source = undistort(*place, self.distortion)
         moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))
+
+
+@builds(type(None))
+def thin_lens(numbers: LensNumbers) -> ThinLens:
+    """Return the main lens of a camera that has no other."""
+    own = (numbers.focal_length, numbers.aperture_radius, numbers.mla_distance, numbers.model, numbers.wavefront)
+    if any(numbers.camera.distortion):
+        return DistortedLens(*own, numbers.camera.distortion)
+    return ThinLens(*own)

@@ -106,11 +106,7 @@ def checked_images(
 ) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
     """Return the capture's image, the white image and the camera that `decode` is given, or refuse them.
 
-    Returns
-    -------
-    image : (rows, columns, channels) float32 array
-    reference : (rows, columns, 1) float32 array
-    camera : PlenopticCamera or None
+    The result has the shape (rows, columns, channels), (rows, columns, 1).
     """
     _require_suitable(white, capture, camera)
     image, camera = _checked(capture, camera, grid)
@@ -162,15 +158,7 @@ def _reference(
 
 
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray) -> None:
-    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
-
-    Parameters
-    ----------
-    light : (..., channels) array
-    fraction : (...) array
-    alone : bool array
-        Which samples are of one lens alone; broadcast against `fraction`.
-    """
+    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little."""
     fraction[(fraction < MINIMUM_WEIGHT) | ~alone] = 0
     np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
     light[fraction == 0] = 0
@@ -225,10 +213,7 @@ def _brightness(middle: np.ndarray) -> np.float32:
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
     """How many views there are on either side of the central one, and which of them are of this lens alone.
 
-    Returns
-    -------
-    half : int
-    alone : (2 half + 1, 2 half + 1) bool array
+    The result has the shape (2 half + 1, 2 half + 1).
     """
     reach = lenses.nearest_distance / 2
     views = math.inf
@@ -282,10 +267,7 @@ def _sample(
 ) -> np.ndarray:
     """Sample the lenses of an image, and interpolate between them.
 
-    Returns
-    -------
-    (2 half + 1, 2 half + 1, rows, columns, channels) float32 array
-        What lies outside the image counts as 0.
+    The result has the shape (2 half + 1, 2 half + 1, rows, columns, channels).
     """
     samples = sample_lenses(image, lenses, half)
     if resampling is not None:
@@ -298,10 +280,7 @@ def _sample(
 def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
     """Sample an image at whole-pixel steps about each micro-image centre.
 
-    Returns
-    -------
-    (rows, columns, 2 half + 1, 2 half + 1, channels) float32 array
-        Of the grid's lenses. What lies outside the image counts as 0.
+    The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """
     views, channels = 2 * half + 1, image.shape[2]
     height, width = image.shape[:2]

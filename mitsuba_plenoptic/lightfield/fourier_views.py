@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.telecentric import TelecentricLens
+from ..lenses.factory import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
 from .geometry import CHANNELS, DIMS
@@ -36,33 +36,20 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LensViews:
-    """The lenses of a Fourier microscope whose pictures are views, on a grid of columns and rows.
+    """The lenses of a Fourier microscope whose pictures are views, on a grid of columns and rows."""
 
-    Attributes
-    ----------
-    across, down : float64 arrays (columns,), (rows,)
-        Places of the columns and rows on the array in millimetres, rising.
-    fraction : float32 array (rows, columns)
-        What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no
-        lens, as at every second place of a hexagonal array, or where it lies beyond the image of the stop.
-    half : (int, int)
-        Pixels of its picture on either side of the one in the middle, along x and y.
-    """
-
+    # Places of the columns and rows on the array in millimetres, rising; (columns,).
     across: NDArray[np.float64]
     down: NDArray[np.float64]
+    # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
+    # as at every second place of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
     fraction: NDArray[np.float32]
+    # Pixels of its picture on either side of the one in the middle, along x and y; (int, int).
     half: tuple[int, int]
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
-        """Find the lenses in the image of the stop.
-
-        Raises
-        ------
-        InputError
-            If the array is turned, a lens is narrower than three pixels, or none lies in the image of the stop.
-        """
+        """Find the lenses in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
         if abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME:
             raise InputError(
@@ -92,21 +79,7 @@ def decode_views(
 ) -> xr.DataArray:
     """Turn a capture of a Fourier microscope into a light field; see `decode`.
 
-    Parameters
-    ----------
-    image : float32 array (rows, columns, channels)
-        The capture.
-    camera : PlenopticCamera
-        The microscope.
-    lens : Objective
-        Its objective.
-    white : float32 array (rows, columns, 1), optional
-        What it records of something white. Default: the part of each lens within the image of the stop.
-
-    Returns
-    -------
-    xarray.DataArray
-        Dimensions ``v, u, t, s[, c]``: u and v on the stop, s and t in the native object plane, in millimetres.
+    Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
     """
     views = LensViews.of(camera, lens)
     rows, columns = 2 * views.half[1] + 1, 2 * views.half[0] + 1
@@ -154,7 +127,7 @@ def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return for lenses at some places the light that their apertures get, over that of an even stop."""
-    lattice, stop = camera.lattice, TelecentricLens(lens)
+    lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     step = 2 * reach / _PLACES
     offset = (np.arange(_PLACES) + 0.5) * step - reach

@@ -117,11 +117,6 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     The bins are those of a reconstruction, `PlenopticCamera.bin_count`; where the camera records a crop window,
     those whose micro-image is centred in it. On an upright square lattice with a corner on the axis they are the
     lenses.
-
-    Raises
-    ------
-    InputError
-        If no micro-image is centred in the recorded window, or a lens is less than a pixel wide.
     """
     camera.require_thin("light fields are decoded")
     camera.require_resolved()
@@ -170,10 +165,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
 def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     """Return the centres of all micro-images on a camera's recorded image, and up to `margin` pixels beyond.
 
-    Returns
-    -------
-    (lenses, 2) float64 array
-        Columns and rows, by lattice row.
+    The result has the shape (lenses, 2).
     """
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
@@ -224,19 +216,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarr
     and b in a rectangular lattice. In a hexagonal one, stretched or not, they are along a + b and a - b, or along a and
     across it, and every second row is shifted; if it is not stretched, there are three such pairs.
 
-    Parameters
-    ----------
-    vectors : (2, 2) array
-        Two vectors, in its rows, that span the lattice.
-    tolerance : float
-        Error of an angle in radians, within which it counts as right.
-
-    Returns
-    -------
-    vectors : (2, 2) array
-        Step within a row, and from row to row: at right angles.
-    shifted : bool
-        Whether every second row is shifted by half a step.
+    Shapes: `vectors` (2, 2); the result (2, 2).
     """
     a, b = reduced(vectors)
     # Step along a row, and twice that from row to row; of a rectangular lattice, steps of one.
@@ -274,14 +254,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
 def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
     """Count the lenses of a lattice from the first row and column that an image needs.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the image.
-    origin : (2,) array
-        Column and row of one centre.
-    vectors, shifted
-        As `lattice_rows` gives them.
+    Shapes: `shape` (int, int), `origin` (2,).
     """
     corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]], dtype=np.float64)
     index = np.linalg.solve(vectors.T, (corners - origin).T).T

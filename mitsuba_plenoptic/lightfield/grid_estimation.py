@@ -119,13 +119,7 @@ def _refined(spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere.
-
-    Returns
-    -------
-    origin, vectors, shifted
-        One centre, and the rows as `lattice_rows` gives them.
-    """
+    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere."""
     size = np.array(image.shape[::-1])
     radius = min(math.hypot(*step) for step in (*vectors, vectors.sum(0))) / 2
     reach = _FIRST_REACH

@@ -25,22 +25,15 @@ _LANES = 2**21
 
 
 class FirstHits:
-    """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` tells of.
+    """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` tells of."""
 
-    Parameters
-    ----------
-    scene, sensor
-        Scene and camera.
-    names : sequence of str
-        What to find, of `QUANTITIES`.
-
-    Raises
-    ------
-    InputError
-        If the albedo is asked for in a spectral variant, where it has no three channels.
-    """
-
-    def __init__(self, scene: Any, sensor: Any, names: Sequence[str]) -> None:
+    def __init__(
+        self,
+        scene: Any,
+        sensor: Any,
+        # What to find, of `QUANTITIES`.
+        names: Sequence[str],
+    ) -> None:
         if mi.is_spectral and "albedo" in names:
             raise InputError(f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant")
         self._scene, self._names = scene, names
@@ -53,15 +46,7 @@ class FirstHits:
         self._index[numbers] = np.arange(1, len(numbers) + 1)
 
     def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
-        """Trace rays, and return float32 arrays (count[, 3]) by name.
-
-        Parameters
-        ----------
-        rays : callable
-            Given the numbers of some rays, returns them and whether the main lens lets each through.
-        count : int
-            How many there are.
-        """
+        """Trace rays, and return float32 arrays (count[, 3]) by name."""
         found = {
             name: np.empty((count, len(letters))[: 1 + (len(letters) > 1)], np.float32)
             for name, letters in QUANTITIES.items()

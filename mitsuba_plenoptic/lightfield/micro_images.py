@@ -97,18 +97,7 @@ def micro_images(
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:
-    """Return the micro-images that a light field consists of, which those of upright square lattices do.
-
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field of a camera.
-
-    Raises
-    ------
-    InputError
-        If its bins are interpolated between lenses, or views are left out.
-    """
+    """Return the micro-images that a light field consists of, which those of upright square lattices do."""
     camera = camera_of(lf)
     bins = bin_grid(camera)
     if (grid_of(lf) or lens_grid(camera)) != bins:

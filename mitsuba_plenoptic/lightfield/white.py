@@ -115,23 +115,7 @@ def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamer
     Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
     captures by waves this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
 
-    Parameters
-    ----------
-    white : (rows, columns, channels) array
-        The recorded image.
-    computed : (rows, columns) array
-        What the camera records of radiance 1, by rays.
-    camera : PlenopticCamera
-        The camera.
-
-    Returns
-    -------
-    (rows, columns, channels) float32 array
-
-    Raises
-    ------
-    InputError
-        As `white_radiance` does; or if less than a quarter of the light lies within micro-images as computed.
+    Shapes: `white` (rows, columns, channels), `computed` (rows, columns); the result (rows, columns, channels).
     """
     lenses = lens_numbers(camera).ravel()
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
@@ -159,20 +143,7 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
     main lenses hardly vignette. Within 5 % of 1 it counts as 1: so much may waves lose between microlenses with gaps.
 
-    Parameters
-    ----------
-    light : (lenses, channels) array
-        Recorded light of each lens.
-    computed : (lenses,) array
-        The same, computed for radiance 1.
-    radius : (lenses,) array
-        Distance from the axis.
-
-    Raises
-    ------
-    InputError
-        If the white is dark, or a lens has less than an eighth of the light of the brightest. Below a half there is a
-        warning.
+    Shapes: `light` (lenses, channels), `computed` (lenses,), `radius` (lenses,).
     """
     whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
     ratio = light[whole] / computed[whole, None]
@@ -217,13 +188,7 @@ def _mean_response(camera: PlenopticCamera) -> float:
 
 
 class _Fractions:
-    """The `PupilFraction` of lenses of all types and heights.
-
-    Attributes
-    ----------
-    half : int
-        Pixels from a micro-image's centre, along x or y, beyond which it is dark.
-    """
+    """The `PupilFraction` of lenses of all types and heights."""
 
     def __init__(self, camera: PlenopticCamera) -> None:
         self._camera = camera

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
-from ..lenses.main_lens import MainLens
+from ..lenses.base import MainLens
 from .grid import Band
 
 DEFAULT_ACCURACY = 0.01

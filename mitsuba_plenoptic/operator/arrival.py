@@ -20,7 +20,8 @@ from ..optics.phase import in_millimetres, phasor, soft_edge
 from ..optics.power import band_edge_fraction, fraction, power, rim
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, pack, resting_drjit, rows_and_columns
-from .full_field_grids import BLOCK, FieldGrids, lens_of_point
+from ..system.optical_system import OpticalSystem
+from .full_field_grids import BLOCK, FieldGrids
 from .pupil_weights import PupilWeights
 
 
@@ -50,9 +51,8 @@ class SampledField:
 
 
 def pupil_field(
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     position: NDArray[np.float64],
-    wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> SampledField:
@@ -65,7 +65,7 @@ def pupil_field(
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-    lens, pupil, point = lens_of_point(camera, position, wavelength), (Px, Py), (X, Y, g)
+    lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
     # The edge is softened over one sample, so that it is round; the power is that of the hard edge.
     cover = types.Float(soft_edge(lens.inside(pupil) / step))
     bright = types.Float(lens.amplitude(pupil, point))
@@ -77,9 +77,10 @@ def pupil_field(
     power = dr.sum(density)[0] * pitch**2
     if not 0 < power < math.inf:
         raise InputError(
-            f"aperture_radius = {camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart"
+            f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples "
+            f"{pitch:g} apart"
         )
-    field = phasor(lens.path(pupil, point, wavelength)) * (bright * cover / math.sqrt(power))
+    field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(power))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 

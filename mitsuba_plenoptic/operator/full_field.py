@@ -36,7 +36,8 @@ from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
 from ..runtime.jobs import Job
-from ..system.microlens_orders import ArrayFactor, MicrolensArray
+from ..system.microlens_orders import ArrayFactor
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field, telecentric_arrival
 from .full_field_grids import FieldGrids, field_grids
@@ -54,9 +55,8 @@ class PointFields:
 
 
 def full_field(
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     position: NDArray[np.float64],
-    wavelength: float,
     *,
     pupil_weights: PupilWeights | None = None,
     microlenses: bool = True,
@@ -68,12 +68,10 @@ def full_field(
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    system : OpticalSystem
+        The camera, at one wavelength.
     position : float64 array (3,)
         Scene point (X, Y, g) in the camera frame, checked.
-    wavelength : float
-        Wavelength in nanometres, checked.
     pupil_weights : PupilWeights, optional
         Relative power over the pupil, of this one point.
     microlenses : bool
@@ -93,17 +91,15 @@ def full_field(
     InputError
         If the grids would need too much memory.
     """
-    grids = grids or field_grids(camera, position, wavelength, refinement, growth)
-    _, mla = _arrival(camera, position, wavelength, grids, pupil_weights)
-    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples, microlenses)
+    grids = grids or field_grids(system, position, refinement, growth)
+    _, mla = _arrival(system, position, grids, pupil_weights)
+    spectrum = _detector_spectrum(system, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
-    return backend().to_host(_pixel_integrals(camera, spectrum, grids))
+    return backend().to_host(_pixel_integrals(system.camera, spectrum, grids))
 
 
-def point_fields(
-    camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float, *, microlenses: bool = True
-) -> PointFields:
+def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
     """Propagate one scene point's field, as `full_field` does, and keep it at every plane.
 
     Raises
@@ -111,9 +107,9 @@ def point_fields(
     InputError
         If the grids would need too much memory.
     """
-    grids = field_grids(camera, position, wavelength, 1.0, 1.0)
-    pupil, mla = _arrival(camera, position, wavelength, grids)
-    spectrum = _detector_spectrum(camera, wavelength, grids, mla.samples.copy(), microlenses)
+    grids = field_grids(system, position, 1.0, 1.0)
+    pupil, mla = _arrival(system, position, grids)
+    spectrum = _detector_spectrum(system, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
     planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
@@ -121,32 +117,28 @@ def point_fields(
 
 
 def _arrival(
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     position: NDArray[np.float64],
-    wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> tuple[SampledField, SampledField]:
     """Return the field behind the pupil, and that before the MLA."""
-    if camera.objective is not None:
-        return telecentric_arrival(TelecentricLens(camera.objective), position, wavelength, grids, weights)
-    pupil = pupil_field(camera, position, wavelength, grids, weights)
-    return pupil, at_mla(camera, wavelength, grids, pupil)
+    if isinstance(system.lens, TelecentricLens):
+        return telecentric_arrival(system.lens, position, system.wavelength, grids, weights)
+    pupil = pupil_field(system, position, grids, weights)
+    return pupil, at_mla(system.camera, system.wavelength, grids, pupil)
 
 
-def _detector_spectrum(
-    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field, microlenses: bool
-) -> Field:
+def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
-        array = MicrolensArray(camera, wavelength)
-        before = _passed_power(array, camera, wavelength, grids, samples)
-        _apply(array.factors(grids.bend), grids, samples)
+        before = _passed_power(system, grids, samples)
+        _apply(system.microlenses.factors(grids.bend), grids, samples)
         if before > 0:
             guards.judge(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
-    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
+    return advance(spectrum, grids.pitch, system.camera.detector_distance, system.wavelength)
 
 
 def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:
@@ -163,15 +155,13 @@ def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> Non
         samples *= line if axis == 0 else line[:, None]
 
 
-def _passed_power(
-    array: MicrolensArray, camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field
-) -> float:
+def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: Field) -> float:
     """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
-    if camera.lattice.fills:
+    if system.lattice.fills:
         return power(samples)
-    total, cosine = 0.0, in_millimetres(wavelength) / (2 * grids.pitch)
+    total, cosine = 0.0, in_millimetres(system.wavelength) / (2 * grids.pitch)
     for block, x, y in _places(grids):
-        passed = backend().from_drjit(array.open_fraction(cosine, x, y))
+        passed = backend().from_drjit(system.microlenses.open_fraction(cosine, x, y))
         intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
         total += float((intensity * passed).sum(dtype=np.float64))
     return total
@@ -222,21 +212,20 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 class _FullField:
     """One point: a batch."""
 
-    camera: PlenopticCamera
+    system: OpticalSystem
     position: NDArray[np.float64]
     factors: NDArray[np.float32]  # of the channels
-    wavelength: float
     pupil_weights: PupilWeights | None
 
     @property
     def samples(self) -> int:
         """Samples on the detector."""
-        return math.prod(self.camera.shape)
+        return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
         """Do all of it."""
-        psf = full_field(self.camera, self.position, self.wavelength, pupil_weights=self.pupil_weights)
-        part = Part(_pixels(self.camera), self.factors[:, None, None] * psf)
+        psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
+        part = Part(_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
 
 
@@ -249,14 +238,12 @@ class FullFieldPlan:
 
     def __init__(
         self,
-        camera: PlenopticCamera,
+        system: OpticalSystem,
         points: NDArray[np.float64],
         pupil_weights: PupilWeights | None,
-        wavelength: float,
         accuracy: float,
     ) -> None:
-        self._camera, self._points, self._wavelength = camera, points, wavelength
-        self._pupil_weights = pupil_weights
+        self._system, self._camera, self._points, self._pupil_weights = system, system.camera, points, pupil_weights
 
     def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
         """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
@@ -265,7 +252,7 @@ class FullFieldPlan:
     def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
         """Describe the point spread of one point."""
         weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
-        return _FullField(self._camera, self._points[point], factors, self._wavelength, weights)
+        return _FullField(self._system, self._points[point], factors, weights)
 
     @property
     def box(self) -> Box:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..lenses.exit_pupil import ExitPupil
-from ..lenses.lens_system import LensSystem
-from ..lenses.main_lens import UniformLens, main_lens
+from ..lenses.telecentric import TelecentricLens
 from ..optics.phase import in_millimetres
 from ..system.microlenses import diffraction, scattering
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import bundle_footprint, check_memory, fast_length, footprint
 
 _WINDOW_MARGIN = 1.2
@@ -57,33 +55,9 @@ class FieldGrids:
     margin: int  # pixels of the detector's window before the first recorded one
 
 
-def lens_of_point(camera: PlenopticCamera, position: NDArray[np.float64], wavelength: float) -> UniformLens | ExitPupil:
-    """Return a camera's main lens as the waves of one scene point pass it.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    position : float64 array (3,)
-        Scene point in the camera frame.
-    wavelength : float
-        Wavelength in nanometres.
-    """
-    if camera.prescription is None:
-        return main_lens(camera)
-    X, Y, g = position.tolist()
-    return _exit_pupil(camera, (X, Y, g), wavelength)
-
-
-@functools.lru_cache(maxsize=16)
-def _exit_pupil(camera: PlenopticCamera, position: tuple[float, float, float], wavelength: float) -> ExitPupil:
-    return ExitPupil(LensSystem.of(camera, wavelength), position)
-
-
 def field_grids(
-    camera: PlenopticCamera,
+    system: OpticalSystem,
     position: NDArray[np.float64],
-    wavelength: float,
     refinement: float,
     growth: float,
 ) -> FieldGrids:
@@ -94,13 +68,14 @@ def field_grids(
     InputError
         If they would need too much memory.
     """
-    p, lam, lens = camera.pixel_size, in_millimetres(wavelength), lens_of_point(camera, position, wavelength)
+    camera, wavelength, lens = system.camera, system.wavelength, system.waves_of_one(position)
+    p, lam = camera.pixel_size, in_millimetres(wavelength)
     radius = lens.pupil_radius
     if isinstance(lens, ExitPupil):
         places, cosines = lens.bundle
         image = bundle_footprint(places.T[:, None], cosines.T[:, None], lens.pupil_distance)
     else:
-        image = footprint(lens, position[None])
+        image = footprint(system.lens, position[None])
     place, half_width = image.centre[0], image.half_width[0]
     steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
@@ -115,14 +90,14 @@ def field_grids(
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(place - half_width, start)
     high = np.maximum(place + half_width, start + np.array(pixels) * p)
-    if camera.objective is None:
+    if not isinstance(lens, TelecentricLens):
         low, high = np.minimum(-radius, low), np.maximum(radius, high)
         diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
     else:
         # The samples of the stop are as many as the window holds waves of the steepest direction; softening its edge
         # over one of them darkens what the edge diffracts far from the image of the point.
-        blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not camera.objective.is_fourier)
-        diffracted = max(_PUPIL_SAMPLES * lam / camera.objective.image_aperture, blur)
+        blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not lens.objective.is_fourier)
+        diffracted = max(_PUPIL_SAMPLES * lam / lens.objective.image_aperture, blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
     wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,11 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
-from ..lenses.fitted_lens import lens_of_waves
-from ..lenses.main_lens import MainLens
+from ..lenses.base import MainLens
 from ..optics.phase import in_millimetres
 from ..system.microlens_orders import MicrolensArray
 from ..system.microlenses import diffraction, scattering, upright
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_samples, fast_length, footprint
 
 _PITCH_PER_PIXEL = 1.1
@@ -72,37 +71,17 @@ class Band:
 
 @dataclass(frozen=True)
 class Grid:
-    """The grid of the detector on which intensities are sampled, and what patches on it have in common.
+    """The grid of the detector on which intensities are sampled, and what patches on it have in common."""
 
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera in the frame of its lattice.
-    lens : MainLens
-        Its main lens, as the waves of the points pass it.
-    rotation : float
-        Degrees by which that frame is turned, counter-clockwise.
-    cosine : float
-        Half the range of direction cosines of one scene point's light at the MLA.
-    pitch : float64 array (2,)
-        Distance between samples along x and y, in millimetres.
-    origin : float64 array (2,)
-        x and y of sample (0, 0).
-    """
-
-    camera: PlenopticCamera
-    lens: MainLens
-    rotation: float
+    camera: PlenopticCamera  # in the frame of its lattice
+    lens: MainLens  # as the waves of the points pass it
+    microlenses: MicrolensArray  # in the frame of the lattice
+    rotation: float  # degrees by which that frame is turned, counter-clockwise
     wavelength: float
     band: Band
-    cosine: float
-    pitch: NDArray[np.float64]
-    origin: NDArray[np.float64]
-
-    @cached_property
-    def microlenses(self) -> MicrolensArray:
-        """The microlenses in the frame of their lattice."""
-        return MicrolensArray(self.camera, self.wavelength)
+    cosine: float  # half the range of direction cosines of one scene point's light at the MLA
+    pitch: NDArray[np.float64]  # distances between samples along x and y, in millimetres
+    origin: NDArray[np.float64]  # x and y of sample (0, 0)
 
     @property
     def lens_samples(self) -> NDArray[np.int64]:
@@ -114,8 +93,7 @@ class Grid:
     @classmethod
     def of(
         cls,
-        camera: PlenopticCamera,
-        wavelength: float,
+        system: OpticalSystem,
         band: Band,
         positions: NDArray[np.float64],
     ) -> Grid:
@@ -124,8 +102,8 @@ class Grid:
         Its pitch holds the kept directions, and along both axes a whole number of samples lies between neighbouring
         micro-images.
         """
-        rotation, camera = camera.mla_rotation, upright(camera)
-        lens = lens_of_waves(camera, positions, wavelength)
+        rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
+        lens = system.waves_of(positions)
         cosine = lens.cone(positions[:, 2])
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
@@ -137,7 +115,17 @@ class Grid:
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
-        return cls(camera, lens, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
+        return cls(
+            camera,
+            lens,
+            system.upright_microlenses,
+            rotation,
+            wavelength,
+            band,
+            cosine,
+            steps / np.ceil(steps / largest),
+            origin,
+        )
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Turn scene points of the camera frame, (n, 3), into the frame of the lattice."""

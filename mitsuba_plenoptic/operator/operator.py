@@ -21,6 +21,7 @@ from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, Task
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
 from .derivatives import Differentials, check_changes, check_names
@@ -87,6 +88,8 @@ class CaptureOperator:
     virtual : bool
         Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
         after a lens of the scene.
+    system : OpticalSystem, optional
+        The camera bound to the wavelength, where other sums use it, too: what it holds is then found only once.
 
     Raises
     ------
@@ -106,6 +109,7 @@ class CaptureOperator:
         accuracy: float = DEFAULT_ACCURACY,
         pupil_weights: Any = None,
         virtual: bool = False,
+        system: OpticalSystem | None = None,
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
@@ -121,6 +125,7 @@ class CaptureOperator:
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         self._plans: dict[float, Plan] = {}
+        self._systems: dict[float, OpticalSystem] = {} if system is None else {system.wavelength: system}
         self._differentials: Differentials | None = None
 
     @one_at_a_time
@@ -306,7 +311,9 @@ class CaptureOperator:
                 f"spectrum: nodes = {self._spectrum.nodes}: there are no derivatives between nodes; leave them out"
             )
         if self._differentials is None:
-            self._differentials = Differentials(self.camera, self.points, self._pupil_weights, self._accuracy)
+            self._differentials = Differentials(
+                self.camera, self.points, self._pupil_weights, self._accuracy, self._system_at
+            )
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
@@ -394,9 +401,15 @@ class CaptureOperator:
     def _plan(self, wavelength: float) -> Plan:
         """Return the plan of a wavelength, made when it is first asked for."""
         if wavelength not in self._plans:
-            make, camera = PLANS[self._method], self.camera.at_wavelength(wavelength)
-            self._plans[wavelength] = make(camera, self.points, self._pupil_weights, wavelength, self._accuracy)
+            make, system = PLANS[self._method], self._system_at(wavelength)
+            self._plans[wavelength] = make(system, self.points, self._pupil_weights, self._accuracy)
         return self._plans[wavelength]
+
+    def _system_at(self, wavelength: float) -> OpticalSystem:
+        """Return the camera's optical system at a wavelength, made when it is first asked for."""
+        if wavelength not in self._systems:
+            self._systems[wavelength] = OpticalSystem(self.camera.at_wavelength(wavelength), wavelength)
+        return self._systems[wavelength]
 
     def _planned(self, wavelength: float, job: Job, channels: int) -> Plan:
         """Return the plan of a wavelength, or refuse what it takes."""

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice import turn
+from ..lenses.base import Light, MainLens
 from ..lenses.lens_changes import VaryingLens, VaryingLight
-from ..lenses.main_lens import Light, MainLens
 from ..optics.free_space import transfer
 from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
 from ..runtime.backend import array_module

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import guards
 from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .accuracy import band_for, wavefront_step
 from .grid import Band, Grid, place
@@ -81,14 +81,12 @@ class PatchPlan:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    system : OpticalSystem
+        The camera, at one wavelength.
     points : float64 array (n, 3)
         Points in the camera frame.
     pupil_weights : PupilWeights, optional
         Their power over the pupil.
-    wavelength : float
-        Wavelength in nanometres.
     accuracy : float
         Allowed relative error.
     band : Band, optional
@@ -99,17 +97,17 @@ class PatchPlan:
 
     def __init__(
         self,
-        camera: PlenopticCamera,
+        system: OpticalSystem,
         points: NDArray[np.float64],
         pupil_weights: PupilWeights | None,
-        wavelength: float,
         accuracy: float,
         *,
         band: Band | None = None,
         shared: bool = True,
     ) -> None:
+        camera, wavelength = system.camera, system.wavelength
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
-        self._grid = Grid.of(camera, wavelength, band or band_for(accuracy, len(points)), points)
+        self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
         step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)

@@ -14,6 +14,7 @@ from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Threads
 from ..runtime.jobs import Job
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from . import full_field
 from .full_field import PointFields
@@ -78,7 +79,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)
-        return full_field.point_fields(camera.at_wavelength(wavelength), point, wavelength)
+        return full_field.point_fields(OpticalSystem(camera.at_wavelength(wavelength), wavelength), point)
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.main_lens import MainLens
+from ..lenses.base import MainLens
 from ..optics.phase import in_millimetres
 from .pupil_weights import PupilWeights
 

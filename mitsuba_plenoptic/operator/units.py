@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.fitted_lens import FittedLens, lens_of_waves
-from ..lenses.lens_changes import open_area
-from ..lenses.open_pupil import pupil_bound
+from ..lenses.base import MainLens
+from ..system.optical_system import OpticalSystem
 
 
 def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
@@ -30,40 +29,35 @@ def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_si
     return pupil * detector_distance**2 / (lattice.lens_area * pixel_size**2)
 
 
-def brightness_of(camera: PlenopticCamera) -> float:
-    """Return `brightness` for a camera."""
-    return float(brightness(camera.lattice, pupil_bound(camera), camera.detector_distance, camera.pixel_size))
+def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
+    """Return `brightness` for a camera with its main lens."""
+    return float(brightness(camera.lattice, lens.reach, camera.detector_distance, camera.pixel_size))
 
 
-def brightness_at(camera: PlenopticCamera, points: NDArray[np.float64], wavelength: float) -> NDArray[np.float64]:
+def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `brightness` with the part of the pupil that is open to each of some points, (n,).
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    system : OpticalSystem
+        The camera, at one wavelength.
     points : float64 array (n, 3)
         Scene points in the camera frame.
-    wavelength : float
-        In nanometres.
     """
-    lens, whole = lens_of_waves(camera, points, wavelength), np.full(len(points), brightness_of(camera))
-    if not isinstance(lens, FittedLens):
-        return whole
-    return np.asarray(whole * open_area(lens, points) / (math.pi * pupil_bound(camera) ** 2))
+    return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
 
 
-def radiance_weight(camera: PlenopticCamera, area: float) -> float:
+def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
     r"""Return what all pixels together record of a small area of radiance 1: `brightness` times :math:`A_c / b^2`.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera.
+    lens : MainLens
+        Its main lens.
     area : float
         The area :math:`A_c` of its image on the array, in square millimetres; in the Fourier arrangement that of its
         native image, which the tube lens forms at b.
     """
-    objective = camera.objective
-    b = objective.tube_focal_length if objective is not None and objective.is_fourier else camera.pupil_distance
-    return area / b**2 * brightness_of(camera)
+    return area / lens.pupil_distance**2 * brightness_of(camera, lens)

@@ -22,19 +22,7 @@ Gradient = dict[str, NDArray[np.float64]]
 
 
 class Spreads:
-    """The point spreads of points that a figure looks at, each by itself.
-
-    Parameters
-    ----------
-    points : array (n, 3)
-        Scene points (X, Y, g) in the camera frame, in millimetres.
-    wavelength : float
-        In nanometres.
-    accuracy : float
-        As of `CaptureOperator`.
-    method : str
-        As of `CaptureOperator`; gradients by "patch" only.
-    """
+    """The point spreads of points that a figure looks at, each by itself."""
 
     def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
@@ -68,13 +56,7 @@ class Spreads:
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera of which numbers differ that a figure holds.
-
-    Raises
-    ------
-    InputError
-        If they do.
-    """
+    """Refuse a camera of which numbers differ that a figure holds."""
     mine, its = camera.to_dict(), other.to_dict()
     for name in held:
         if mine[name] != its[name]:

@@ -14,9 +14,8 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..lattice import Lattice, make_lattice
-from ..lenses.lens_system import LensSystem
-from ..lenses.telecentric import TelecentricLens
-from ..lenses.thin import DistortedLens, ThinLens
+from ..lenses.base import MainLens
+from ..lenses.factory import main_lens
 from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
@@ -181,7 +180,7 @@ class CameraRays:
     """
 
     camera: PlenopticCamera
-    lens: ThinLens | LensSystem | TelecentricLens
+    lens: MainLens
     lattice: Lattice
     focal_lengths: Any
     detector_distance: Any
@@ -209,9 +208,11 @@ class CameraRays:
             aperture=camera.mla_aperture,
             fill=numbers["mla_fill"],
         )
+        wavefront = numbers.get("wavefront", mi.Float())
+        aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
         return cls(
             camera,
-            _main_lens(camera, numbers),
+            main_lens(camera, varying=numbers | {"wavefront": aberrations}),
             lattice,
             numbers["mla_focal_length"],
             numbers["detector_distance"],
@@ -253,8 +254,7 @@ class CameraRays:
         """
         lattice = self.lattice
         b, z = self.lens.pupil_distance, self.detector_distance
-        # Behind an objective all chief rays are parallel to the axis.
-        x, y = pixel if self.camera.objective else (rays.chief_point(p, b, z) for p in pixel)
+        x, y = (self.lens.chief_point(p, z) for p in pixel)
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / b
             x, y = x * nearer, y * nearer
@@ -317,17 +317,3 @@ class CameraRays:
         """Return by how much a lens of a tilted array stands nearer to the main lens than the one on the axis."""
         across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
         return x * across + y * up
-
-
-def _main_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> ThinLens | LensSystem | TelecentricLens:
-    """Return the main lens of a camera, as rays pass it."""
-    if camera.objective is not None:
-        return TelecentricLens(camera.objective)
-    lens = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
-    if camera.prescription is not None:
-        return LensSystem(camera.prescription, *lens)
-    wavefront = numbers.get("wavefront", mi.Float())
-    aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
-    if any(camera.distortion):
-        return DistortedLens(*lens, camera.lens_model, aberrations, camera.distortion)
-    return ThinLens(*lens, camera.lens_model, aberrations)

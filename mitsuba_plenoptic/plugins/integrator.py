@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..capture import colour
 from ..capture.points_capture import PointsCapture
+from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import require_matte
 from ..capture.signed_camera import require_parameters
@@ -82,9 +83,6 @@ def _parts(sensor: Any, name: str) -> int:
     """Return of how many parts `derivatives.values_of` takes a number to be."""
     return values_of(sensor.camera, 1.0, name).size
 
-
-_GONE = ("radiators_per_lens", "passes", "occlusion")
-"""Parameters of captures by radiators, which signed rays have replaced."""
 
 SIGNED_RAYS = "signed_rays"
 """The method that takes all light from the rays of a capture by rays."""
@@ -197,7 +195,7 @@ def make_class() -> type:
             super().__init__(props)
             self.colours = read_colours(props)
             self.wavelengths = self.colours.wavelengths
-            for name in _GONE:
+            for name in GONE_PARAMETERS:
                 if name in props:
                     raise InputError(
                         f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel"

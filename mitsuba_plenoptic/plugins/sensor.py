@@ -12,8 +12,8 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.lens_system import LensSystem
-from ..lenses.telecentric import TelecentricLens
+from ..lenses.factory import main_lens
+from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays, Pair, Traced
 from .properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
@@ -352,7 +352,7 @@ def make_class() -> type:
             if differential:
                 width = self.detector_width / self.film().size()[0]
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
-                    if isinstance(self._rays.lens, LensSystem):
+                    if isinstance(self._rays.lens, RealLens):
                         # Surface by surface it would cost three times as much.
                         z = self.detector_distance
                         beside, turned = self._rays.lens.beside(point, slope, (-dx / z, -dy / z))
@@ -386,15 +386,8 @@ def make_class() -> type:
             """Bounds of the main lens, or of its first surface, where all rays start."""
             to_world = self.world_transform()
             camera = self.camera
-            radius: float = camera.aperture_radius
-            depths: tuple[float, ...] = (0.0,)
-            if camera.prescription is not None:
-                radius, depths = LensSystem.of(camera).front_bounds
-            elif camera.objective is not None:
-                lens = TelecentricLens(camera.objective)
-                steepest = math.tan(camera.objective.half_angle)
-                field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches)
-                radius, depths = field / camera.objective.magnification - lens.front * steepest, (lens.front,)
+            field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches)
+            radius, depths = main_lens(camera).start_bounds(field)
             box = mi.ScalarBoundingBox3f()
             for x, y, z in itertools.product((-radius, radius), (-radius, radius), depths):
                 corner = to_world @ mi.Point3f(x, y, z)

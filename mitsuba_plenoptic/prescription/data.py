@@ -236,15 +236,7 @@ class Prescription:
 
 
 def height(surface: Any, square: Any) -> Any:
-    """Return a surface's height over the plane of its vertex.
-
-    Parameters
-    ----------
-    surface : Surface, or another with its numbers
-        The surface.
-    square : array
-        Square of the distance from the axis.
-    """
+    """Return a surface's height over the plane of its vertex."""
     c = surface.curvature
     height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square))
     power = square * square

@@ -209,22 +209,6 @@ def catalogue_glass(
 
     The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``. Only a glass of just
     that name is taken, in capitals or not.
-
-    Parameters
-    ----------
-    name : str
-        Such as ``N-BK7``, or with the maker before a colon, ``schott:F2``.
-    where : str
-        What messages call it.
-    makers : sequence of str, optional
-        Whose catalogues are searched, the first first. Default: all; the name must then be in one of them only.
-    with_hyphens : bool
-        Whether hyphens are part of the name; CODE V leaves them out.
-
-    Raises
-    ------
-    InputError
-        If Optiland is not installed, no catalogue has the name, or several makers have one.
     """
     maker, _, own = name.rpartition(":")
     if maker:

@@ -21,6 +21,7 @@ from ..optics.power import power
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fft, resting_drjit
 from ..runtime.limits import require_memory
+from ..system.optical_system import OpticalSystem
 from .bins import BinSums
 from .conjugates import ThinConjugates
 from .elements import converging, microlenses, to_object
@@ -178,7 +179,7 @@ class AmplitudeFields:
         inside = np.hypot(across.x.destination, across.y.destination[:, None]) <= camera.aperture_radius
         self._sample_area = across.sample_area / camera.pixel_size**2
         self._pupil = backend().arrays.asarray(inside)
-        (whole,) = ThinConjugates(camera, wavelength).zones(distance)
+        (whole,) = ThinConjugates(OpticalSystem(camera, wavelength)).zones(distance)
         self._to_object = Spectrum(to_object(self.step, whole), self.step)
         self._subsets = range(interleave**2)
 

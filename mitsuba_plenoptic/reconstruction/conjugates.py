@@ -23,14 +23,13 @@ from scipy import ndimage
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
-from ..lenses.fitted_lens import FAR, FittedLens, lens_over_field
-from ..lenses.image_stretch import image_stretch
-from ..lenses.lens_system import LensSystem
-from ..lenses.main_lens import Light, UniformLens, main_lens
-from ..lenses.open_pupil import pupil_bound
+from ..lenses.base import Light
+from ..lenses.fitted_lens import FAR, FittedLens
 from ..lenses.pupil_fit import Pupils
+from ..lenses.real_lens import RealLens
 from ..optics.phase import in_millimetres
 from ..runtime.backend import array_module
+from ..system.optical_system import OpticalSystem
 
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""
@@ -101,7 +100,7 @@ class Conjugates(Protocol):
 
 @dataclass(frozen=True)
 class _ThinLight:
-    lens: UniformLens
+    lens: Any
     point: tuple[Any, Any, Any]
     wavelength: float
 
@@ -118,24 +117,29 @@ class ThinConjugates:
 
     Attributes
     ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
+    system : OpticalSystem
+        The camera, at one wavelength.
     """
 
-    camera: PlenopticCamera
-    wavelength: float
+    system: OpticalSystem
+
+    @property
+    def camera(self) -> PlenopticCamera:
+        """The camera."""
+        return self.system.camera
 
     def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of the centres of some lenses, as `Conjugates.at` does."""
         # Infinity is so far that nothing changes with the distance.
         b, g = (dr.opaque(type(x), length) for length in (self.camera.mla_distance, min(distance, FAR)))
-        return _ThinLight(main_lens(self.camera), (-x * g / b, -y * g / b, g), self.wavelength)
+        return self._light((-x * g / b, -y * g / b, g))
 
     def zones(self, distance: float) -> Iterator[Zone]:
         """Yield the whole field: what changes over it is neglected, see `planning`."""
-        yield Zone(_ThinLight(main_lens(self.camera), (0.0, 0.0, distance), self.wavelength))
+        yield Zone(self._light((0.0, 0.0, distance)))
+
+    def _light(self, point: tuple[Any, Any, Any]) -> _ThinLight:
+        return _ThinLight(self.system.lens, point, self.system.wavelength)
 
 
 @dataclass(frozen=True)
@@ -176,17 +180,15 @@ class RealConjugates:
     blur: float
 
     @classmethod
-    def of(cls, camera: PlenopticCamera, distances: list[float], wavelength: float, oversample: int) -> RealConjugates:
+    def of(cls, system: OpticalSystem, distances: list[float], oversample: int) -> RealConjugates:
         """Fit the main lens of a camera over its field, for object planes at some distances.
 
         Parameters
         ----------
-        camera : PlenopticCamera
-            The camera, with a real main lens.
+        system : OpticalSystem
+            The camera, with a real main lens, at one wavelength.
         distances : list of float
             Distances of the object planes; may be infinite.
-        wavelength : float
-            Wavelength in nanometres.
         oversample : int
             Bins per lens along each axis.
 
@@ -197,24 +199,25 @@ class RealConjugates:
         PhysicsError
             If its path cannot be fitted.
         """
-        system = LensSystem.of(camera, wavelength)
-        pupils, front = Pupils.of(system), max(system.front_bounds[1])
+        camera, real = system.camera, system.lens
+        assert isinstance(real, RealLens)
+        pupils, front = Pupils.of(real), real.entrance.front
         for distance in distances:
             if not distance > max(front, pupils.entrance):
                 raise InputError(
                     f"distance = {distance:g}: it must lie before the main_lens, beyond "
                     f"{max(front, pupils.entrance):.6g}"
                 )
-        b, behind = camera.mla_distance, float(system.pupil_distance)
+        b, behind = camera.mla_distance, float(real.pupil_distance)
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
         nearness = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
         fields = [abs(pupils.magnification) / behind]
         fields += [min(g, FAR) * near / b for g, near in zip(distances, nearness, strict=True)]
-        lens = lens_over_field(camera, wavelength, corner * max(fields), (min(nearness), max(nearness)))
-        seen = behind_thin_lens(camera, wavelength)
-        wider = max(1.0, *(float(image_stretch(camera, lens, distance).ratio.max()) for distance in distances))
+        lens = real.over_field(corner * max(fields), (min(nearness), max(nearness)))
+        seen = behind_thin_lens(system)
+        wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
         more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
-        return cls(_widened(seen, more), lens, wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
+        return cls(_widened(seen, more), lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
 
     def distance(self, distance: float) -> float:
         """Return the distance of an object plane before the thin lens of `camera`."""
@@ -282,24 +285,23 @@ class RealConjugates:
 _MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
 
 
-def behind_thin_lens(camera: PlenopticCamera, wavelength: float, radius: float | None = None) -> PlenopticCamera:
+def behind_thin_lens(system: OpticalSystem, radius: float | None = None) -> PlenopticCamera:
     """Return a camera with a thin main lens in the exit pupil, as the array sees the real one.
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera, with a real main lens.
-    wavelength : float
-        Wavelength in nanometres.
+    system : OpticalSystem
+        The camera, with a real main lens, at one wavelength.
     radius : float, optional
         Radius of its pupil in millimetres. Default: that of a circle that holds the light of all the field.
     """
-    system = LensSystem.of(camera, wavelength)
-    return camera.replace(
+    lens = system.lens
+    assert isinstance(lens, RealLens)
+    return system.camera.replace(
         main_lens=None,
-        focal_length=1 / Pupils.of(system).at_infinity,
-        aperture_radius=pupil_bound(camera) if radius is None else radius,
-        mla_distance=float(system.pupil_distance),
+        focal_length=1 / Pupils.of(lens).at_infinity,
+        aperture_radius=lens.reach if radius is None else radius,
+        mla_distance=float(lens.pupil_distance),
     )
 
 
@@ -339,7 +341,7 @@ def undistorted(
     scale : float
         Distances there, near the axis, over those on the array.
     """
-    found = image_stretch(camera, conjugates.lens, distance)
+    found = conjugates.lens.image_stretch(camera, distance)
     columns, rows = (count * fine for count in camera.bin_count)
     step = camera.mla_pitch / fine
     x, y = ((np.arange(count) - (count - 1) / 2) * step for count in (columns, rows))

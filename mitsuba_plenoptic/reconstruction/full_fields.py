@@ -11,6 +11,7 @@ from ..optics import guards
 from ..optics.power import fraction, power
 from ..runtime.backend import backend
 from ..runtime.fft import Field, resting_drjit
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .bins import power_in_bins
 from .conjugates import Conjugates, ThinConjugates
@@ -38,7 +39,7 @@ def reconstruct_subsets(
 
     See `waves.Power`; `interleave` is the period K of a subset along each axis, 1 is one coherent field.
     """
-    conjugates = conjugates or ThinConjugates(camera, wavelength)
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     libraries = backend()

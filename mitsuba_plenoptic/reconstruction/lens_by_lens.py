@@ -27,6 +27,7 @@ from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
 from ..optics.power import fraction
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .conjugates import Conjugates, ThinConjugates
 from .lens_sets import LensBatch, LensSet, lens_set
@@ -139,7 +140,7 @@ def object_patches(
 ) -> np.ndarray:
     """Return the power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
     camera = tile.camera
-    focused = _aim(fields, tile, batch, distance, conjugates or ThinConjugates(camera, tile.wavelength))
+    focused = _aim(fields, tile, batch, distance, conjugates or ThinConjugates(OpticalSystem(camera, tile.wavelength)))
     count, size = tile.pupil.size, tile.object_samples
     arrays = backend().arrays
     padded = arrays.zeros((len(fields), size, size), np.complex64)

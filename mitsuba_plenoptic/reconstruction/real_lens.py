@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..errors import InputError
-from ..lenses.lens_system import LensSystem
+from ..lenses.base import MainLens
+from ..lenses.factory import main_lens
 from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.fft import rows_and_columns
@@ -61,7 +62,7 @@ def traced_places(
     lit : bool array (pixels,)
         Whether the lens lets the ray, or that from the middle of one of the pixel's edges, through.
     """
-    types, lens = array_module(), LensSystem.of(camera)
+    types, lens = array_module(), main_lens(camera)
     half, b = camera.pixel_size / 2, camera.mla_distance
     for rows, px, py in _pixels(camera, types):
         cx, cy = camera.lattice.centre(*_cell(camera, px, py))
@@ -93,7 +94,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
     -------
     (rows, columns) float32 array
     """
-    types, lens, lattice, p = array_module(), LensSystem.of(camera), camera.lattice, camera.pixel_size
+    types, lens, lattice, p = array_module(), main_lens(camera), camera.lattice, camera.pixel_size
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
     several = len(camera.mla_focal_lengths) > 1
@@ -143,7 +144,7 @@ def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
 
 
 def _back(
-    camera: PlenopticCamera, lens: LensSystem, place: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
+    camera: PlenopticCamera, lens: MainLens, place: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
 ) -> Any:
     """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
     z = camera.detector_distance

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..system.optical_system import OpticalSystem
 from .conjugates import Conjugates, RealConjugates, behind_thin_lens, undistorted
 from .lens_tiles import Tile
 from .methods import Progress, Task
@@ -134,7 +135,7 @@ def _of_amplitudes(
     camera, oversample = task.camera, task.oversample
     conjugates, seen, distances = None, camera, task.distances
     if camera.prescription is not None:
-        conjugates = RealConjugates.of(camera, list(distances), wavelength, oversample)
+        conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), list(distances), oversample)
         seen, distances = conjugates.camera, [conjugates.distance(distance) for distance in distances]
     fine = fine_bins(camera, wavelength, oversample)
     totals = power(
@@ -165,7 +166,7 @@ def _of_amplitudes(
 def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
     """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
     if camera.prescription is not None:
-        camera = behind_thin_lens(camera, wavelength)
+        camera = behind_thin_lens(OpticalSystem(camera, wavelength))
     elif camera.lenses_are_bins:
         return 1
     return Tile(camera, wavelength, 1, oversample).samples // oversample

@@ -15,6 +15,7 @@ from ..optics import rays
 from ..optics.phase import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import convolve
+from ..system.optical_system import OpticalSystem
 from ..system.pupil import PupilFraction
 from ..system.sampling import check_memory
 from .conjugates import RealConjugates
@@ -120,7 +121,7 @@ def _traced_throughput(
 
     Micro-images that the lens cuts have more edge for their area, and lose more.
     """
-    conjugates = RealConjugates.of(camera, [distance], wavelength, 1)
+    conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
     tile = Tile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
     white, lenses, libraries = white_pixels(camera), lens_set(tile), backend()

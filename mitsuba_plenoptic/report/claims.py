@@ -29,22 +29,11 @@ _NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
 
 @dataclass(frozen=True)
 class Claim:
-    """A conclusion of the paper beside our numbers.
-
-    Attributes
-    ----------
-    statement : str
-        What the paper says.
-    measured : str
-        What we find.
-    verdict : str
-        ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
-    remark : str
-        What to keep in mind.
-    """
+    """A conclusion of the paper beside our numbers."""
 
     statement: str
     measured: str
+    # ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
     verdict: str
     remark: str
 

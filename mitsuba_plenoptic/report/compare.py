@@ -19,25 +19,6 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
 
     The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
     diffraction is the only difference.
-
-    Parameters
-    ----------
-    settings : Settings
-        Scene, distances and sampling.
-    output : Path
-        Folder to write into; what is in it already and valid is kept.
-    stages : StageOptions, optional
-        How progress is reported, and what becomes of checkpoints.
-
-    Returns
-    -------
-    dict
-        What ``results.json`` holds.
-
-    Raises
-    ------
-    InputError
-        If the scene or a distance is refused, or the folder cannot be written.
     """
     if not settings.distances:
         raise InputError("distance: give at least one to refocus to")

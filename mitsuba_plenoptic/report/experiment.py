@@ -122,86 +122,53 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """What an experiment is made with.
+    """What an experiment is made with."""
 
-    Attributes
-    ----------
-    scene : str
-        A scene file or a built-in name.
-    parameters : mapping
-        Values for the scene's ``$name`` parameters.
-    distances : tuple of floats
-        Distances of the figures and metrics, where all methods are used.
-    slider : tuple of floats
-        Distances of the report's slider.
-    wavelength : float
-        Nanometres.
-    spp : int
-        Samples per pixel of both captures.
-    points : int, optional
-        Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
-        Default: there is none.
-    truth_spp : int
-        Samples per pixel of the thin lens.
-    noise : bool
-        Whether the captures keep the noise of their samples, which takes two of each at least.
-    variant : str
-        A variant of Mitsuba in one colour channel.
-    """
-
+    # A scene file or a built-in name.
     scene: str
+    # Distances of the figures and metrics, where all methods are used.
     distances: tuple[float, ...]
+    # Distances of the report's slider.
     slider: tuple[float, ...] = ()
+    # Values for the scene's ``$name`` parameters.
     parameters: Mapping[str, str] = field(default_factory=dict)
     wavelength: float = 633.0
+    # Samples per pixel of both captures.
     spp: int = 16
+    # Points per lens of another wave capture, point by point, with which the one from signed rays is compared. Default:
+    # there is none.
     points: int | None = None
+    # Samples per pixel of the thin lens.
     truth_spp: int = 1024
+    # Whether the captures keep the noise of their samples, which takes two of each at least.
     noise: bool = False
+    # A variant of Mitsuba in one colour channel.
     variant: str = DEFAULT_VARIANT
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What came out.
-
-    Attributes
-    ----------
-    settings : Settings
-        What it was made with.
-    camera : PlenopticCamera
-        The camera, with parabolic lenses.
-    ray, wave : Capture
-        The captures.
-    points : Capture, optional
-        The wave capture point by point.
-    wave_file : Path
-        Where the wave capture lies.
-    wave_key : str
-        Its key in the store.
-    truths : dict
-        Thin-lens image by distance.
-    images : dict
-        Reconstruction by method and distance.
-    pinhole : array
-        The scene from the centre of the main lens.
-    boxes : dict
-        Bounding boxes of the scene's shapes in the camera's frame by id.
-    seconds : dict
-        How long each stage took.
-    """
+    """What came out."""
 
     settings: Settings
+    # The camera, with parabolic lenses.
     camera: PlenopticCamera
     ray: Capture
     wave: Capture
+    # The wave capture point by point.
     points: Capture | None
+    # Where the wave capture lies.
     wave_file: Path
     wave_key: str
+    # Thin-lens image by distance.
     truths: dict[float, np.ndarray]
+    # Reconstruction by method and distance.
     images: dict[tuple[str, float], np.ndarray]
+    # The scene from the centre of the main lens.
     pinhole: np.ndarray
+    # Bounding boxes of the scene's shapes in the camera's frame by id.
     boxes: dict[str, tuple[np.ndarray, np.ndarray]]
+    # How long each stage took.
     seconds: dict[str, float]
 
     def image(self, method: str, distance: float) -> np.ndarray:
@@ -210,13 +177,7 @@ class Experiment:
 
 
 def run_experiment(settings: Settings, store: StageStore) -> Experiment:
-    """Capture and refocus, taking from the store what is already there.
-
-    Raises
-    ------
-    InputError
-        If the scene, its parameters or a distance is refused.
-    """
+    """Capture and refocus, taking from the store what is already there."""
     if "mono" not in settings.variant:
         raise InputError(f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant")
     set_variant(settings.variant)
@@ -309,13 +270,7 @@ def load_with_sensor(name: str, parameters: Mapping[str, str]) -> Any:
 
 
 def open_store(output: Path, stages: StageOptions | None) -> StageStore:
-    """Check, before the work, that the output folder can be made; it is made with the first stage.
-
-    Raises
-    ------
-    InputError
-        If it cannot.
-    """
+    """Check, before the work, that the output folder can be made; it is made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         raise InputError(f"{output}: the folder cannot be made: {there} is not a folder that can be written to")

@@ -57,23 +57,12 @@ _DEFAULT_PERCENTILE = 99.5
 
 @dataclass(frozen=True)
 class Brightness:
-    """A rule for the value that becomes white; what is brighter is white, too.
+    """A rule for the value that becomes white; what is brighter is white, too."""
 
-    Parameters
-    ----------
-    exposure : float, optional
-        In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
-    percentile : float, optional
-        Instead, a value that so many percent of the bins or pixels do not surpass, above 0 and up to 100. Default: 99.5
-        where there is no exposure. If it is black, the brightest becomes white.
-
-    Raises
-    ------
-    InputError
-        If both are given, or one is out of range.
-    """
-
+    # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
     exposure: float | None = None
+    # Instead, a value that so many percent of the bins or pixels do not surpass, above 0 and up to 100. Default: 99.5
+    # where there is no exposure. If it is black, the brightest becomes white.
     percentile: float | None = None
 
     def __post_init__(self) -> None:

@@ -21,20 +21,13 @@ _MISSING = "not installed"
 
 @dataclass(frozen=True)
 class Installation:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    sections : dict
-        Titles, each with the names and findings below it.
-    problem : str or None
-        Why LLVM variants cannot be used.
-    ready : bool
-        Whether captures can be rendered.
-    """
-
+    # Titles, each with the names and findings below it.
     sections: dict[str, list[tuple[str, str]]]
+    # Why LLVM variants cannot be used.
     problem: str | None
+    # Whether captures can be rendered.
     ready: bool
 
 

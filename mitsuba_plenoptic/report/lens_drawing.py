@@ -14,7 +14,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..io.files import require_writable
 from ..lenses import sequential
-from ..lenses.lens_system import LensSystem
+from ..lenses.factory import main_lens
 from ..prescription.data import height
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from .framing import Canvas
@@ -52,7 +52,7 @@ class _Bundles:
     """Bundles of rays from places on the MLA to the object plane in focus, at one wavelength."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
-        self.lens = LensSystem.of(camera, wavelength)
+        self.lens = main_lens(camera, wavelength)
         self._g = camera.focus_distance if camera.focus_distance > 0 else math.inf
         axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius
         self._pupil = tuple(values.ravel() for values in np.meshgrid(axis, axis))
@@ -136,7 +136,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
     z, y : float64 arrays (surfaces + 1, count)
         Their places in the camera frame, on the MLA and on each surface.
     """
-    lens = LensSystem.of(camera)
+    lens = main_lens(camera)
     tried = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius
     slopes = (tried - height) / lens.pupil_distance
     _, _, is_open = lens.trace((0.0 * slopes, np.full_like(slopes, height)), (0.0 * slopes, slopes))
@@ -231,7 +231,7 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
 
 def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> None:
     """Draw glasses, stop and rays from the axis, 0.7 of the field and the corner."""
-    lens = LensSystem.of(camera)
+    lens = main_lens(camera)
     surfaces = lens.forwards
     # From the scene to the array z falls.
     vertices = lens.front - lens.scale * np.cumsum([surface.gap for surface in surfaces])

@@ -24,32 +24,18 @@ _WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 @dataclass(frozen=True)
 class EdgeSharpness:
-    """How sharp edges are.
+    """How sharp edges are."""
 
-    Attributes
-    ----------
-    width : float
-        Distance in pixels from 10 to 90 per cent of the edge's height.
-    mtf50 : float
-        Frequency in cycles per pixel at which the modulation transfer function falls to one half.
-    """
-
+    # Distance in pixels from 10 to 90 per cent of the edge's height.
     width: float
+    # Frequency in cycles per pixel at which the modulation transfer function falls to one half.
     mtf50: float
 
 
 def edge_sharpness(image: np.ndarray) -> EdgeSharpness:
     """Measure an edge that runs from top to bottom through the image, a few degrees off the vertical.
 
-    Parameters
-    ----------
-    image : (rows, columns) array
-        A window with dark on one side and bright on the other.
-
-    Raises
-    ------
-    ValueError
-        If it holds no such edge.
+    Shapes: `image` (rows, columns).
     """
     image = np.asarray(image, np.float64)
     position, profile = _profile(image)
@@ -73,19 +59,7 @@ def square_sharpness(image: np.ndarray, row: float, column: float, side: float) 
 
     The median, because something else may lie near one of them.
 
-    Parameters
-    ----------
-    image : (rows, columns) array
-        The image.
-    row, column : float
-        The square's centre in pixels from the image's corner.
-    side : float
-        Its side in pixels.
-
-    Raises
-    ------
-    ValueError
-        If an edge is not in the image.
+    Shapes: `image` (rows, columns).
     """
     # As far along an edge as its slant leaves the corners alone, and halfway to the square's middle across it.
     reach = round(0.3 * side)
@@ -151,23 +125,15 @@ _ESTIMATE = 0.03
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference of captures over some pixels; root mean squares over that of the second capture, all pixels.
+    """A difference of captures over some pixels; root mean squares over that of the second capture, all pixels."""
 
-    Attributes
-    ----------
-    measured : float
-        What is measured, noise and all.
-    noise : float or None
-        What noise alone would give; None if one of the captures does not know its noise.
-    true : float or None
-        The difference without noise.
-    noise_alone : bool or None
-        Whether noise is enough to explain what is measured.
-    """
-
+    # What is measured, noise and all.
     measured: float
+    # What noise alone would give; None if one of the captures does not know its noise.
     noise: float | None
+    # The difference without noise.
     true: float | None
+    # Whether noise is enough to explain what is measured.
     noise_alone: bool | None
 
     def to_dict(self) -> dict[str, float | bool | None]:
@@ -209,19 +175,7 @@ _COHERENT = ("coherent", "partial")
 
 
 def measure(experiment: Experiment) -> dict[str, Any]:
-    """Compare the captures with each other and the reconstructions with thin lens and one-lens limit.
-
-    Returns
-    -------
-    dict
-        ``captures``: the ray capture compared with the wave capture: image metrics, and under ``difference`` how far
-        they are apart and how much of that is noise, over ``all`` pixels, the ``middle`` of micro-images and their
-        ``rim``, and under ``points`` the relative error and the energy of the wave capture against that of points.
-        ``reconstructions``: for each method and
-        distance image metrics against the thin lens (after one scale per method), energy (before it) and, where waves
-        interfere, the distance from the one-lens limit over all that is lit. ``interference``: the same over each
-        flat shape. ``edges``: sharpness of the chart's slanted edges, empty for other scenes.
-    """
+    """Compare the captures with each other and the reconstructions with thin lens and one-lens limit."""
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
         "captures": {

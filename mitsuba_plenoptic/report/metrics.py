@@ -17,20 +17,13 @@ _WINDOW = 7
 
 @dataclass(frozen=True)
 class ImageMetrics:
-    """How close an image is to its reference.
+    """How close an image is to its reference."""
 
-    Attributes
-    ----------
-    psnr : float
-        Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
-    ssim : float or None
-        Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
-    energy : float
-        Sum over the reference's sum.
-    """
-
+    # Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
     psnr: float
+    # Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
     ssim: float | None
+    # Sum over the reference's sum.
     energy: float
 
     def to_dict(self) -> dict[str, float | None]:

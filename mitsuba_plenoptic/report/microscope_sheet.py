@@ -13,17 +13,7 @@ Line = tuple[str, str, str, str]
 
 
 def microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[Line]]:
-    """Return the groups of the sheet that tell of the objective, and of what is seen through it.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The microscope.
-    lens : Objective
-        Its objective.
-    wavelength : float, optional
-        Wavelength in nanometres. Default: nothing is said of diffraction.
-    """
+    """Return the groups of the sheet that tell of the objective, and of what is seen through it."""
     groups = {"Objective": _objective(camera, lens)}
     groups["Array"] = _fourier(camera, lens) if lens.is_fourier else _image(camera, lens)
     if wavelength is not None:

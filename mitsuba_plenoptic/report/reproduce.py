@@ -33,11 +33,6 @@ def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
 
     What counts is processor time, which does not grow with what else the machine does, and of several runs the
     shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
-
-    Raises
-    ------
-    InputError
-        If a reconstruction fails.
     """
 
     def hold() -> None:
@@ -110,18 +105,6 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
 
     The wave capture is made from signed rays, and once more point by point, as in the paper; the report states their
     difference.
-
-    Parameters
-    ----------
-    output, stages
-        As for `report.compare.compare`, which returns the same, too.
-    preset : {"quick", "paper"}
-        A smaller detector and smaller letters, or the paper's.
-
-    Raises
-    ------
-    InputError
-        If the preset is unknown or the folder cannot be written.
     """
     settings = PRESETS[require_choice("preset", preset, PRESETS)]
     store = open_store(output, stages)

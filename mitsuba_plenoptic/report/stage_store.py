@@ -39,35 +39,26 @@ def _ignore(*_: Any) -> None:
 
 @dataclass(frozen=True)
 class StageOptions:
-    """How the progress of stages is reported, and what becomes of checkpoints.
+    """How the progress of stages is reported, and what becomes of checkpoints."""
 
-    Attributes
-    ----------
-    notify : callable
-        Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
-    finished : callable
-        Called when a stage is there, with its name, its seconds and whether it was there already.
-    resume : bool
-        Whether the checkpoint of another capture is refused, instead of being replaced.
-    """
-
+    # Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
     notify: Callable[[str, int, int], None] = _ignore
+    # Called when a stage is there, with its name, its seconds and whether it was there already.
     finished: Callable[[str, float, bool], None] = _ignore
+    # Whether the checkpoint of another capture is refused, instead of being replaced.
     resume: bool = False
 
 
 class StageStore:
-    """A folder of finished stages.
+    """A folder of finished stages."""
 
-    Parameters
-    ----------
-    folder : path
-        Where the files lie; it is made with the first stage.
-    options : StageOptions, optional
-        How progress is reported. Default: not at all.
-    """
-
-    def __init__(self, folder: Path, options: StageOptions | None = None) -> None:
+    def __init__(
+        self,
+        # Where the files lie; it is made with the first stage.
+        folder: Path,
+        # How progress is reported. Default: not at all.
+        options: StageOptions | None = None,
+    ) -> None:
         options = options or StageOptions()
         self.folder = folder
         self.seconds: dict[str, float] = {}

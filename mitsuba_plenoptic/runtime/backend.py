@@ -43,13 +43,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def require_own_process() -> None:
-    """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later.
-
-    Raises
-    ------
-    InputError
-        If the process was forked from one in which Dr.Jit was at work.
-    """
+    """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later."""
     if _forked:
         raise InputError(
             "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
@@ -79,26 +73,17 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @dataclass(frozen=True)
 class Backend:
-    """The libraries of one type of processor.
+    """The libraries of one type of processor."""
 
-    Attributes
-    ----------
-    types : module
-        Types of Dr.Jit's arrays, without gradients.
-    arrays : module
-        NumPy, or CuPy, which has its functions.
-    transforms : module
-        `scipy.fft` or `cupyx.scipy.fft`.
-    sparse : module
-        `scipy.sparse` or `cupyx.scipy.sparse`.
-    is_cuda : bool
-        Whether the arrays lie on a CUDA device.
-    """
-
+    # Types of Dr.Jit's arrays, without gradients.
     types: Any
+    # NumPy, or CuPy, which has its functions.
     arrays: Any
+    # `scipy.fft` or `cupyx.scipy.fft`.
     transforms: Any
+    # `scipy.sparse` or `cupyx.scipy.sparse`.
     sparse: Any
+    # Whether the arrays lie on a CUDA device.
     is_cuda: bool
 
     def from_drjit(self, array: Any) -> Any:
@@ -117,13 +102,7 @@ class Backend:
 
 
 def backend() -> Backend:
-    """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere.
-
-    Raises
-    ------
-    InputError
-        If LLVM or CuPy is needed and no usable one was found.
-    """
+    """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere."""
     types = array_module()
     return _cuda() if types is dr.cuda else _processor()
 
@@ -136,13 +115,7 @@ def backend_of(array: Any) -> Backend:
 
 
 def array_module() -> Any:
-    """Give Dr.Jit's types for the active variant; unlike `backend` it needs no CuPy.
-
-    Raises
-    ------
-    InputError
-        If LLVM is needed and no usable one was found, or the process was forked while Dr.Jit was at work.
-    """
+    """Give Dr.Jit's types for the active variant; unlike `backend` it needs no CuPy."""
     global _started
     require_own_process()
     _started = True

@@ -37,17 +37,11 @@ class Box:
 
 @dataclass(frozen=True)
 class Part:
-    """The sum of one batch.
+    """The sum of one batch."""
 
-    Attributes
-    ----------
-    box : Box
-        Where it lies on the grid.
-    sums : float32 array (channels, rows, columns)
-        The sum there, on the backend's device; it is zero elsewhere.
-    """
-
+    # Where it lies on the grid.
     box: Box
+    # The sum there, on the backend's device; it is zero elsewhere; (channels, rows, columns).
     sums: NDArray[np.float32]
 
 
@@ -82,33 +76,24 @@ class BatchMap(Protocol):
 
 @dataclass(frozen=True)
 class PartialSum:
-    """A sum under way.
+    """A sum under way."""
 
-    Attributes
-    ----------
-    batches : int
-        The batches that are in it: the first ones.
-    sums : float32 array (channels, rows, columns)
-        Their sum, on the backend's device.
-    arrived : float
-        All samples of their parts added up, those beyond the box of the sum too.
-    """
-
+    # The batches that are in it: the first ones.
     batches: int
+    # Their sum, on the backend's device; (channels, rows, columns).
     sums: NDArray[np.float32]
+    # All samples of their parts added up, those beyond the box of the sum too.
     arrived: float = 0.0
 
 
 class Threads:
-    """Computes batches on threads of this process.
+    """Computes batches on threads of this process."""
 
-    Parameters
-    ----------
-    count : int, optional
-        Default: all cores that this process may use. A CUDA device takes its work from one.
-    """
-
-    def __init__(self, count: int | None = None) -> None:
+    def __init__(
+        self,
+        # Default: all cores that this process may use. A CUDA device takes its work from one.
+        count: int | None = None,
+    ) -> None:
         self.workers = self.threads = 1 if backend().is_cuda else count or worker_count()
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:

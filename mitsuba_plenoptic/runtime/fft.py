@@ -82,26 +82,7 @@ def busy_drjit() -> Iterator[None]:
 def fft(
     field: Field, *, axis: int, inverse: bool = False, norm: str | None = None, workers: int | None = None
 ) -> Field:
-    """Transform a field along one axis, in place where the library can.
-
-    Parameters
-    ----------
-    field : complex64 array
-        Overwritten.
-    axis : int
-        The axis.
-    inverse : bool
-        Whether to transform with a positive exponent.
-    norm : {"backward", "forward", "ortho"}, optional
-        Which transform is divided by the number of samples, as in `scipy.fft`. Default: the inverse one.
-    workers : int, optional
-        Threads. Default: all cores this process may use.
-
-    Returns
-    -------
-    complex64 array
-        Zero frequency first.
-    """
+    """Transform a field along one axis, in place where the library can."""
     return _transform("ifft" if inverse else "fft", field, workers, axis=axis, norm=norm)
 
 
@@ -200,10 +181,7 @@ _LARGE = 2**24
 def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
     """Return all of the convolution of two images, n + k - 1 samples along each axis.
 
-    Parameters
-    ----------
-    image, kernel : array (rows, columns)
-        Of real numbers.
+    Shapes: `image`, `kernel` (rows, columns).
     """
     if image.size > _LARGE:
         from scipy.signal import oaconvolve

@@ -46,39 +46,24 @@ class LongSum(Protocol):
 
 @dataclass(frozen=True)
 class Task:
-    """One of several sums that make an image.
+    """One of several sums that make an image."""
 
-    Attributes
-    ----------
-    items : int
-        Its items, those too that are in no batch.
-    plan : callable
-        Plans the sum, once it is its turn.
-    combine : callable
-        Turns its image into what is added to that of all: (rows, columns, channels).
-    """
-
+    # Its items, those too that are in no batch.
     items: int
+    # Plans the sum, once it is its turn.
     plan: Callable[[], LongSum]
+    # Turns its image into what is added to that of all: (rows, columns, channels).
     combine: Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Several sums under way.
-
-    Attributes
-    ----------
-    sums : int
-        Sums that are complete.
-    image : float32 array (rows, columns, channels)
-        Their images, added up.
-    partial : PartialSum, optional
-        The next one, as far as it has come.
-    """
+    """Several sums under way."""
 
     sums: int
+    # Their images, added up; (rows, columns, channels).
     image: NDArray[np.float32]
+    # The next one, as far as it has come.
     partial: PartialSum | None = None
 
 

@@ -31,11 +31,6 @@ def memory_limit() -> float:
 
     Three quarters of the memory that the machine, or the container that the process runs in, has; or as many GiB as
     the environment variable ``MITSUBA_PLENOPTIC_MEMORY`` says.
-
-    Raises
-    ------
-    InputError
-        If the variable is not a positive number.
     """
     told = os.environ.get(VARIABLE)
     if told is None:
@@ -50,24 +45,7 @@ def memory_limit() -> float:
 def require_memory(
     needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, limit: float | None = None
 ) -> None:
-    """Refuse work that needs more memory than is allowed.
-
-    Parameters
-    ----------
-    needed : float
-        Bytes, estimated.
-    what : str
-        What the message calls the work, with the values that make it large.
-    fits : callable, optional
-        Given the limit in bytes, says what would fit, or None if nothing would.
-    limit : float, optional
-        Bytes that are allowed. Default: `memory_limit`.
-
-    Raises
-    ------
-    InputError
-        With the estimate, the limit and what would fit.
-    """
+    """Refuse work that needs more memory than is allowed."""
     limit = memory_limit() if limit is None else limit
     # Written so that an estimate that is not a number is refused too.
     if needed <= limit:
@@ -80,13 +58,7 @@ def require_memory(
 
 
 def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int) -> int:
-    """Find the largest count whose estimate is within a limit, for an estimate that grows with the count.
-
-    Returns
-    -------
-    int
-        From 1 to `highest`, or 0 if not even 1 fits.
-    """
+    """Find the largest count whose estimate is within a limit, for an estimate that grows with the count."""
     low, high = 0, highest + 1
     while high - low > 1:
         middle = (low + high) // 2

@@ -98,13 +98,7 @@ def problem() -> str | None:
 
 
 def require() -> None:
-    """Make sure that Dr.Jit can compile with LLVM.
-
-    Raises
-    ------
-    InputError
-        If it cannot, with what to do.
-    """
+    """Make sure that Dr.Jit can compile with LLVM."""
     from ..errors import InputError
 
     if sentence := problem():
@@ -112,17 +106,7 @@ def require() -> None:
 
 
 def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
-    """Word the complaint about an unusable LLVM.
-
-    Parameters
-    ----------
-    loaded : str, optional
-        The version that Dr.Jit loaded; None if it loaded nothing.
-    named : str, optional
-        The value of ``DRJIT_LIBLLVM_PATH``.
-    found : list of Library
-        What `candidates` returns.
-    """
+    """Word the complaint about an unusable LLVM."""
     need = f"but the llvm variants need LLVM {MINIMUM} or newer"
     if named and not Path(named).is_file():
         fault = f"{VARIABLE} = {named!r}: there is no such file"

@@ -25,15 +25,7 @@ FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 0.3, 10.0, 60.0
 
 
 class ProgressBar:
-    """Takes progress as every long computation of this package reports it, and shows it.
-
-    Attributes
-    ----------
-    fraction : float
-        What was done at the last report, from 0 to 1.
-    label : str
-        What is going on.
-    """
+    """Takes progress as every long computation of this package reports it, and shows it."""
 
     def __init__(self, label: str, show: Callable[[int, int], None] | None = None) -> None:
         self.fraction, self.label = 0.0, label

@@ -14,13 +14,7 @@ DEFAULT_VARIANT = "llvm_ad_mono"
 
 @one_at_a_time
 def set_variant(variant: str | None) -> None:
-    """Set a Mitsuba variant, or the default one if none is named and none is active.
-
-    Raises
-    ------
-    InputError
-        If it does not exist or cannot work here, or this process was forked from one in which Dr.Jit was at work.
-    """
+    """Set a Mitsuba variant, or the default one if none is named and none is active."""
     variant = variant or mi.variant() or DEFAULT_VARIANT
     require_choice("variant", variant, mi.variants())
     if variant.startswith("llvm"):

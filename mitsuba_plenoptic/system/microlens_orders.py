@@ -68,8 +68,9 @@ _PER_WAVE = 8
 _FINE_BYTES = 16
 """Memory that a fine sample takes while the orders are made."""
 
-_FACTOR_SETS = 8
-"""Largest directions for which an array retains its factors: patches of different sizes ask for different ones."""
+_RETAINED = 16, 2
+"""Largest directions for which an array retains its factors, of one coordinate and of two, which take MiB. Patches of
+different sizes ask for different directions, and those of one size follow each other."""
 
 
 class Parameter(NamedTuple):
@@ -261,7 +262,7 @@ class MicrolensArray:
     """The transmission of a camera's microlenses at one wavelength, cut off at largest directions.
 
     `axes` are those of each factor. The factors that were asked for last are retained, as those of an array that is not
-    separable take long to make. A copy in another process makes its own.
+    separable take long to make.
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
@@ -270,13 +271,13 @@ class MicrolensArray:
         self.axes: list[tuple[int, ...]] = [(0,), (1,)] if is_separable(camera) else [(0, 1)]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._camera, self._wavelength)
+        return _received, (self._camera, self._wavelength)
 
     def factors(self, cosine: float) -> list[ArrayFactor]:
         """Return the factors, on the active processor, of directions up to a cosine relative to the incident light."""
         key = array_module(), cosine
         if key not in self._factors:
-            if len(self._factors) == _FACTOR_SETS:
+            if len(self._factors) == _RETAINED[len(self.axes[0]) - 1]:
                 del self._factors[next(iter(self._factors))]
             limits = self._camera, self._wavelength, cosine
             self._factors[key] = [
@@ -297,6 +298,12 @@ class MicrolensArray:
     @functools.cached_property
     def _holes(self) -> MicrolensArray:
         return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT), self._wavelength)
+
+
+@functools.lru_cache(maxsize=1)
+def _received(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
+    """Return the array of a batch from another process: batches come one by one, and most ask for the one before."""
+    return MicrolensArray(camera, wavelength)
 
 
 @dataclass(frozen=True)

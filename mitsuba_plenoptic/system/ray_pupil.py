@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.lens_system import LensSystem
-from ..lenses.open_pupil import pupil_bound
-from ..lenses.telecentric import TelecentricLens
-from ..lenses.thin import DistortedLens, ThinLens
+from ..lenses.base import MainLens
+from .optical_system import OpticalSystem
 
 Pair = tuple[Any, ...]
 
@@ -40,41 +38,29 @@ class RayPupil:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        In nanometres; it counts for a main lens with surfaces.
+    system : OpticalSystem
+        The camera; its wavelength counts for a main lens with surfaces.
     """
 
-    camera: PlenopticCamera
-    wavelength: float
+    system: OpticalSystem
 
     @property
     def radius(self) -> float:
         """Radius of the pupil near the axis in millimetres."""
-        return self.camera.pupil_radius
+        return self.system.camera.pupil_radius
 
     @property
     def reach(self) -> float:
         """Radius of a circle about the axis that holds the pupil, seen from anywhere on the detector."""
-        return self.radius if self.camera.prescription is None else pupil_bound(self.camera)
-
-    @property
-    def distance(self) -> float:
-        """Distance from the pupil to the array; behind an objective what turns directions into places on the stop."""
-        return self.camera.pupil_distance
-
-    @property
-    def refraction(self) -> float:
-        """A number that is the same where rays of two wavelengths go the same ways through a camera's main lens."""
-        camera = self.camera
-        if camera.prescription is not None and camera.is_dispersive:
-            return self.wavelength
-        return camera.focal_length
+        return self.system.lens.reach
 
     def chief_point(self, p: Any, detector_distance: Any) -> Any:
         """Return where rays from the detector to the pupil's middle pass the array."""
-        return p * (1.0 if self.camera.objective else self.distance / (self.distance + detector_distance))
+        return self.system.lens.chief_point(p, detector_distance)
+
+    def distance_from(self, detector_distance: float) -> float:
+        """Return the distance from the pupil to so far behind the array: what turns directions into its points."""
+        return self.system.lens.pupil_distance_from(detector_distance)
 
     def seen(self, detector: Pair, centre: Pair, detector_distance: float, height: Any) -> Pair:
         """Return the points of the pupil that the detector sees through the centres of lenses.
@@ -82,54 +68,39 @@ class RayPupil:
         The lenses stand by a height nearer to the main lens than so far from the detector.
         """
         slopes = ((c - p) / (detector_distance + height) for c, p in zip(centre, detector, strict=True))
-        if self.camera.objective:
-            return tuple(self.distance * slope for slope in slopes)
-        return tuple(c + (self.distance - height) * slope for c, slope in zip(centre, slopes, strict=True))
+        lens = self.system.lens
+        return tuple(lens.pupil_point(c, slope, height) for c, slope in zip(centre, slopes, strict=True))
 
     def trace(self, place: Pair, pupil: Pair, height: Any) -> tuple[tuple[Any, Any, Any], Pair]:
         """Return where rays from places on the array through points of the pupil start to the scene, and their slopes.
 
         The places are by a height nearer to the main lens than the array on the axis.
         """
-        if self.camera.objective:
-            slope = tuple(P / self.distance for P in pupil)
-        else:
-            slope = tuple((P - m) / (self.distance - height) for P, m in zip(pupil, place, strict=True))
-        place = tuple(m - height * t for m, t in zip(place, slope, strict=True))
-        point, slope, _ = self._lens.trace(place, slope)
+        lens = self.system.lens
+        x, y = (lens.slope_to(P, m, height) for P, m in zip(pupil, place, strict=True))
+        start = tuple(m - height * t for m, t in zip(place, (x, y), strict=True))
+        point, slope, _ = lens.trace((start[0], start[1]), (x, y))
         return point, slope
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
         """Return the points of the round pupil that stand for points of it, seen from lenses; others stand for none."""
-        if self.camera.prescription is None:
+        if self.system.lens.is_open_evenly:
             return pupil
         (x, y), (cx, cy) = pupil, centre
         field = dr.sqrt(cx * cx + cy * cy)
         # The map is that of fields along x.
         c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
-        corner, half = _field(self.camera), _WIDER * self.reach
+        corner, half = _field(self.system.camera), _WIDER * self.reach
         u, v = x * c + y * s, y * c - x * s
         across = [(value / half + 1) * ((_ACROSS - 1) / (2 * _ACROSS)) + 0.5 / _ACROSS for value in (u, v)]
         u, v = self._map.eval(mi.Point3f(*across, field / corner * ((_FIELDS - 1) / _FIELDS) + 0.5 / _FIELDS))
         return u * c - v * s, u * s + v * c
 
     @functools.cached_property
-    def _lens(self) -> Any:
-        camera = self.camera
-        if camera.objective is not None:
-            return TelecentricLens(camera.objective)
-        if camera.prescription is not None:
-            return LensSystem.of(camera, self.wavelength)
-        numbers = camera.focal_length, camera.aperture_radius, camera.mla_distance
-        if any(camera.distortion):
-            return DistortedLens(*numbers, "parabolic", camera.wavefront, camera.distortion)
-        return ThinLens(*numbers, "parabolic", camera.wavefront)
-
-    @functools.cached_property
     def _map(self) -> Any:
         # Beyond its border the map goes on as there, outside of the pupil.
         return mi.Texture3f(
-            mi.TensorXf(_inner(self.camera, self.wavelength)),
+            mi.TensorXf(_inner(self.system)),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
@@ -140,13 +111,12 @@ def _field(camera: PlenopticCamera) -> float:
     return _WIDER * math.hypot(camera.detector_width, camera.detector_height) / 2
 
 
-@functools.lru_cache(maxsize=16)
-def _inner(camera: PlenopticCamera, wavelength: float) -> NDArray[np.float32]:
+def _inner(system: OpticalSystem) -> NDArray[np.float32]:
     """Return the map of a pupil onto the round one at fields along x; (fields, rows, columns, 2)."""
     from scipy.spatial import cKDTree
 
-    lens, radius, reach = LensSystem.of(camera, wavelength), camera.pupil_radius, _WIDER * pupil_bound(camera)
-    heights = np.linspace(0, _field(camera), _FIELDS)
+    lens, radius, reach = system.lens, system.camera.pupil_radius, _WIDER * system.lens.reach
+    heights = np.linspace(0, _field(system.camera), _FIELDS)
     axis = np.linspace(-reach, reach, _ACROSS)
     nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     # Outside the round pupil.
@@ -168,7 +138,7 @@ def _inner(camera: PlenopticCamera, wavelength: float) -> NDArray[np.float32]:
     return result.reshape(_FIELDS, _ACROSS, _ACROSS, 2)
 
 
-def _edge(lens: LensSystem, height: float, reach: float) -> NDArray[np.float64] | None:
+def _edge(lens: MainLens, height: float, reach: float) -> NDArray[np.float64] | None:
     """Return points of the edge of the pupil, seen from a place on the array's x axis; None if nothing is open."""
 
     def is_open(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ..bounds import SHORTEST
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..lenses.main_lens import Light, MainLens
-from ..lenses.telecentric import TelecentricLens
+from ..lenses.base import Light, MainLens
 from ..runtime.limits import memory_limit, require_memory
 
 MEMORY_LIMIT = 4 * 2**30
@@ -88,11 +87,7 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     if np.any(square >= 1):
         worst = positions[np.argmax(square.max(1))]
         raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
-    if isinstance(lens, TelecentricLens):
-        # It has no pupil at a finite distance from which to go on.
-        landed = np.stack(np.broadcast_arrays(*lens.land((pupil[0], pupil[1]), point)))
-        return _bounds(landed, np.broadcast_to(cosine, pupil.shape))
-    return bundle_footprint(pupil, cosine, lens.pupil_distance)
+    return _bounds(lens.meet_array(pupil, cosine, point), np.broadcast_to(cosine, pupil.shape))
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:

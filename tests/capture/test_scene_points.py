@@ -8,9 +8,10 @@ import pytest
 from any_scenes import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 from wave_cases import error
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
+from mitsuba_plenoptic import InputError, estimate_capture, render_capture
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
@@ -62,7 +63,8 @@ def test_the_light_of_a_small_lamp_is_that_of_its_area():
     radius = 0.05
     scene = scene_of(camera(8), lamp={**facing(240.0, radius, **radiating(3.0)), "type": "disk"})
     image = by_points(scene, 256).image
-    whole = 3 * radiance_weight(PlenopticCamera.from_sensor(scene.sensors()[0]), math.pi * (radius / 2) ** 2)
+    seen = scene.sensors()[0].camera
+    whole = 3 * radiance_weight(seen, main_lens(seen), math.pi * (radius / 2) ** 2)
     # The detector loses what lenses diffract far.
     assert image.sum() == pytest.approx(whole, rel=0.04)
 

@@ -23,6 +23,7 @@ from mitsuba_plenoptic.capture.signed_draws import Cells, jitter
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, Task
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
 from mitsuba_plenoptic.system.ray_coefficients import coefficients_of
 from mitsuba_plenoptic.system.ray_pupil import RayPupil
@@ -61,7 +62,7 @@ def moved(name, amount):
 def traced(work, cells, key):
     """Return the rays that a sum draws, and their slopes in the scene."""
     drawn, _ = work._drawn_rays(cells, key)
-    return drawn, RayPupil(CAMERA, 633.0).trace(drawn.place, drawn.pupil, drawn.height)[1]
+    return drawn, RayPupil(OpticalSystem(CAMERA, 633.0)).trace(drawn.place, drawn.pupil, drawn.height)[1]
 
 
 class HeldRays(CameraTangents):

@@ -12,7 +12,9 @@ from mitsuba_plenoptic.detector import Detector, expose
 from mitsuba_plenoptic.fitting import View, come_near, kept_noise, lattice_from_white
 from mitsuba_plenoptic.fitting.ray_model import PointRays
 from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 TRUE = small_camera(2, **HALF)
 POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)
@@ -23,7 +25,7 @@ ACCURACY = 0.03
 def weights_of(brightest):
     """Return the weights by which the brightest pixel has this value."""
     operator = CaptureOperator(TRUE, POINTS, wavelength=WAVELENGTH, accuracy=ACCURACY)
-    image = brightness_of(TRUE) * operator.forward(np.ones(len(POINTS)))
+    image = brightness_of(TRUE, main_lens(TRUE)) * operator.forward(np.ones(len(POINTS)))
     return np.full(len(POINTS), brightest / image.max()), image * (brightest / image.max())
 
 
@@ -69,7 +71,9 @@ def test_numbers_are_found_within_their_deviations():
 
 def by_rays(camera, points):
     """Return what a camera records of points by rays, the brightest pixel 1, and the light."""
-    image = brightness_of(camera) * PointRays(camera, points, WAVELENGTH).image(camera, np.ones(len(points)))
+    image = brightness_of(camera, main_lens(camera)) * PointRays(camera, points, WAVELENGTH).image(
+        OpticalSystem(camera, WAVELENGTH), np.ones(len(points))
+    )
     return image / image.max(), np.full(len(points), 1 / image.max())
 
 
@@ -138,7 +142,7 @@ def test_a_camera_is_found_from_afar():
 def test_a_camera_behind_a_real_lens_is_found():
     true = small_camera(2, main_lens="double_gauss", **HALF)
     operator = CaptureOperator(true, POINTS, wavelength=WAVELENGTH, accuracy=ACCURACY)
-    image = brightness_at(true, POINTS, WAVELENGTH).mean() * operator.forward(np.ones(len(POINTS)))
+    image = brightness_at(OpticalSystem(true, WAVELENGTH), POINTS).mean() * operator.forward(np.ones(len(POINTS)))
     view = View(image / image.max(), POINTS, np.full(len(POINTS), 1 / image.max()), 0.01)
     start = true.replace(mla_pitch=0.0642, focal_length=1.002 * true.focal_length)
     found = fit(start, view, ["mla_pitch", "focal_length"], wavelength=WAVELENGTH, accuracy=ACCURACY)
@@ -238,7 +242,7 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
     for pitch in (bound, bound + found.deviations["mla_pitch"]):
         camera = true.replace(mla_pitch=pitch)
         rays = PointRays(camera, points, WAVELENGTH)
-        images.append(brightness_of(camera) * rays.image(camera, weights))
+        images.append(brightness_of(camera, main_lens(camera)) * rays.image(OpticalSystem(camera, WAVELENGTH), weights))
     variance = np.maximum(images[0], 1 / PHOTONS) / PHOTONS
     squares = [((one - seen) ** 2 / variance).sum() for one in images]
     assert squares[1] - squares[0] == pytest.approx(1, abs=0.15)

@@ -9,7 +9,6 @@ from wave_cases import thin_as_real
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
-from mitsuba_plenoptic.lenses.fitted_lens import lens_of_waves
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.operator.accuracy import band_for
@@ -17,6 +16,7 @@ from mitsuba_plenoptic.operator.grid import Grid, place
 from mitsuba_plenoptic.operator.patch import PatchBatch
 from mitsuba_plenoptic.operator.patch_factors import Fields
 from mitsuba_plenoptic.operator.tile import Copies, Tile
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 WAVELENGTH = 633.0
 
@@ -36,7 +36,7 @@ def camera(request):
 def test_its_light_is_that_which_is_fitted_to_one_point(camera):
     """Path to a hundredth of a wave and much better, amplitude, and the edges near them."""
     points = points_before()
-    lens = lens_of_waves(camera, points, WAVELENGTH)
+    lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     assert 0 < lens.fitted.error < 0.01
     for point in points[:4]:
         one = ExitPupil(LensSystem.of(camera, WAVELENGTH), tuple(point))
@@ -55,7 +55,7 @@ def test_its_light_is_that_which_is_fitted_to_one_point(camera):
 def test_light_lands_where_rays_come_from_and_ends_where_they_are_stopped(camera):
     """Rays from the array through places anywhere in the pupil's circle lead back, or are stopped by an edge."""
     points, rng = points_before(), np.random.default_rng(2)
-    lens = lens_of_waves(camera, points, WAVELENGTH)
+    lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     light, P = lens.bind(points), lens.pupil_radius * rng.uniform(-1, 1, (2, len(points), 400))
     point, slope, is_open = lens.ray((P[0], P[1]), light.land((P[0], P[1]), None))
     inside = light.inside((P[0], P[1]))
@@ -69,15 +69,15 @@ def test_light_lands_where_rays_come_from_and_ends_where_they_are_stopped(camera
 
 def test_points_are_found_from_their_images(camera):
     points = points_before()
-    lens = lens_of_waves(camera, points, WAVELENGTH)
+    lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     assert np.allclose(lens.points(lens.images(points), lens.nearness(points)), points, atol=1e-9)
 
 
 def test_points_it_cannot_see_are_refused(camera):
     with pytest.raises(InputError, match=r"g = 10: it must lie before the main_lens, beyond"):
-        lens_of_waves(camera, np.array([(0.0, 0.0, 10.0)]), WAVELENGTH)
+        OpticalSystem(camera, WAVELENGTH).waves_of(np.array([(0.0, 0.0, 10.0)]))
     with pytest.raises(InputError, match=r"position = \(900, 0, 240\): no light of it passes the main_lens"):
-        lens_of_waves(camera, np.array([(0.0, 0.0, 240.0), (900.0, 0.0, 240.0)]), WAVELENGTH)
+        OpticalSystem(camera, WAVELENGTH).waves_of(np.array([(0.0, 0.0, 240.0), (900.0, 0.0, 240.0)]))
 
 
 THIN = ThinLens(80.0, 5.0, 120.0)
@@ -94,7 +94,7 @@ def test_the_thin_lens_by_the_way_of_real_ones_is_the_thin_lens(fitted_thin_lens
     camera = PlenopticCamera()
     points = np.array([(0.3, -0.2, 240.0), (5.6, -5.5, 210.0), (-8.0, 3.0, 280.0)])
     for point in points:
-        grid = Grid.of(camera, WAVELENGTH, band_for(0.01, 1), point[None])
+        grid = Grid.of(OpticalSystem(camera, WAVELENGTH), band_for(0.01, 1), point[None])
         placement = place(grid, point[None])
         copies = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
         own, other = (

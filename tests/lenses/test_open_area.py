@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.lenses.fitted_lens import lens_of_waves
-from mitsuba_plenoptic.lenses.lens_changes import open_area, open_area_slopes
-from mitsuba_plenoptic.lenses.open_pupil import open_fraction, pupil_bound
+from mitsuba_plenoptic.lenses.lens_changes import open_area_slopes
+from mitsuba_plenoptic.lenses.open_pupil import open_area
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 HEIGHTS = np.array([0.0, 4.0, 8.0, 10.0])
 POINTS = np.column_stack([0 * HEIGHTS, -HEIGHTS * 118 / 60, 118.0 + 0 * HEIGHTS])
@@ -20,14 +20,14 @@ def triplet(**numbers):
 
 
 def area(**numbers):
-    return open_area(lens_of_waves(triplet(**numbers), POINTS, WAVELENGTH), POINTS)
+    return open_area(OpticalSystem(triplet(**numbers), WAVELENGTH).waves_of(POINTS), POINTS)
 
 
 def test_area_against_rays():
     camera = triplet()
-    lens = lens_of_waves(camera, POINTS, WAVELENGTH)
+    lens = OpticalSystem(camera, WAVELENGTH).waves_of(POINTS)
     images = np.hypot(*lens.images(POINTS).T)
-    counted = open_fraction(camera, 0 * images, images) * np.pi * pupil_bound(camera) ** 2
+    counted = lens.open_fraction(0 * images, images) * np.pi * lens.reach**2
     # From a place in focus the array sees the part of the pupil that the point lights.
     assert area() == pytest.approx(counted, rel=0.005)
     assert area()[-1] < 0.97 * area()[0]
@@ -35,7 +35,7 @@ def test_area_against_rays():
 
 @pytest.mark.parametrize(("name", "step"), [("aperture_radius", 0.02), ("focal_length", 0.2)])
 def test_slopes_against_areas_of_other_lenses(name, step):
-    found = open_area_slopes(lens_of_waves(triplet(), POINTS, WAVELENGTH), name, POINTS)
+    found = open_area_slopes(OpticalSystem(triplet(), WAVELENGTH).waves_of(POINTS), name, POINTS)
     value = getattr(triplet(), name)
     more, less = (area(**{name: value + side * step}) for side in (1, -1))
     expected = np.log(more / less) / (2 * step)
@@ -46,7 +46,7 @@ def test_slopes_against_areas_of_other_lenses(name, step):
 
 
 def test_numbers_that_move_no_edge():
-    assert (open_area_slopes(lens_of_waves(triplet(), POINTS, WAVELENGTH), "mla_distance", POINTS) == 0).all()
+    assert (open_area_slopes(OpticalSystem(triplet(), WAVELENGTH).waves_of(POINTS), "mla_distance", POINTS) == 0).all()
 
 
 @pytest.mark.parametrize("apart", [0.0, 1.0], ids=["one place", "many places"])
@@ -54,6 +54,6 @@ def test_many_points_are_interpolated(apart):
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-12, 12, (80, 2)), rng.uniform(100, 140, 80)])
     points = points[:1] + apart * (points - points[:1])
-    lens = lens_of_waves(triplet(), points, WAVELENGTH)
+    lens = OpticalSystem(triplet(), WAVELENGTH).waves_of(points)
     single = np.concatenate([open_area(lens, points[at : at + 1]) for at in range(0, 80, 10)])
     assert open_area(lens, points)[::10] == pytest.approx(single, rel=2e-3)

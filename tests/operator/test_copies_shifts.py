@@ -8,6 +8,7 @@ from mitsuba_plenoptic.operator import accuracy
 from mitsuba_plenoptic.operator.derivatives.plan import DerivativePlan
 from mitsuba_plenoptic.operator.grid import Grid
 from mitsuba_plenoptic.operator.recorder import STEPS, Recorder
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 
 @pytest.mark.parametrize("degrees", [0.0, 11.0])
@@ -16,7 +17,7 @@ def test_pixels_that_move_see_a_smooth_light_move_against_them(axis, degrees):
     """A Gaussian spot, whose samples are known wherever it stands."""
     camera = small_camera(2, mla_rotation=degrees)
     points = np.array([[0.0, 0.0, 240.0]])
-    grid = Grid.of(camera, WAVELENGTH, accuracy.derivative_band_for(0.02, 1), points)
+    grid = Grid.of(OpticalSystem(camera, WAVELENGTH), accuracy.derivative_band_for(0.02, 1), points)
     size = np.ceil(np.array(camera.detector_width) / grid.pitch).astype(np.int64)[None]
     recorder = Recorder(camera, grid, 0 * size, size)
     box, (x, y) = recorder.box, grid.pitch
@@ -40,7 +41,7 @@ def test_little_of_what_copies_show_of_a_moved_lattice_is_left_out(monkeypatch):
     monkeypatch.setattr(accuracy, "_FEW", 8)
     camera = small_camera(2, **HALF)
     points = np.concatenate([in_every_lens(camera, 4, 118.0), [[0.01, 0.0, 122.0], [0.02, -0.01, 125.0]]])
-    plan = DerivativePlan(camera, points, None, WAVELENGTH, 0.1)
+    plan = DerivativePlan(OpticalSystem(camera, WAVELENGTH), points, None, 0.1)
     weights = np.ones((len(points), 1))
     counted = plan.moving(weights)
     moved = np.add.reduceat(np.abs(plan._shifts).sum(1), plan._first)

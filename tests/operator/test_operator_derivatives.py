@@ -14,6 +14,7 @@ from mitsuba_plenoptic.operator.full_field_grids import field_grids
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 CAMERAS = {
     "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},
@@ -62,13 +63,17 @@ def test_reverse_equals_forward(name):
 )
 def test_derivatives_against_differences_of_the_full_field(name, step, limit):
     camera, point = small_camera(2, **HALF), np.array((0.03, -0.02, 115.0))
-    base, sides = field_grids(camera, point, WAVELENGTH, 1.0, 1.0), []
+    base, sides = field_grids(OpticalSystem(camera, WAVELENGTH), point, 1.0, 1.0), []
     for side in (1, -1):
         changed = camera.replace(**{name: getattr(camera, name) + side * step})
         growth = changed.detector_width / camera.detector_width
         origin = tuple(growth * place for place in base.wide_origin)
         sides.append(
-            full_field(changed, point, WAVELENGTH, grids=replace(base, pitch=base.pitch * growth, wide_origin=origin))
+            full_field(
+                OpticalSystem(changed, WAVELENGTH),
+                point,
+                grids=replace(base, pitch=base.pitch * growth, wide_origin=origin),
+            )
         )
     operator = CaptureOperator(camera, [point], wavelength=WAVELENGTH, accuracy=0)
     assert error(operator.derivative([1.0], {name: 1.0}), (sides[0] - sides[1]) / (2 * step)) < limit
@@ -77,9 +82,10 @@ def test_derivatives_against_differences_of_the_full_field(name, step, limit):
 def test_aberrations_against_differences_of_the_full_field():
     camera, point, amounts = small_camera(2, **HALF), np.array((0.03, -0.02, 116.0)), np.zeros(15)
     amounts[[3, 6, 10]] = 1.0, -0.7, 0.5
-    grids = field_grids(camera, point, WAVELENGTH, 1.0, 1.0)
+    grids = field_grids(OpticalSystem(camera, WAVELENGTH), point, 1.0, 1.0)
     up, down = (
-        full_field(camera.replace(wavefront=tuple(h * amounts)), point, WAVELENGTH, grids=grids) for h in (4e-3, -4e-3)
+        full_field(OpticalSystem(camera.replace(wavefront=tuple(h * amounts)), WAVELENGTH), point, grids=grids)
+        for h in (4e-3, -4e-3)
     )
     operator = CaptureOperator(camera, [point], wavelength=WAVELENGTH, accuracy=0)
     assert error(operator.derivative([1.0], {"wavefront": amounts}), (up - down) / 8e-3) < 0.01

@@ -16,6 +16,7 @@ from mitsuba_plenoptic.operator.full_field import full_field
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields, point_spread_function
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 SMALL = small_camera(16)
 # Other numbers throughout; 20.2 pixels to a lens, fewer rows than columns.
@@ -84,7 +85,7 @@ def test_hidden_cells_of_the_pupil(cells):
     weights = np.zeros((1, cells, cells), bool)
     weights[0, cells // 2 :, cells // 2 :] = True
     patch = CaptureOperator(camera, [position], wavelength=WAVELENGTH, accuracy=0, pupil_weights=weights).forward([1.0])
-    full = full_field(camera, position, WAVELENGTH, pupil_weights=PupilWeights.of(weights, 1))
+    full = full_field(OpticalSystem(camera, WAVELENGTH), position, pupil_weights=PupilWeights.of(weights, 1))
     assert error(patch, full) < 0.003
 
 
@@ -117,7 +118,7 @@ def test_airy_pattern_of_the_bare_main_lens():
         detector_width=0.512,
         resolution=(256, 256),
     )
-    psf = full_field(camera, np.array([0.0, 0.0, 240.0]), WAVELENGTH, microlenses=False)
+    psf = full_field(OpticalSystem(camera, WAVELENGTH), np.array([0.0, 0.0, 240.0]), microlenses=False)
     nodes, weights = np.polynomial.legendre.leggauss(4)
     p, lam = camera.pixel_size, WAVELENGTH * 1e-6
     x = (np.arange(256) - 127.5)[:, None] * p + nodes * p / 2

@@ -7,7 +7,6 @@ import pytest
 from wave_cases import HALF, WAVELENGTH, error, in_every_lens, scattered, small_camera
 
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
-from mitsuba_plenoptic.lenses.fitted_lens import lens_of_waves
 from mitsuba_plenoptic.lenses.lens_changes import lens_change
 from mitsuba_plenoptic.lenses.wavefront import Wavefront
 from mitsuba_plenoptic.operator.derivatives import NUMBERS
@@ -16,6 +15,7 @@ from mitsuba_plenoptic.operator.full_field import full_field
 from mitsuba_plenoptic.operator.full_field_grids import field_grids
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.phase import in_millimetres
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 POINT = np.array((0.03, -0.02, 115.0))
 
@@ -26,7 +26,7 @@ def behind(name="double_gauss", **numbers):
 
 def difference(camera, step, **changes):
     """Central difference of the full field, on the grids of the middle and with as many microlens orders."""
-    grids, sides = field_grids(camera, POINT, WAVELENGTH, 1.0, 1.4), []
+    grids, sides = field_grids(OpticalSystem(camera, WAVELENGTH), POINT, 1.0, 1.4), []
     for amount in (step, -step):
         changed, wavelength = camera, WAVELENGTH
         if "wavelength" in changes:
@@ -35,7 +35,7 @@ def difference(camera, step, **changes):
             name = next(iter(changes))
             changed = camera.replace(**{name: getattr(camera, name) + amount})
         bend = grids.bend * wavelength / WAVELENGTH * (1 + 1e-9)
-        sides.append(full_field(changed, POINT, wavelength, grids=replace(grids, bend=bend)))
+        sides.append(full_field(OpticalSystem(changed, wavelength), POINT, grids=replace(grids, bend=bend)))
     return (sides[0] - sides[1]) / (2 * step)
 
 
@@ -63,7 +63,12 @@ def test_aberrations_are_added_on_the_exit_pupil(monkeypatch):
     found = CaptureOperator(camera, [POINT], wavelength=WAVELENGTH, accuracy=0).derivative(
         [1.0], {"wavefront": amounts.tolist()}
     )
-    grids, plain, sides, step = field_grids(camera, POINT, WAVELENGTH, 1.0, 1.4), ExitPupil.path, [], 3e-3
+    grids, plain, sides, step = (
+        field_grids(OpticalSystem(camera, WAVELENGTH), POINT, 1.0, 1.4),
+        ExitPupil.path,
+        [],
+        3e-3,
+    )
     for amount in (step, -step):
         added = Wavefront((amount * amounts).tolist(), camera.pupil_radius)
 
@@ -71,7 +76,7 @@ def test_aberrations_are_added_on_the_exit_pupil(monkeypatch):
             return plain(self, pupil, point, wavelength) + added.path(*pupil) * (1 / in_millimetres(wavelength))
 
         monkeypatch.setattr(ExitPupil, "path", path)
-        sides.append(full_field(camera, POINT, WAVELENGTH, grids=grids))
+        sides.append(full_field(OpticalSystem(camera, WAVELENGTH), POINT, grids=grids))
     assert error(found, (sides[0] - sides[1]) / (2 * step)) < 0.005
 
 
@@ -102,7 +107,7 @@ def test_reverse_equals_forward():
 def test_many_points_share_the_changes_of_their_spreads_behind_thin_lenses_only(name, shared):
     """What a copy's own image does as a real lens changes, the spread that it is a copy of does not tell."""
     points = in_every_lens(behind(name), 24, 115.0)
-    plan = DerivativePlan(behind(name), points, None, WAVELENGTH, 0.02)
+    plan = DerivativePlan(OpticalSystem(behind(name), WAVELENGTH), points, None, 0.02)
     assert bool(plan._shifts.any()) == shared
 
 
@@ -110,7 +115,7 @@ def test_changes_of_the_light_against_refitted_lenses():
     """The path, but for its piston, by lenses that are fitted anew to either side."""
     camera = behind("singlet")
     points = np.array([(0.5, -0.3, 110.0)])
-    lens = lens_of_waves(camera, points, WAVELENGTH)
+    lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     change = lens_change(lens, "wavelength")
     rng = np.random.default_rng(1)
     pupil = tuple(part[None] for part in 0.6 * lens.pupil_radius * rng.uniform(-1, 1, (2, 50)))
@@ -118,7 +123,9 @@ def test_changes_of_the_light_against_refitted_lenses():
     lanes = [np.array([[number]]) for number in change.aberration.at(fields, nearness)[0]]
     field = fields[:, :1], fields[:, 1:]
     found = change.aberration.over_pupil(lanes, field).value(pupil)
-    high, low = (lens_of_waves(camera, points, WAVELENGTH + step).bind(points).length(pupil) for step in (1, -1))
+    high, low = (
+        OpticalSystem(camera, WAVELENGTH + step).waves_of(points).bind(points).length(pupil) for step in (1, -1)
+    )
     expected = (high - low) / 2
     found, expected = found - found.mean(), expected - expected.mean()
     assert np.abs(expected).max() > 1e-6

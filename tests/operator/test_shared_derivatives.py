@@ -7,6 +7,7 @@ from wave_cases import HALF, LATTICES, WAVELENGTH, error, in_every_lens, small_c
 from mitsuba_plenoptic.operator import accuracy
 from mitsuba_plenoptic.operator.derivatives import NUMBERS, plan
 from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 MOVING = {"mla_pitch": (1.0, -0.5), "mla_distance": 1.0, "mla_rotation": 1.0, "detector_distance": 1.0}
 """Numbers by which copies change otherwise than their spreads."""
@@ -29,7 +30,9 @@ def test_copies_change_as_points_of_their_own(many, monkeypatch, lattice):
     """Without what tells copies from their spreads the derivative by the pitch is off by more than itself."""
     operator, weights = operator_of(lattice)
     shared = operator.jacobian(weights, [{name: change} for name, change in MOVING.items()])
-    assert len(plan.DerivativePlan(operator.camera, operator.points, None, WAVELENGTH, 0.1)._positions) < len(weights)
+    assert len(
+        plan.DerivativePlan(OpticalSystem(operator.camera, WAVELENGTH), operator.points, None, 0.1)._positions
+    ) < len(weights)
     monkeypatch.setattr(plan, "derivatives_share", lambda accuracy, count: False)
     alone, _ = operator_of(lattice)
     own = alone.jacobian(weights, [{name: change} for name, change in MOVING.items()])

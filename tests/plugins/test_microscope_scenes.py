@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, render_capture
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 
 CAMERA = PlenopticCamera(
@@ -48,7 +49,7 @@ def points_of(depth, tilt, step=3e-4):
     x, y = (values[np.hypot(*grid) < RADIUS] for grid in [np.meshgrid(u, u)] for values in grid)
     points = np.column_stack([PLACE[0] + x * math.cos(tilt), PLACE[1] + y, np.full(len(x), depth) + x * math.sin(tilt)])
     area = math.pi * (20 * RADIUS) ** 2 * math.cos(tilt) / len(points)
-    return points, np.full(len(points), radiance_weight(CAMERA, area))
+    return points, np.full(len(points), radiance_weight(CAMERA, main_lens(CAMERA), area))
 
 
 def exact(points, weights, over_stop):

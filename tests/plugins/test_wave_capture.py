@@ -221,6 +221,12 @@ def test_bad_parameters_are_refused(parameters, message):
         mi.load_dict({"type": "plenoptic_wave", **parameters})
 
 
+def test_parameters_of_radiators_are_refused_by_name_in_python(camera_dict):
+    scene = scene_of(camera_dict(**SHARED), sky={"type": "constant"})
+    with pytest.raises(ValueError, match="passes: there are no radiators now"):
+        render_capture(scene, model="wave", passes=2)
+
+
 def test_other_sensors_are_refused():
     integrator = mi.load_dict({"type": "plenoptic_wave"})
     scene = scene_of({"type": "perspective"})

@@ -14,6 +14,7 @@ from mitsuba_plenoptic.reconstruction.conjugates import ThinConjugates
 from mitsuba_plenoptic.reconstruction.elements import converging, microlenses, to_object
 from mitsuba_plenoptic.reconstruction.planning import plan
 from mitsuba_plenoptic.reconstruction.radiance import LensSpread
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 CAMERAS = {
     "square": ({}, {}),
@@ -79,7 +80,7 @@ def test_adjoint_of_every_step(name):
     columns, rows = camera.resolution
     grids = plan(camera, WAVELENGTH, [225.0], ((0, columns), (0, rows)))
     (strip,), (last,) = grids.strips, grids.to_objects
-    (whole,) = ThinConjugates(camera, WAVELENGTH).zones(225.0)
+    (whole,) = ThinConjugates(OpticalSystem(camera, WAVELENGTH)).zones(225.0)
     ways = [
         (
             Passage(converging(strip.to_mla, camera, WAVELENGTH, 1, (0, 0)), strip.to_mla, 0.512, WAVELENGTH),

@@ -10,6 +10,7 @@ from mitsuba_plenoptic.reconstruction.conjugates import RealConjugates
 from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.reconstruction.real_lens import traced_white
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}
 
@@ -86,7 +87,7 @@ def test_zones_follow_the_aberrations_over_the_field():
     camera = real_camera("singlet", 48, crop_offset=(1216, 1216), crop_size=(320, 320), aperture_radius=4)
     g = 120.0
     capture = of_point(camera, np.array([1.31, 1.28]), g)
-    real = RealConjugates.of(camera, [g], WAVELENGTH, 1)
+    real = RealConjugates.of(OpticalSystem(camera, WAVELENGTH), [g], 1)
     assert len(list(real.zones(real.distance(g)))) > 1
     width = {}
     for name, blur in (("zones", real.blur), ("one", 100.0)):
@@ -104,4 +105,4 @@ def test_what_is_not_supported_is_told():
     with pytest.raises(InputError, match=r"response = ray: behind main_lens = .* it must be wave"):
         reconstruct(dark, 120.0, camera=camera, method="deconvolved", response="ray")
     with pytest.raises(InputError, match=r"distance = 12: it must lie before the main_lens"):
-        RealConjugates.of(camera, [120.0, 12.0], WAVELENGTH, 1)
+        RealConjugates.of(OpticalSystem(camera, WAVELENGTH), [120.0, 12.0], 1)

@@ -21,6 +21,7 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.design import lens_aperture, resolution_limit
 from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction.deconvolution import fourier
 from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse
@@ -64,7 +65,9 @@ def exact(camera, oversample, row, column, depth, parts=3):
     x, y = np.meshgrid((column - columns / 2 + inner) * size, (row - rows / 2 + inner) * size)
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth)])
     operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
-    return operator.forward(np.full(len(points), radiance_weight(camera, bin_area(camera, oversample)) / len(points)))
+    return operator.forward(
+        np.full(len(points), radiance_weight(camera, main_lens(camera), bin_area(camera, oversample)) / len(points))
+    )
 
 
 @pytest.mark.parametrize(
@@ -132,7 +135,7 @@ def test_beads_come_back_to_their_planes_places_and_powers():
         assert plane.bin_size == pytest.approx(0.01 * 50 / (20 * 20) / oversample)
         # Pictures have +x to the left and +y up.
         y, x = ((size / 2 - np.arange(size) - 0.5) * plane.bin_size for size in plane.image.shape)
-        light = np.nan_to_num(plane.image) * radiance_weight(SMALL, bin_area(SMALL, oversample))
+        light = np.nan_to_num(plane.image) * radiance_weight(SMALL, main_lens(SMALL), bin_area(SMALL, oversample))
         near = (np.abs(x - X) < 8 * plane.bin_size) & (np.abs(y - Y)[:, None] < 8 * plane.bin_size)
         mine = light * near
         assert mine.sum() == pytest.approx(power, rel=0.03)

@@ -26,6 +26,7 @@ from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
 from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 from .table import Row, side_by_side
 
@@ -147,7 +148,7 @@ def bare(runs: int) -> Iterator[Row]:
         image = rng.uniform(-0.2, 0.2, (count, 2))
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
         weights = np.ones((count, 1))
-        first = next(PatchPlan(camera, positions, None, WAVELENGTH, 0.0).sum(weights).batches(0))
+        first = next(PatchPlan(OpticalSystem(camera, WAVELENGTH), positions, None, 0.0).sum(weights).batches(0))
         batch = PatchBatch(first.fields, first.amplitudes)
         operator = CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=0)
         works = {

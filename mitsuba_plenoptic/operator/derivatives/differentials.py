@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -14,6 +14,7 @@ from ...optics import guards
 from ...runtime.batches import Threads
 from ...runtime.jobs import Job, Task
 from ...runtime.limits import single_threaded_blas
+from ...system.optical_system import OpticalSystem
 from ..mixing import groups, mix
 from ..pupil_weights import PupilWeights
 from .plan import DerivativePlan, Direction
@@ -26,6 +27,8 @@ class Differentials:
     ----------
     camera, points, pupil_weights, accuracy
         As of `CaptureOperator`, checked.
+    system_at : callable
+        Returns the camera's optical system at a wavelength.
     """
 
     def __init__(
@@ -34,7 +37,9 @@ class Differentials:
         points: NDArray[np.float64],
         pupil_weights: PupilWeights | None,
         accuracy: float,
+        system_at: Callable[[float], OpticalSystem],
     ) -> None:
+        self._system_at = system_at
         self._camera, self._points, self._pupil_weights, self._accuracy = camera, points, pupil_weights, accuracy
         self._plans: dict[float, DerivativePlan] = {}
 
@@ -125,8 +130,8 @@ class Differentials:
     def _planned(self, wavelength: float) -> DerivativePlan:
         """Return the plan at a wavelength, made where there is none yet."""
         if wavelength not in self._plans:
-            numbers = self._camera, self._points, self._pupil_weights, wavelength, self._accuracy
-            self._plans[wavelength] = DerivativePlan(*numbers)
+            system = self._system_at(wavelength)
+            self._plans[wavelength] = DerivativePlan(system, self._points, self._pupil_weights, self._accuracy)
         return self._plans[wavelength]
 
 

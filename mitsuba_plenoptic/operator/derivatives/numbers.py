@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, require_number, shown
 from ...lattice import make_lattice, turn
-from ...lenses.fitted_lens import FittedLens, lens_of_waves
-from ...lenses.lens_changes import LENS_NUMBERS, VaryingLens, open_area_slopes
-from ...lenses.main_lens import MainLens
-from ...lenses.thin import ThinLens
 from ...runtime.backend import array_module
 from ...system.microlens_orders import VaryingArrayFactor
+from ...system.optical_system import OpticalSystem
 from ..grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness
@@ -113,32 +110,27 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 
 
 def light_slopes(
-    camera: PlenopticCamera, names: Iterable[str], points: NDArray[np.float64], wavelength: float
+    system: OpticalSystem, names: Iterable[str], points: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
     """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
+    system : OpticalSystem
+        The camera, at one wavelength.
     names : iterable of str
         The numbers.
     points : float64 array (n, 3)
         Scene points in the camera frame.
-    wavelength : float
-        In nanometres.
 
     Returns
     -------
     dict
         By name float64 arrays (parts, n).
     """
-    slopes = {name: np.tile(slope[:, None], len(points)) for name, slope in brightness_slopes(camera, names).items()}
-    lens = lens_of_waves(camera, points, wavelength)
-    if isinstance(lens, FittedLens):
-        # How large the pupil is, the lens tells.
-        slopes |= {name: open_area_slopes(lens, name, points)[None] for name in LENS_NUMBERS if name in slopes}
-    return slopes
+    slopes = brightness_slopes(system.camera, names)
+    found = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
+    return found | system.waves_of(points).open_slopes(found, points)
 
 
 class VaryingNumbers:
@@ -196,19 +188,11 @@ class VaryingNumbers:
             return number
         return dr.gather(self.types.Float64, number, dr.zeros(self.types.UInt32, lanes))
 
-    def _lens(self, get: dict[str, list[Any]], grid: Grid, turned: Any) -> MainLens | VaryingLens:
+    def _lens(self, get: dict[str, list[Any]], grid: Grid, turned: Any) -> Any:
         """Return the main lens, before which the scene may turn."""
-        camera = grid.camera
-        if isinstance(grid.lens, FittedLens):
-            varying = {name: get[name][0] for name in LENS_NUMBERS if name in self._varies}
-            return VaryingLens(grid.lens, get["mla_distance"][0], varying, turned)
-        return ThinLens(
-            get["focal_length"][0],
-            get["aperture_radius"][0],
-            get["mla_distance"][0],
-            camera.lens_model,
-            [dr.detach(coefficient) for coefficient in get["wavefront"][: len(camera.wavefront)]],
-        )
+        held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
+        numbers = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
+        return grid.lens.varying(numbers | {"wavefront": held}, self._varies, turned)
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return what `units.brightness` does."""

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
 from ...lattice import turn
 from ...runtime.backend import backend
 from ...runtime.batches import BatchMap, PartialSum, add
 from ...runtime.jobs import Job
 from ...runtime.limits import largest_fitting, memory_limit
+from ...system.optical_system import OpticalSystem
 from ...system.sampling import MEMORY_LIMIT
 from ..accuracy import derivative_band_for, derivatives_share
 from ..patch_factors import Fields
@@ -41,22 +41,22 @@ class DerivativePlan(PatchPlan):
 
     Parameters
     ----------
-    camera, points, pupil_weights, wavelength, accuracy
+    system, points, pupil_weights, accuracy
         As of `PatchPlan`.
     """
 
     def __init__(
         self,
-        camera: PlenopticCamera,
+        system: OpticalSystem,
         points: NDArray[np.float64],
         pupil_weights: PupilWeights | None,
-        wavelength: float,
         accuracy: float,
     ) -> None:
-        # The images of copies behind a real lens move in ways of their own.
-        shared = camera.prescription is None and derivatives_share(accuracy, len(points))
+        camera, wavelength = system.camera, system.wavelength
+        # Copies behind a real lens change in ways of their own.
+        shared = system.lens.changes_evenly and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
-        super().__init__(camera, points, pupil_weights, wavelength, accuracy, band=band, shared=shared)
+        super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
         self._wavelength, self._accuracy, self._finer = wavelength, accuracy, 1 if shared else 2
         low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
         reached = self._finer * self._shifts

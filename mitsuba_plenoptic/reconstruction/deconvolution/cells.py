@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
-from ...lenses.fitted_lens import FittedLens
-from ...lenses.image_stretch import image_stretch
 from ...operator.grid import Grid
 from ...runtime.batches import Box
 
@@ -248,10 +246,7 @@ def to_bins(
     pitch = camera.mla_pitch / oversample
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
     x, y = np.broadcast_arrays(x, y[:, None])
-    if isinstance(cells.grid.lens, FittedLens):
-        stretch = image_stretch(camera, cells.grid.lens, distance)
-        ratio = np.interp(np.hypot(x, y), stretch.places, stretch.ratio)
-        x, y = x * ratio, y * ratio
+    x, y = cells.grid.lens.stretch(x, y, camera, distance)
     u, v = turn(x, y, -camera.mla_rotation)
     across, down = cells.bins
     width, height = cells.bin_sizes

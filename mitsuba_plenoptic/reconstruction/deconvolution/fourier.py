@@ -33,6 +33,7 @@ from ...runtime.backend import backend
 from ...runtime.fft import fft, irfft, resting_drjit, rfft
 from ...runtime.jobs import Job
 from ...runtime.limits import largest_fitting, require_memory
+from ...system.optical_system import OpticalSystem
 from ...system.sampling import fast_length
 from .variation import TotalVariation
 
@@ -93,7 +94,8 @@ class FourierResponse:
         self._require_memory(fine)
         self._spectra = self._empty_spectra()
         points = np.array([[*self._middle, depth] for depth in distances])
-        plan = FullFieldPlan(fine.at_wavelength(wavelength), points, None, wavelength, 0.0)
+        system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
+        self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
         one = np.ones(1, np.float32)
         batches = [plan.batch(plane, one) for plane in range(len(distances))]
         for plane, part in enumerate((job or Job()).each(batches, [1] * len(batches), 0, len(batches))):
@@ -203,7 +205,7 @@ class FourierResponse:
         parts = spread.reshape(rows, per_bin, columns, per_bin).sum(axis=(1, 3))
         np.maximum(parts, 0, out=parts)  # what interpolation leaves below zero is not light
         area = (camera.pixel_size / o * camera.mla_distance / camera.detector_distance) ** 2
-        parts *= np.float32(radiance_weight(camera, area))
+        parts *= np.float32(radiance_weight(camera, self._lens, area))
         # From the bin in the middle to the recorded pixels; the fine window has more pixels on both sides.
         windows = np.array([columns, rows]) // o
         low = [

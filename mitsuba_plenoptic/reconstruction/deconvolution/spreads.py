@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...capture.scene_points import sample_pairs
 from ...design import resolution_limit
-from ...lenses.fitted_lens import FittedLens, farthest_points
-from ...lenses.main_lens import main_lens
-from ...lenses.open_pupil import open_fraction
 from ...operator.accuracy import band_for
 from ...operator.grid import Grid, place
 from ...operator.patch_factors import Fields
@@ -24,6 +21,7 @@ from ...operator.units import radiance_weight
 from ...optics.rays import cosines_to_slopes
 from ...runtime.batches import Box, Part
 from ...system.microlenses import upright
+from ...system.optical_system import OpticalSystem
 from .cells import Cells
 
 _ACCURACY = 0.01
@@ -44,10 +42,8 @@ _INFINITY = 1e6
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> Grid:
     """Lay the grid that holds the light of planes at some distances."""
     depths = [finite_distance(camera, distance) for distance in distances]
-    points = np.array([[0.0, 0.0, depth] for depth in depths])
-    if camera.prescription is not None:
-        points = np.concatenate([points, farthest_points(camera, wavelength, depths)])
-    return Grid.of(camera, wavelength, band_for(_ACCURACY, _MANY), points)
+    points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
+    return Grid.of(system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)]))
 
 
 def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
@@ -72,10 +68,8 @@ def wave_batches(cells: Cells, distance: float, cell: NDArray[np.int64]) -> list
     lens = grid.lens
     nearness = float(lens.nearness(np.array([[0.0, 0.0, depth]]))[0])
     places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
-    weight = bin_weight(cells) / places.shape[1]
-    if isinstance(lens, FittedLens):
-        weight *= float(open_fraction(cells.camera, *places.mean((0, 1))[:, None])[0])
-        places = lens.within(places)
+    weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
+    places = lens.within(places)
     batches = []
     for points in places:
         positions = lens.points(points, np.full(len(points), nearness))
@@ -103,7 +97,7 @@ def _points(cells: Cells, distance: float) -> int:
 
 def bin_weight(cells: Cells) -> float:
     """Return what all pixels together record of a bin of radiance 1, where no light is lost."""
-    return radiance_weight(cells.camera, cells.bin_sizes[0] * cells.bin_sizes[1])
+    return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
 
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:
@@ -120,11 +114,14 @@ _NO_WAVE = 1.0
 
 def ray_grid(camera: PlenopticCamera) -> Grid:
     """Lay a grid whose samples are at most half as wide as pixels."""
+    camera.require_thin("this is done")
     turned = upright(camera)
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
-    return Grid(turned, main_lens(camera), camera.mla_rotation, _NO_WAVE, band_for(0.5, 1), 0.0, pitch, origin)
+    system, band = OpticalSystem(turned, _NO_WAVE), band_for(0.5, 1)
+    lens = system.waves_of(np.empty((0, 3)))
+    return Grid(turned, lens, system.microlenses, camera.mla_rotation, _NO_WAVE, band, 0.0, pitch, origin)
 
 
 @dataclass(frozen=True)
@@ -169,7 +166,7 @@ def _pairs() -> NDArray[np.float64]:
 def _trace(batch: RayBatch) -> Part:
     """Trace the rays of a bin, and share each among the four samples around."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
-    lens, lattice = main_lens(camera), camera.lattice
+    lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
     pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
@@ -177,9 +174,9 @@ def _trace(batch: RayBatch) -> Part:
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     if camera.lens_model == "ideal":
-        m = lens.land(pupil, point)
+        m = light.land(pupil, point)
     else:
-        slopes = cosines_to_slopes(*lens.cosines(pupil, point))
+        slopes = cosines_to_slopes(*light.cosines(pupil, point))
         m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
     index = lattice.cell(*m)
     offset = [place - centre for place, centre in zip(m, lattice.centre(*index), strict=True)]

@@ -30,19 +30,7 @@ _WIDTH = 760
 def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
 ) -> None:
-    """Write the report on a calibration.
-
-    Parameters
-    ----------
-    path : path
-        HTML file to write.
-    calibration : Calibration
-        What was found.
-    board : Board
-        The board.
-    corners, centres : Table
-        What it was found from.
-    """
+    """Write the report on a calibration."""
     folder = Path(__file__).parent
     environment = Environment(
         loader=FileSystemLoader([folder, folder.parent / "page"]),

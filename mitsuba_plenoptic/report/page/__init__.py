@@ -31,36 +31,22 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Report:
-    """What a report shows.
+    """What a report shows."""
 
-    Attributes
-    ----------
-    title, lead : str
-        Headline and the sentence under it.
-    experiment : Experiment
-        The images.
-    numbers : dict
-        What `measure` gave.
-    zooms : sequence of Zoom
-        Places on the detector that a button leads to.
-    plates : dict
-        Captions of the figures by their files' names.
-    command : str
-        What makes the report again, without the folder.
-    claims : sequence of Claim
-        The paper's conclusions; none for other scenes.
-    timing : sequence of dict
-        Rows as from `timing_table`; none for other scenes.
-    """
-
+    # Headline and the sentence under it.
     title: str
     lead: str
     experiment: Experiment
     numbers: dict[str, Any]
+    # Places on the detector that a button leads to.
     zooms: Sequence[Zoom]
+    # Captions of the figures by their files' names.
     plates: dict[str, str]
+    # What makes the report again, without the folder.
     command: str
+    # The paper's conclusions; none for other scenes.
     claims: Sequence[Claim] = field(default=())
+    # Rows as from `timing_table`; none for other scenes.
     timing: Sequence[dict[str, Any]] = field(default=())
 
 

@@ -1,0 +1,39 @@
+"""The one place that makes a camera's main lens: for rays and waves of plain numbers, and for Dr.Jit's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..camera import PlenopticCamera
+from . import real_lens, telecentric, thin  # noqa: F401 (each registers what it builds)
+from .base import BUILDERS, LensNumbers
+
+
+def main_lens(
+    camera: PlenopticCamera,
+    wavelength: float | None = None,
+    *,
+    varying: Mapping[str, Any] | None = None,
+    model: str | None = None,
+) -> Any:
+    """Return a camera's main lens.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float, optional
+        In nanometres. Default: that of the main lens's own numbers.
+    varying : mapping, optional
+        Numbers by name that stand for the camera's, such as Dr.Jit's with gradients: ``focal_length``,
+        ``aperture_radius``, ``mla_distance`` and ``wavefront``.
+    model : {"ideal", "parabolic"}, optional
+        How rays refract. Default: the camera's `lens_model`.
+    """
+    given = varying or {}
+    names = "focal_length", "aperture_radius", "mla_distance", "wavefront"
+    numbers = {name: given.get(name, getattr(camera, name)) for name in names}
+    return BUILDERS[type(camera.main_lens)](
+        LensNumbers(camera, wavelength, **numbers, model=model or camera.lens_model)
+    )

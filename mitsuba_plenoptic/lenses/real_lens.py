@@ -1,0 +1,204 @@
+"""A real main lens before a detector: its rays, and the waves of points that are fitted to them."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..optics import guards
+from ..prescription import Prescription
+from ..runtime.limits import single_threaded_blas
+from .base import Entrance, LensNumbers, builds
+from .exit_pupil import ExitPupil
+from .fitted_lens import WITHIN, FittedLens
+from .lens_system import LensSystem
+from .pupil_fit import Pupils, covered, fit_pupil, trace
+
+_FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
+"""Steps of the fitted range: of fields, by factors, and of nearnesses, over the power of the lens. Fits are kept."""
+
+_NARROWEST = 0.1
+"""Range of fields that is fitted at least, over that of the detector."""
+
+_WIDER = 1.1
+"""Field that is asked for over that of the detector's corner: the lens may distort, and light is blurred."""
+
+_LIGHTS = 16
+"""Lights of single points that are held."""
+
+_HEIGHTS, _ACROSS = 17, 151
+"""Distances from the axis at which the open part of the pupil is found, and rays across the pupil."""
+
+_BEYOND = 1.05
+"""Up to where, over the corner of the detector: light of lenses farther out reaches it, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class RealLens(LensSystem):
+    """A lens of surfaces before a detector, which sees a part of its field. Fits for waves are held as long as it is.
+
+    Parameters
+    ----------
+    corner : float
+        Distance of the detector's corners from the axis in millimetres.
+    """
+
+    corner: float = 0.0
+    _fits: dict[tuple[float, float, float], FittedLens] = field(default_factory=dict, init=False, repr=False)
+    _lights: dict[tuple[float, float, float], ExitPupil] = field(default_factory=dict, init=False, repr=False)
+
+    is_open_evenly = False
+    changes_evenly = False
+
+    @property
+    def refraction(self) -> float:
+        """The wavelength, where the glasses disperse light."""
+        disperses = any(
+            surface.glass is not None and surface.glass.form != "index" for surface in self.prescription.surfaces
+        )
+        return self._light if disperses else float(self.focal_length)
+
+    @functools.cached_property
+    def reach(self) -> float:
+        """Radius of a circle about the axis that holds the exit pupil, seen from anywhere on the detector.
+
+        Raises
+        ------
+        InputError
+            If no ray gets through the lens, even to the axis.
+        """
+        return self._own.pupil_reach(self.corner)
+
+    @property
+    def _own(self) -> LensSystem:
+        """The lens at the wavelength of its prescription, for what is taken to be the same at all others."""
+        return self if self.wavelength is None else replace(self, wavelength=None)
+
+    @functools.cached_property
+    def entrance(self) -> Entrance:
+        """The scene's side of it."""
+        pupils = Pupils.of(self)
+        return Entrance(pupils.entrance, max(self.front_bounds[1]), pupils.magnification)
+
+    def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
+        """Return the bounds of the first surface, on which all rays start."""
+        return self.front_bounds
+
+    def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fraction of the circle of the radius `reach` that is open, seen from places on the MLA."""
+        heights, fractions = self._fractions
+        return np.interp(np.hypot(x, y), heights, fractions)
+
+    @functools.cached_property
+    def _fractions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        radius, lens = self.reach, self._own
+        heights = np.linspace(0, _BEYOND * self.corner, _HEIGHTS)
+        axis = ((np.arange(_ACROSS) + 0.5) * 2 / _ACROSS - 1) * radius
+        Px, Py = (values[np.hypot(*grid) <= radius] for grid in [np.meshgrid(axis, axis)] for values in grid)
+        return heights, np.array(
+            [np.mean(lens.ray((Px, Py), (np.zeros_like(Px), np.full_like(Py, height)))[2]) for height in heights]
+        )
+
+    # -- waves ---------------------------------------------------------------------------------------
+
+    def waves_of(self, points: NDArray[np.float64]) -> FittedLens:
+        """Return the lens as the waves of scene points pass it, as `MainLens.waves_of` does."""
+        front = self.entrance.front
+        within = (points[:, 2] > 0) & (points[:, 2] <= front)
+        if within.any():
+            raise InputError(
+                f"position: g = {points[within][0, 2]:g}: it must lie before the main_lens, beyond {front:.6g}"
+            )
+        field, nearness = Pupils.of(self).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
+        largest = np.hypot(*field.T)
+        lens = self._over_field(float(largest.max()), (float(nearness.min()), float(nearness.max())))
+        beyond = largest > lens.fitted.aberration.scales.field
+        if beyond.any():
+            place = ", ".join(f"{c:g}" for c in points[beyond][0])
+            raise InputError(f"position = ({place}): no light of it passes the main_lens")
+        return _checked(lens)
+
+    def waves_of_one(self, point: NDArray[np.float64]) -> ExitPupil:
+        """Return the light of a single scene point, from rays of its own."""
+        x, y, g = np.asarray(point).tolist()
+        if (x, y, g) not in self._lights:
+            while len(self._lights) >= _LIGHTS:
+                self._lights.pop(next(iter(self._lights)), None)
+            self._lights[x, y, g] = ExitPupil(self, (x, y, g))
+        return self._lights[x, y, g]
+
+    def over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
+        """Return the lens for waves, fitted up to a field or as far as it lets light through.
+
+        Parameters
+        ----------
+        field : float
+            Slope, from the middle of the entrance pupil, of the scene points farthest from the axis.
+        nearness : (float, float)
+            Least and largest reciprocal of the distances of scene points from the entrance pupil, in 1/mm.
+
+        Raises
+        ------
+        InputError
+            If no light passes it.
+        PhysicsError
+            If the path cannot be fitted.
+        """
+        return _checked(self._over_field(field, nearness))
+
+    def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
+        """Return points as far from the axis as a detector sees through the lens, one at each distance; (n, 3)."""
+        depths = np.array(distances)
+        near = 1 / (depths - self.entrance.pupil)
+        field = _WIDER * self.corner / self.mla_distance * depths * near
+        lens = self.over_field(float(field.max()), (float(near.min()), float(near.max())))
+        field = np.minimum(field, WITHIN * lens.fitted.aberration.scales.field)
+        return np.column_stack([0 * depths, field / near, depths])
+
+    def _over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
+        """Return a lens that is fitted so far; fits are kept, and their ranges grow by steps."""
+        least = _NARROWEST * self.corner / self.mla_distance
+        steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
+        power = _NEARNESS_STEP / self.focal_length
+        low, high = math.floor(nearness[0] / power), math.ceil(nearness[1] / power)
+        key = least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power
+        if key not in self._fits:
+            self._fits[key] = self._fit(*key)
+        return self._fits[key]
+
+    def _fit(self, field: float, low: float, high: float) -> FittedLens:
+        """Fit the lens up to a field, or as far as it covers, for a range of nearnesses."""
+        tracer, radius, nearness = functools.partial(trace, self), self.aperture_radius, (low, high)
+        field = covered(tracer, radius, field, nearness)
+        if not field > 0:
+            raise InputError("main_lens: no light of the scene points passes it")
+        with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
+            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, nearness, self._light)
+        return FittedLens(self, self.reach, fitted)
+
+
+def _checked(lens: FittedLens) -> FittedLens:
+    """Return a lens whose path is fitted well enough."""
+    guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
+    return lens
+
+
+@builds(Prescription)
+def real_lens(numbers: LensNumbers) -> RealLens:
+    """Return the main lens of a camera that has a prescription."""
+    camera = numbers.camera
+    assert isinstance(camera.main_lens, Prescription)
+    return RealLens(
+        camera.main_lens,
+        numbers.focal_length,
+        numbers.aperture_radius,
+        numbers.mla_distance,
+        numbers.wavelength,
+        corner=math.hypot(camera.detector_width, camera.detector_height) / 2,
+    )

@@ -1,0 +1,78 @@
+"""A camera at one wavelength, bound once and handed on: its lattice and its main lens, for rays and for waves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import Lattice
+from ..lenses.base import MainLens, PointLight
+from ..lenses.factory import main_lens
+from ..lenses.wave_cameras import require_ideal
+from ..prescription.glass import LINE_D
+from .microlens_orders import MicrolensArray
+from .microlenses import upright
+
+
+@dataclass(frozen=True)
+class OpticalSystem:
+    """What captures, operators and reconstructions of one camera have in common at one wavelength.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        In nanometres.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float
+
+    @classmethod
+    def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
+        """Bind a camera to the wavelength of its main lens's own parameters, for rays that have none."""
+        return cls(camera, getattr(camera.main_lens, "wavelength", LINE_D))
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """The microlens lattice."""
+        return self.camera.lattice
+
+    @cached_property
+    def microlenses(self) -> MicrolensArray:
+        """The transmission of the microlenses, in the frame of the camera."""
+        return MicrolensArray(self.camera, self.wavelength)
+
+    @cached_property
+    def upright_microlenses(self) -> MicrolensArray:
+        """The transmission of the microlenses, in the frame that is turned with their lattice about the axis."""
+        turned = self.camera.mla_rotation != 0
+        return MicrolensArray(upright(self.camera), self.wavelength) if turned else self.microlenses
+
+    @cached_property
+    def lens(self) -> MainLens:
+        """The main lens, whose rays refract as waves do; see `MainLens` for what it offers."""
+        return main_lens(self.camera, self.wavelength, model="parabolic")
+
+    def waves_of(self, points: NDArray[np.float64]) -> MainLens:
+        """Return the main lens as the waves of scene points (n, 3) pass it.
+
+        Raises
+        ------
+        InputError
+            If the camera has what waves do not know, or a point is not before the lens or outside of its field.
+        PhysicsError
+            If the path through a real lens cannot be fitted.
+        """
+        require_ideal(self.camera)
+        return self.lens.waves_of(points)
+
+    def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
+        """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can; see `waves_of`."""
+        require_ideal(self.camera)
+        return self.lens.waves_of_one(point)
