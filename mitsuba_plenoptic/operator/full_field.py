@@ -66,30 +66,8 @@ def full_field(
 ) -> NDArray[np.float32]:
     """Integrate one scene point's intensity over the recorded pixels.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    position : float64 array (3,)
-        Scene point (X, Y, g) in the camera frame, checked.
-    pupil_weights : PupilWeights, optional
-        Relative power over the pupil, of this one point.
-    microlenses : bool
-        Whether the microlenses are there.
-    refinement, growth : float
-        Factors on the sampling density and on the window's margins, to test convergence.
-    grids : FieldGrids, optional
-        Those of a camera that hardly differs, by which differences between the two are free of their grids'.
-
-    Returns
-    -------
-    float32 array (rows, columns)
-        Fractions of the power through the pupil.
-
-    Raises
-    ------
-    InputError
-        If the grids would need too much memory.
+    `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
+    `grids` may be those of a camera that hardly differs, so that differences are free of the grids'.
     """
     grids = grids or field_grids(system, position, refinement, growth)
     _, mla = _arrival(system, position, grids, pupil_weights)

@@ -36,37 +36,24 @@ _BLOCK = 4096
 
 @dataclass(frozen=True)
 class Band:
-    r"""How much of the diffracted light a patch keeps.
-
-    Attributes
-    ----------
-    cone : float
-        Directions that are kept on the detector over those of the geometric cone, pupil plus microlens, at least.
-    margin : float
-        Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern.
-    bends : float
-        Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least.
-    orders : float
-        The same, in orders of the diffraction by a microlens's aperture (see `optics.microlenses.diffraction`).
-    beyond : float
-        Directions that are kept beyond the geometric cone, in the same orders, at most where lenses leave no gaps.
-    edge : float
-        Samples over which the edges of the pupil, and of what hides parts of it, are softened.
-
-        What a hard edge diffracts beyond the patch is folded back into it; what an edge softened over one sample
-        diffracts there is lost. A single spread is truer without that light. A sum of many is truer with it, since
-        what one point sends away comes to another's patch: its power is right, and so are the rims of micro-images.
-    smooth : bool
-        Whether the softened edges have no kinks: less of what they diffract is then folded back.
-    """
+    """How much of the diffracted light a patch holds."""
 
     cone: float
+    """Directions that are kept on the detector over those of the geometric cone, pupil plus microlens, at least."""
     margin: float
+    r"""Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern."""
     bends: float
+    """Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least."""
     orders: float
+    """The same, in orders of the diffraction by a microlens's aperture (see `microlenses.diffraction`)."""
     beyond: float = math.inf
+    """Directions that are kept beyond the geometric cone, in the same orders, at most where lenses leave no gaps."""
     edge: float = 1.0
-    smooth: bool = False
+    """Samples over which the edges of the pupil, and of what hides parts of it, are softened. What a hard edge
+    diffracts beyond the patch is folded back into it; what an edge softened over one sample diffracts there is lost. A
+    single spread is truer without that light. A sum of many is truer with it, since what one point sends away comes to
+    another's patch: its power is right, and so are the rims of micro-images."""
+    smooth: bool = False  # whether the softened edges have no kinks: less of what they diffract is then folded back
 
 
 @dataclass(frozen=True)
@@ -152,16 +139,7 @@ class Placement:
 def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     """Choose size and place of the patches of some points.
 
-    Parameters
-    ----------
-    grid : Grid
-        The grid that they lie on.
-    positions : float64 array (n, 3)
-        Scene points in the frame of the lattice.
-
-    Returns
-    -------
-    Placement
+    The points are in the frame of the lattice.
     """
     # Rays are traced for some points at a time, so that memory does not grow with their number.
     starts = range(0, max(1, len(positions)), _BLOCK)

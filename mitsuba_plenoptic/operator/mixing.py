@@ -13,21 +13,11 @@ from ..optics.spectrum import Spectrum
 
 @dataclass(frozen=True)
 class SpectralSum:
-    """The sum of point spreads at one wavelength, of which an image has some.
+    """The sum of point spreads at one wavelength, of which an image has some."""
 
-    Attributes
-    ----------
-    wavelength : float
-        In nanometres.
-    before : float64 array (columns, k)
-        What the columns of the weights are multiplied by.
-    after : float32 array (channels, k)
-        From what the sum makes of them to the channels of the image.
-    """
-
-    wavelength: float
-    before: NDArray[np.float64]
-    after: NDArray[np.float32]
+    wavelength: float  # in nanometres
+    before: NDArray[np.float64]  # (columns, k): what the columns of the weights are multiplied by
+    after: NDArray[np.float32]  # (channels, k): from what the sum makes of them to the channels of the image
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
         """Return it with as few columns as tell the weights of some points: one where all have the same spectrum.
@@ -35,12 +25,7 @@ class SpectralSum:
         Spectra that change little between nodes give channels nearly the same weights but for a factor, and every
         column is added to the image copy by copy.
 
-        Parameters
-        ----------
-        weights : float64 array (n, columns)
-            Of the points.
-        errors : float64 array (channels,)
-            Root sum square of the weights in each channel of the image that may be left out.
+        In each of the channels of the image weights of the root sum square `errors` may be left out.
         """
         given = weights @ self.before
         # In a fixed order: what is kept half done in a checkpoint is of these very columns.
@@ -58,14 +43,7 @@ def spectral_sums(
 ) -> Iterator[SpectralSum]:
     """Yield the sums of which the image is the sum: one for each distinct wavelength, or for each node.
 
-    Parameters
-    ----------
-    wavelengths : tuple of float
-        Of each column of the weights.
-    matrix : float32 array (channels, columns)
-        From the columns to the image's channels.
-    spectrum : Spectrum, optional
-        Whose nodes count.
+    `matrix` leads from the columns of the weights, each of its wavelength, to the channels of the image.
     """
     if spectrum is None or not spectrum.nodes:
         for wavelength, some in groups(wavelengths):

@@ -53,24 +53,12 @@ _JUDGED = 16
 
 @dataclass(frozen=True)
 class Cost:
-    """What a capture takes.
+    """What a capture takes."""
 
-    Attributes
-    ----------
-    points : int
-        Points whose light reaches the recorded window; 0 where none are found.
-    patterns : int
-        Point spreads that are computed for them.
-    seconds : float
-        Time, from that of a few of them on this machine now.
-    memory : float
-        Bytes at most.
-    """
-
-    points: int
-    patterns: int
-    seconds: float
-    memory: float
+    points: int  # points whose light reaches the recorded window; 0 where none are found
+    patterns: int  # point spreads that are computed for them
+    seconds: float  # time, from that of a few of them on this machine now
+    memory: float  # bytes at most
 
 
 class PatchPlan:
@@ -79,20 +67,8 @@ class PatchPlan:
     A pattern is a point spread that several points share; each has it at a place of its own, as a copy. Each chunk
     is a batch: it is added into a tile of its own, in the order of its patterns.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    points : float64 array (n, 3)
-        Points in the camera frame.
-    pupil_weights : PupilWeights, optional
-        Their power over the pupil.
-    accuracy : float
-        Allowed relative error.
-    band : Band, optional
-        How much of the diffracted light is kept. Default: what suits the allowed error of images.
-    shared : bool
-        Whether points may share patterns, if the allowed error lets them.
+    At the allowed error `accuracy` points may share patterns, unless `shared` is false; `band` is by default what suits
+    that error for images.
     """
 
     def __init__(
@@ -221,19 +197,7 @@ class PatchPlan:
 
         Where there are gaps between the apertures, that of a few patterns stands for all.
 
-        Parameters
-        ----------
-        chunks : list of int64 arrays
-            The chunks of a sum.
-        weights : float64 array (n, channels)
-            Its weights.
-        arrived : float
-            The sum of all its samples, without the `gain`.
-
-        Returns
-        -------
-        float or None
-            None where it is not known, since weights cancel each other.
+        `arrived` is the sum of all samples, without the `gain`. None is returned where weights cancel each other.
         """
         if not chunks or weights.min() < 0:
             return None
@@ -273,18 +237,7 @@ class PatchPlan:
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return for every point the image weighted by its point spread.
 
-        Parameters
-        ----------
-        image : float32 array (rows, columns, channels)
-            Of the recorded pixels.
-        job : Job
-            Who computes, and who is told of the progress.
-        done, total : int
-            The points that are done before, and those of the whole job.
-
-        Returns
-        -------
-        float64 array (n, channels)
+        `done` points of the `total` of a job are done before.
         """
         samples = self._recorder.spread(image)
         result = np.zeros((self._count, image.shape[2]))

@@ -39,29 +39,16 @@ _TOGETHER = 2**20
 
 @dataclass(frozen=True)
 class Cells:
-    """Patterns of one size, and their sum, cut into cells.
+    """Patterns of one size, and their sum, cut into cells."""
 
-    Attributes
-    ----------
-    width : int array (2,)
-        Samples of a cell along x and y.
-    count : int array (2,)
-        Cells that a pattern reaches, wherever it begins.
-    """
-
-    width: NDArray[np.int64]
-    count: NDArray[np.int64]
+    width: NDArray[np.int64]  # (2,): samples of a cell along x and y
+    count: NDArray[np.int64]  # (2,): cells that a pattern reaches, wherever it begins
 
     @classmethod
     def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> Cells | None:
         """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if it does not pay.
 
-        Parameters
-        ----------
-        shifts : list of int arrays (copies, 2)
-            For each pattern, along x and y.
-        samples : int
-            Width of the patterns.
+        `shifts` has for each pattern those of its copies along x and y, (copies, 2).
         """
         every = np.concatenate([shift - shift[0] for shift in shifts])
         width = np.gcd.reduce(every, axis=0)
@@ -103,14 +90,7 @@ class CellSum:
     def plane(self, pattern: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
         """Return where the intensity of a pattern is to be written, (samples along x, along y) and some beyond.
 
-        Parameters
-        ----------
-        pattern : int
-            Its number, by which it is known when the next part of it is written.
-        places : int array (copies, 2)
-            First sample of each copy along x and y.
-        weights : float32 array (copies, channels)
-            Factors on the copies.
+        `places` are the first samples of each copy along x and y; a pattern is known by its index when its next part is written.
         """
         if pattern not in self._held:
             self._held[pattern] = len(self._held)
@@ -159,30 +139,14 @@ class CellSum:
 
 @dataclass(frozen=True)
 class Copies:
-    """Where and how strongly the intensity of one point spread is added: at its own place, and at copies of it.
+    """Where and how strongly the intensity of one point spread is added: at its own place, and at copies of it."""
 
-    Attributes
-    ----------
-    shifts : int array (copies, 2)
-        Samples along x and y by which each copy is moved.
-    weights : float32 array (copies, channels)
-        Factors on the intensity.
-    """
-
-    shifts: NDArray[np.int64]
-    weights: NDArray[np.float32]
+    shifts: NDArray[np.int64]  # (copies, 2): samples along x and y by which each copy is moved
+    weights: NDArray[np.float32]  # (copies, channels): factors on the intensity
 
 
 class Tile:
-    """The part of the grid that the point spreads of one batch reach.
-
-    Parameters
-    ----------
-    batch : PatchBatch
-        Whose patches it covers.
-    copies : list of Copies
-        For each point of the batch.
-    """
+    """The part of the grid that the point spreads of one batch reach."""
 
     def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
         self._batch, self._copies = batch, copies
@@ -194,12 +158,7 @@ class Tile:
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
     def sum(self) -> NDArray[np.float32]:
-        """Add the weighted intensities of all copies.
-
-        Returns
-        -------
-        float32 array (channels, rows, columns)
-        """
+        """Add the weighted intensities of all copies; (channels, rows, columns)."""
         cells = Cells.of([copy.shifts for copy in self._copies], self._batch.samples)
         sums = self._sum_one_by_one() if cells is None else self._sum_together(cells)
         return sums.transpose(0, 2, 1)
@@ -241,18 +200,7 @@ class Tile:
         return int(self._copies[0].weights.shape[1])
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-        """Multiply the intensity of every copy with the samples of the tile, and sum the products.
-
-        Parameters
-        ----------
-        samples : float32 array (channels, rows, columns)
-            As large as the tile.
-
-        Returns
-        -------
-        list of float64 arrays (copies, channels)
-            For each point.
-        """
+        """Multiply the intensity of every copy with the samples of the tile, and sum the products, (copies, channels)."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         products = [np.zeros((len(places), len(turned))) for places in self._places]
         for point, along_x, along_y, intensity, _ in self._intensities():

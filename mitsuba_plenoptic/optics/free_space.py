@@ -41,14 +41,7 @@ class StepGuard:
     Some 32 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
     not hold their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
 
-    Parameters
-    ----------
-    field : complex64 array (rows, columns)
-        The field before the step.
-    pitch : float
-        Distance between samples in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
+    `pitch` is the distance between samples in millimetres.
     """
 
     def __init__(self, field: Field, pitch: float, wavelength: float) -> None:
@@ -80,13 +73,7 @@ class StepGuard:
             self._evanescent = fraction(weighted(weight, waves * lost), weighted(weight, waves))
 
     def see_result(self, field: Field) -> None:
-        """Look at the field after the step, and judge it all.
-
-        Raises
-        ------
-        PhysicsError
-            If a guard's bound is passed.
-        """
+        """Look at the field after the step, and judge it all."""
         after, rim = self._of_field(field)
         with guards.watch():
             guards.judge(guards.EVANESCENT, self._evanescent)
@@ -126,31 +113,8 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
-    Parameters
-    ----------
-    field : complex array (rows, columns)
-        Samples of the field, taken as ``complex64``.
-    pitch : float
-        Distance between samples, along both axes, in millimetres.
-    distance : float
-        Distance to the new plane in millimetres; negative to go back.
-    wavelength : float
-        Wavelength in nanometres.
-    overwrite : bool
-        Whether the memory of `field` may be used for the work.
-
-    Returns
-    -------
-    complex64 array (rows, columns)
-        The field in the new plane, without the carrier :math:`\exp(i k d)`; where `field` is: with a CUDA variant a
-        CuPy array never leaves the device.
-
-    Raises
-    ------
-    InputError
-        If the field is not a two-dimensional finite array, or a number is out of range.
-    PhysicsError
-        If the field is under-sampled, or leaves its window (see `guards`, which warn long before that).
+    Lengths are in millimetres. The result is without the carrier :math:`\\exp(i k d)` and where `field` is; with `overwrite`
+    the memory of the field is used. Fields that are under-sampled or leave their window raise a PhysicsError (see `guards`).
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
@@ -183,24 +147,8 @@ def advance(
 ) -> Field:
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
-    Parameters
-    ----------
-    spectrum : complex64 array (rows, columns)
-        Zero frequency first.
-    pitch : float or (float, float)
-        Sampling distance of the field, or those down and across, in millimetres.
-    distance : float
-        Distance to the new plane in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
-    shift : (float, float)
-        How far down and across the new plane's samples lie from the old one's, in millimetres.
-    part : (int, int), optional
-        If the array holds some rows of the spectrum only: the number of the first, and how many there are in all.
-
-    Returns
-    -------
-    complex64 array (rows, columns)
+    The spectrum has zero frequency first. `shift` is how far down and across the new samples lie from the old ones, in
+    millimetres; of some rows of a spectrum `part` is the first one and how many there are in all.
     """
     packed = array_module().UInt64(as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
@@ -228,23 +176,7 @@ def _advance(
 
 
 def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Any:
-    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
-
-    Parameters
-    ----------
-    sx, sy : float64 arrays of Dr.Jit
-        Direction cosines along x and y.
-    distance : float or Dr.Jit number
-        Distance to the new plane in millimetres.
-    wavelength : float or Dr.Jit number
-        Wavelength in nanometres.
-    shift : (float, float)
-        How far down and across the new plane's samples lie from the old one's, in millimetres.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit
-    """
+    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves."""
     types = array_types(sx)
 
     def in_waves(length: Any) -> Any:

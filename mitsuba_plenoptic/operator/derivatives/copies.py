@@ -47,18 +47,8 @@ MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
 def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
     """Return A and B for a change by 1 of each component of a number of `MOVED_COPIES`.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        In nanometres.
-
-    Returns
-    -------
-    float64 array (components, 2, 2, 2)
-        For each component A and B, each as (x and y of the move, x and y of the copy's place). Degrees and nanometres
-        are the units of ``mla_rotation`` and ``wavelength``.
+    The result is (components, 2, 2, 2): for each component A and B, each as (x and y of the move, x and y of the copy's
+    position). Degrees and nanometres are the units of ``mla_rotation`` and ``wavelength``.
     """
     one, none = np.eye(2), np.zeros((2, 2))
     growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
@@ -84,24 +74,12 @@ _BLOCK = 2**18
 
 @dataclass(frozen=True)
 class SpreadCopies:
-    """Where and how strongly a point spread is recorded.
+    """Where and how strongly a point spread is recorded."""
 
-    Attributes
-    ----------
-    shifts : int64 array (copies, 2)
-        Samples of the patch along x and y by which each copy is moved.
-    places : float64 array (copies, 2)
-        The same on the microlens array, in millimetres.
-    weights : float32 array (copies, channels)
-        Factors on the intensity.
-    moving : bool
-        Whether what they show of a lattice that moves against their points is counted.
-    """
-
-    shifts: NDArray[np.int64]
-    places: NDArray[np.float64]
-    weights: NDArray[np.float32]
-    moving: bool
+    shifts: NDArray[np.int64]  # (copies, 2): samples of the patch along x and y by which each copy is moved
+    places: NDArray[np.float64]  # (copies, 2): the same on the microlens array, in millimetres
+    weights: NDArray[np.float32]  # (copies, channels): factors on the intensity
+    moving: bool  # whether what they show of a lattice that moves against their points is counted
 
     def summed(self, sums: int) -> SpreadCopies:
         """Return them with the weights as often as sums are asked for: for three, those times the places come next."""
@@ -125,17 +103,8 @@ def covered(corner: NDArray[np.int64], samples: int, copies: list[SpreadCopies],
 def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
     """Add up, over the copies, what a tile has in their windows, with their weights.
 
-    Parameters
-    ----------
-    tile : float32 array (channels, rows, columns)
-        On the box of the windows.
-    moments : bool
-        Whether to add it up, too, with the weights times the copies' places along x, and along y.
-
-    Returns
-    -------
-    list of float32 arrays (rows, columns)
-        One, or three.
+    The tile (channels, rows, columns) is on the box of the windows. With `moments` two more sums follow, with the weights
+    times the copies' x and times their y.
     """
     along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
     which, channels = np.nonzero(copies.weights)
@@ -154,19 +123,7 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
 
 
 class SpreadSum:
-    """A sum of the copies of point spreads, with their weights.
-
-    Parameters
-    ----------
-    box : Box
-        What it covers of the grid.
-    batch : PatchBatch
-        What the spreads are made of.
-    copies : list of SpreadCopies
-        Of each.
-    finer : int
-        Samples of the grid for one of a patch, along each axis.
-    """
+    """A sum of the copies of point spreads, with their weights."""
 
     def __init__(self, box: Box, batch: PatchBatch, copies: list[SpreadCopies], finer: int) -> None:
         size, channels = np.array([box.rows, box.columns]), copies[0].weights.shape[1]

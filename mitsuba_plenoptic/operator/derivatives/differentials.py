@@ -21,15 +21,7 @@ from .plan import DerivativePlan, Direction
 
 
 class Differentials:
-    """The derivatives of the sum of all point spreads, planned for each wavelength when they are first asked for.
-
-    Parameters
-    ----------
-    camera, points, pupil_weights, accuracy
-        As of `CaptureOperator`, checked.
-    system_at : callable
-        Returns the camera's optical system at a wavelength.
-    """
+    """The derivatives of the sum of all point spreads, planned for each wavelength when they are first asked for."""
 
     def __init__(
         self,
@@ -54,18 +46,7 @@ class Differentials:
     ) -> NDArray[np.float32]:
         """Return the changes of the image in some directions, (rows, columns, directions times channels).
 
-        Parameters
-        ----------
-        weights : float64 array (n, columns)
-            Of the points.
-        directions : list of dict
-            Each as from `check_changes`.
-        wavelengths : tuple of float
-            Of each column, in nanometres.
-        matrix : float32 array (channels, columns)
-            From the columns to the image's channels.
-        job : Job
-            Who is told of the progress.
+        The columns of `weights` have the `wavelengths` given, and `matrix` leads from them to the image's channels.
         """
         _require_threads(job)
 
@@ -97,15 +78,7 @@ class Differentials:
         matrix: NDArray[np.float32],
         job: Job,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients of numbers, by name, from that of the image, (rows, columns, channels).
-
-        Parameters
-        ----------
-        weights, wavelengths, matrix, job
-            As of `jvp`.
-        names : tuple of str
-            The numbers.
-        """
+        """Return the gradients of numbers, by name, from that of the image, (rows, columns, channels)."""
         _require_threads(job)
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():

@@ -55,13 +55,7 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 
 def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Return names of numbers, all for None.
-
-    Raises
-    ------
-    InputError
-        If there is no number of some name.
-    """
+    """Return names of numbers, all for None."""
     names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in NUMBERS:
@@ -73,13 +67,7 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
-    """Return changes of numbers by name, each as an array of what `values_of` returns.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, or a change has another size than its number or is not finite.
-    """
+    """Return changes of numbers by name, each as an array of what `values_of` returns."""
     if not isinstance(changes, dict):
         raise InputError(f"changes = {shown(changes)}: they must be numbers by name")
     check_names(changes)
@@ -114,19 +102,7 @@ def light_slopes(
 ) -> dict[str, NDArray[np.float64]]:
     """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    names : iterable of str
-        The numbers.
-    points : float64 array (n, 3)
-        Scene points in the camera frame.
-
-    Returns
-    -------
-    dict
-        By name float64 arrays (parts, n).
+    The arrays are (components, points).
     """
     slopes = brightness_slopes(system.camera, names)
     found = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
@@ -134,17 +110,7 @@ def light_slopes(
 
 
 class VaryingNumbers:
-    """The numbers of a camera as Dr.Jit numbers, of which some carry gradients.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        In nanometres.
-    names : iterable of str
-        The numbers that vary.
-    """
+    """The numbers of a camera as Dr.Jit numbers, of which some carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad

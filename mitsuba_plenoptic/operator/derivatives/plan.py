@@ -38,11 +38,6 @@ class DerivativePlan(PatchPlan):
     For sums of many, points share spreads as they do for images; else each has a spread of its own, whose intensity
     is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
     fastest. In sums of many they average out.
-
-    Parameters
-    ----------
-    system, points, pupil_weights, accuracy
-        As of `PatchPlan`.
     """
 
     def __init__(
@@ -82,16 +77,7 @@ class DerivativePlan(PatchPlan):
     ) -> dict[str, NDArray[np.float64]]:
         """Return the gradients of numbers from that of the image, (rows, columns, channels).
 
-        Parameters
-        ----------
-        weights : float64 array (n, channels)
-            Of the points.
-        names : tuple of str
-            The numbers.
-        job : Job
-            Who computes, and who is told of the progress.
-        done, total : int
-            The points that are done before, and those of the whole job.
+        `done` points of the `total` of a job are done before.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
