@@ -91,8 +91,8 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, pos
 
     The errors of point spreads that overlap average out, so fewer of them must each be truer.
 
-    The positions are in the camera frame, or, behind a round lens, in one that is turned about the axis; the result is 0
-    where nothing may be shared.
+    The positions are in the camera frame, or, behind a round lens, in one that is turned about the axis. The result is
+    0 where nothing may be shared.
     """
     if not len(positions):
         return 0.0

@@ -1,14 +1,23 @@
-"""Columns of weights, one for each wavelength, and the channels of an image that record them."""
+"""Columns of weights, one for each wavelength, the channels of an image that record them, and plans for wavelengths."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..optics.spectrum import Spectrum
+from ..runtime.jobs import Job
+from ..system.optical_system import OpticalSystem
+from .pupil_weights import PupilWeights
+
+_LEFT_OUT, _ROUNDING = 0.1, 1e-6
+"""Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
 
 
 @dataclass(frozen=True)
@@ -38,23 +47,118 @@ class SpectralSum:
         return SpectralSum(self.wavelength, self.before @ kept, (self.after @ kept).astype(np.float32))
 
 
-def spectral_sums(
-    wavelengths: tuple[float, ...], matrix: NDArray[np.float32], spectrum: Spectrum | None
-) -> Iterator[SpectralSum]:
-    """Yield the sums of which the image is the sum: one for each distinct wavelength, or for each node.
+class WeightChannels:
+    """The wavelengths of columns of weights, of which there is one or a spectrum, and the image's channels."""
 
-    `matrix` leads from the columns of the weights, each of its wavelength, to the channels of the image.
-    """
-    if spectrum is None or not spectrum.nodes:
-        for wavelength, some in groups(wavelengths):
-            yield SpectralSum(wavelength, np.eye(len(wavelengths))[:, some], matrix[:, some])
-        return
-    channels, columns = matrix.shape
-    for node, share in zip(spectrum.nodes, spectrum.shares(), strict=True):
-        if channels <= columns:
-            yield SpectralSum(node, share[:, None] * matrix.T.astype(np.float64), np.eye(channels, dtype=np.float32))
-        else:
-            yield SpectralSum(node, np.diag(share), matrix)
+    def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
+        self._wavelength, self.spectrum = wavelength, spectrum
+
+    @property
+    def light(self) -> Any:
+        """The wavelength or the spectrum, as plain data."""
+        return self._wavelength if self.spectrum is None else asdict(self.spectrum)
+
+    @property
+    def sums(self) -> int:
+        """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
+        return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
+
+    def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+        """Return the wavelength of each column of the weights, and the matrix (channels, columns) to the image's."""
+        if self.spectrum is None:
+            return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
+        return self.spectrum.wavelengths, self.spectrum.matrix()
+
+    def parts(self, columns: int) -> Iterator[SpectralSum]:
+        """Yield the sums of which an image is the sum, for so many columns of weights (channels without a spectrum)."""
+        wavelengths, matrix = self.mixing(columns)
+        if self.spectrum is None or not self.spectrum.nodes:
+            for wavelength, some in groups(wavelengths):
+                yield SpectralSum(wavelength, np.eye(len(wavelengths))[:, some], matrix[:, some])
+            return
+        channels, columns = matrix.shape
+        for node, share in zip(self.spectrum.nodes, self.spectrum.shares(), strict=True):
+            if channels <= columns:
+                before = share[:, None] * matrix.T.astype(np.float64)
+                yield SpectralSum(node, before, np.eye(channels, dtype=np.float32))
+            else:
+                yield SpectralSum(node, np.diag(share), matrix)
+
+    def reduced_parts(self, weights: NDArray[np.float64], accuracy: float) -> Iterator[SpectralSum]:
+        """Yield the sums for some weights, (n, columns), those of nodes simplified within an allowed error."""
+        _, matrix = self.mixing(weights.shape[1])
+        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
+        errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * whole
+        for part in self.parts(weights.shape[1]):
+            yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
+
+    def check_image(self, image: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return an image of so many rows and columns as (rows, columns, channels), or refuse it."""
+        try:
+            pixels = np.asarray(image, np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
+        rows, columns = shape
+        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
+            raise InputError(
+                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
+            )
+        channels = pixels.reshape(rows, columns, -1)
+        if self.spectrum is not None and channels.shape[2] != self.spectrum.channels:
+            raise InputError(f"image of shape {pixels.shape}: the spectrum has {self.spectrum.channels} channels")
+        return channels
+
+    def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
+        """Return the weights of so many points as (count, columns), or refuse them."""
+        try:
+            factors = np.asarray(weights, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
+        if factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0):
+            raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
+        if not np.isfinite(factors).all():
+            raise InputError("weights: they must be finite")
+        wavelengths = 1 if self.spectrum is None else len(self.spectrum.wavelengths)
+        if factors.ndim == 1:
+            return np.repeat(factors[:, None], wavelengths, axis=1)
+        if self.spectrum is not None and factors.shape[1] != wavelengths:
+            raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
+        return factors
+
+
+class WavelengthPlans:
+    """The plans of some points at each wavelength, made when they are first asked for."""
+
+    def __init__(
+        self,
+        make: Callable[..., Any],
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        accuracy: float,
+        systems: dict[float, OpticalSystem],
+    ) -> None:
+        self._make, self._camera, self._systems = make, camera, systems
+        self._planned_for = points, pupil_weights, accuracy
+        self._plans: dict[float, Any] = {}
+
+    def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
+        """Return the plans of another kind for the same points."""
+        return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
+
+    def at(self, wavelength: float) -> Any:
+        """Return the plan at a wavelength."""
+        if wavelength not in self._systems:
+            self._systems[wavelength] = OpticalSystem(self._camera.at_wavelength(wavelength), wavelength)
+        if wavelength not in self._plans:
+            self._plans[wavelength] = self._make(self._systems[wavelength], *self._planned_for)
+        return self._plans[wavelength]
+
+    def checked(self, wavelength: float, job: Job, channels: int) -> Any:
+        """Return the plan at a wavelength, or refuse what it takes."""
+        plan = self.at(wavelength)
+        plan.check_memory(job.workers, channels)
+        return plan
 
 
 def mix(image: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]:

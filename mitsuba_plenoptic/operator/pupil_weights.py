@@ -43,7 +43,7 @@ class PupilWeights:
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
         """Gather the weights of some points.
 
-        They are relative power, or booleans for what is visible, (points, m, m); None means the same over all of the pupil.
+        They are relative power, or booleans for what is visible, (points, m, m). None is the same over all the pupil.
         """
         if weights is None:
             return None

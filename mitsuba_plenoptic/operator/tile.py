@@ -90,7 +90,8 @@ class CellSum:
     def plane(self, pattern: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
         """Return where the intensity of a pattern is to be written, (samples along x, along y) and some beyond.
 
-        `places` are the first samples of each copy along x and y; a pattern is known by its index when its next part is written.
+        `places` are the first samples of each copy along x and y. A pattern is known by its index when its next part is
+        written.
         """
         if pattern not in self._held:
             self._held[pattern] = len(self._held)
@@ -200,7 +201,7 @@ class Tile:
         return int(self._copies[0].weights.shape[1])
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-        """Multiply the intensity of every copy with the samples of the tile, and sum the products, (copies, channels)."""
+        """Multiply each copy's intensity with the samples of the tile, and sum the products, (copies, channels)."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         products = [np.zeros((len(places), len(turned))) for places in self._places]
         for point, along_x, along_y, intensity, _ in self._intensities():

@@ -103,8 +103,8 @@ def covered(corner: NDArray[np.int64], samples: int, copies: list[SpreadCopies],
 def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
     """Add up, over the copies, what a tile has in their windows, with their weights.
 
-    The tile (channels, rows, columns) is on the box of the windows. With `moments` two more sums follow, with the weights
-    times the copies' x and times their y.
+    The tile (channels, rows, columns) is on the box of the windows. With `moments` two more sums follow, with the
+    weights times the copies' x and times their y.
     """
     along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
     which, channels = np.nonzero(copies.weights)
