@@ -30,7 +30,11 @@ from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
-"""Ways to compute point spreads, by name."""
+"""Methods to compute point spreads at one wavelength, by name: the types of their plans.
+
+A plan takes an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`, `check_memory`
+and `cost`, as `PatchPlan` does.
+"""
 
 METHODS = tuple(PLANS)
 
@@ -273,11 +277,8 @@ class CaptureOperator:
         InputError
             As of `derivative`.
         """
-        factors, channels, chosen = (
-            self._check(weights),
-            self._channels.check_image(image_gradient, self.camera.shape),
-            check_names(names),
-        )
+        factors, chosen = self._check(weights), check_names(names)
+        channels = self._channels.check_image(image_gradient, self.camera.shape)
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")

@@ -52,7 +52,7 @@ _PROCESSOR = _Sizes(group=2**17, block=2**16)
 _CUDA = _Sizes(group=2**25, block=2**31)
 
 
-class Workspace:
+class PatchWorkspace:
     """Memory for the transforms of a batch's points."""
 
     def __init__(self, batch: PatchBatch) -> None:
@@ -99,7 +99,7 @@ class PatchBatch:
         """Points to transform at a time: small ones in groups, so that the calls cost little."""
         return min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
-    def to_detector(self, start: int, stop: int, work: Workspace) -> Iterator[tuple[int, slice, Field]]:
+    def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[int, slice, Field]]:
         """Transform the fields of points start ... stop, at most `together`, to the detector.
 
         Everything is done on blocks that fit into a core's own cache. Yields points, by their index in the batch, with
@@ -119,7 +119,7 @@ class PatchBatch:
             for part, point in zip(detector, range(start, stop), strict=True):
                 yield point, block, part
 
-    def _through_axes(self, start: int, stop: int, work: Workspace) -> Iterator[tuple[slice, Field]]:
+    def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
         count, (along_x, along_y) = stop - start, (part[start:stop, None] for part in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop], work.rows[:count])
@@ -130,7 +130,7 @@ class PatchBatch:
             columns *= along_y
             yield block, columns
 
-    def _through_plane(self, start: int, stop: int, work: Workspace) -> Iterator[tuple[slice, Field]]:
+    def _through_plane(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a function of both axes."""
         count, n, m = stop - start, self.samples, self.mla_samples
         along_x, along_y, plane = (part[start:stop] for part in self.parts[1:-1])

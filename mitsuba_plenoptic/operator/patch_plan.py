@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
 from ..system.optical_system import OpticalSystem
@@ -26,7 +26,7 @@ from .patch_factors import Fields
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .sharing import ZONES, find_patterns
-from .tile import Copies, Gather, Scatter, aperture_power, tile_extent
+from .tile import Copies, Gather, Scatter, aperture_power, reached
 
 _CHUNK = 64
 """Point spreads that are prepared together and added into one tile, at most."""
@@ -262,18 +262,18 @@ class PatchPlan:
         fields = self._fields(chunk)
         placement = fields.placement
         copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
-        corner, size = tile_extent(placement.corner, int(placement.samples[0]), copies)
-        return Gather(fields, copies, self._tile(samples, corner, corner + size))
+        box = reached(placement.corner, int(placement.samples[0]), copies)
+        return Gather(fields, copies, self._tile(samples, box))
 
-    def _tile(self, samples: Any, low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Cut a rectangle of the grid out of the recorded samples; beyond these it is zero."""
-        box = self._recorder.box
-        place, size = low - np.array([box.left, box.top]), high - low
-        tile = np.zeros((*samples.shape[:-2], int(size[1]), int(size[0])), np.float32)
-        low, high = np.maximum(place, 0), np.minimum(place + size, [box.columns, box.rows])
-        if (low < high).all():
-            inner = (slice(low[1] - place[1], high[1] - place[1]), slice(low[0] - place[0], high[0] - place[0]))
-            tile[(..., *inner)] = backend().to_host(samples[..., low[1] : high[1], low[0] : high[0]])
+    def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
+        """Cut a rectangle of the grid out of recorded samples, (channels, rows, columns); beyond these it is zero."""
+        own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
+        top, left = box.top - own.top, box.left - own.left
+        rows = slice(max(top, 0), min(top + box.rows, own.rows))
+        columns = slice(max(left, 0), min(left + box.columns, own.columns))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+            tile[(slice(None), *inner)] = backend().to_host(samples[:, rows, columns])
         return tile
 
     # -- cost ------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ a sparse matrix, of which each row is a cell of the sum, times the cells of the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,7 +21,7 @@ from ..optics.phase import in_millimetres
 from ..runtime.backend import array_module, backend
 from ..runtime.batches import Box, Part
 from ..runtime.fft import fft2, resting_drjit
-from .patch import PatchBatch, Workspace
+from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields
 
 _FEWEST_COPIES = 3
@@ -38,14 +38,14 @@ _TOGETHER = 2**20
 
 
 @dataclass(frozen=True)
-class Cells:
+class CopyCells:
     """Patterns of one size, and their sum, cut into cells."""
 
     width: NDArray[np.int64]  # (2,): samples of a cell along x and y
     count: NDArray[np.int64]  # (2,): cells that a pattern reaches, wherever it begins
 
     @classmethod
-    def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> Cells | None:
+    def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> CopyCells | None:
         """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if it does not pay.
 
         `shifts` has for each pattern those of its copies along x and y, (copies, 2).
@@ -77,7 +77,7 @@ class Cells:
 class CellSum:
     """A sum of copies of patterns; they are collected, and multiplied some at a time."""
 
-    def __init__(self, cells: Cells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
+    def __init__(self, cells: CopyCells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
         self._cells, self._size, self._channels = cells, size, channels
         self._shape = size // cells.width + 1 + cells.count
         self._arrays = backend().arrays
@@ -146,13 +146,55 @@ class Copies:
     weights: NDArray[np.float32]  # (copies, channels): factors on the intensity
 
 
-class Tile:
+class CopySum:
+    """A sum of the copies of patterns of one size, with their weights: by cells where these pay, else copy by copy.
+
+    `places` are the first samples of each pattern's copies along both axes of a sum of some size. Parts of `together`
+    patterns come in turns.
+    """
+
+    def __init__(
+        self,
+        copies: Sequence[Copies],
+        places: list[NDArray[np.int64]],
+        samples: int,
+        size: NDArray[np.int64],
+        together: int,
+    ) -> None:
+        self._places, self._weights, self._together, self._last = places, [own.weights for own in copies], together, 0
+        channels, self._arrays = self._weights[0].shape[1], backend().arrays
+        # Of the distances between copies only their common divisors matter, along the axes of the places.
+        cells = CopyCells.of([place - place[0] for place in places], samples)
+        self._cells = None if cells is None else cells.sum(size, channels, together)
+        self._sums: Any = None if self._cells else self._arrays.zeros((channels, *size.tolist()), np.float32)
+
+    def add(self, pattern: int, part: tuple[slice, slice], intensity: Any, work: Any = None) -> None:
+        """Add the copies of a part of a pattern; `work` is memory of the size of the part."""
+        if self._cells is not None:
+            if pattern // self._together != self._last and self._cells.free < self._together:
+                self._cells.add()
+            self._last = pattern // self._together
+            self._cells.plane(pattern, self._places[pattern], self._weights[pattern])[part] = intensity
+            return
+        for place, weights in zip(self._places[pattern].tolist(), self._weights[pattern], strict=True):
+            window = tuple(slice(first + own.start, first + own.stop) for first, own in zip(place, part, strict=True))
+            for channel in np.flatnonzero(weights).tolist():
+                target, weight = self._sums[(channel, *window)], weights[channel]
+                target += intensity if weight == 1 else self._arrays.multiply(intensity, weight, out=work)
+
+    def total(self) -> Any:
+        """Return the sum, (channels, ...)."""
+        return self._sums if self._cells is None else self._cells.total()
+
+
+class PatchTile:
     """The part of the grid that the point spreads of one batch reach."""
 
     def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
         self._batch, self._copies = batch, copies
-        self.corner, self.size = tile_extent(batch.corner, batch.samples, copies)
-        self._places = [corner + copy.shifts - self.corner for corner, copy in zip(batch.corner, copies, strict=True)]
+        self.box = reached(batch.corner, batch.samples, copies)
+        low = np.array([self.box.left, self.box.top])
+        self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
         self._arrays = backend().arrays
         self._block = min(batch.sizes.block, batch.samples**2)
         self._scratch = self._arrays.empty((2, self._block), np.float32)
@@ -160,45 +202,11 @@ class Tile:
 
     def sum(self) -> NDArray[np.float32]:
         """Add the weighted intensities of all copies; (channels, rows, columns)."""
-        cells = Cells.of([copy.shifts for copy in self._copies], self._batch.samples)
-        sums = self._sum_one_by_one() if cells is None else self._sum_together(cells)
-        return sums.transpose(0, 2, 1)
-
-    def _sum_one_by_one(self) -> Any:
-        """Add copy by copy, (channels, samples along x, along y)."""
-        sums = self._arrays.zeros((self._channels, int(self.size[0]), int(self.size[1])), np.float32)
-        targets = [
-            [
-                (int(place[0]), int(place[1]), int(channel), weights[channel])
-                for place, weights in zip(places, copy.weights, strict=True)
-                for channel in np.flatnonzero(weights)
-            ]
-            for places, copy in zip(self._places, self._copies, strict=True)
-        ]
+        size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
+        sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
         for point, along_x, along_y, intensity, weighted in self._intensities():
-            for x, y, channel, weight in targets[point]:
-                target = sums[channel, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
-                if weight == 1:
-                    target += intensity
-                else:
-                    target += self._arrays.multiply(intensity, weight, out=weighted)
-        return sums
-
-    def _sum_together(self, cells: Cells) -> Any:
-        """Add by cells, (channels, samples along x, along y)."""
-        sums, last = cells.sum(self.size, self._channels, self._batch.together), 0
-        for point, along_x, along_y, intensity, _ in self._intensities():
-            # Those that are transformed together come in turns.
-            if point // self._batch.together != last and sums.free < self._batch.together:
-                sums.add()
-            last = point // self._batch.together
-            plane = sums.plane(point, self._places[point], self._copies[point].weights)
-            plane[along_x, along_y] = intensity
-        return sums.total()
-
-    @property
-    def _channels(self) -> int:
-        return int(self._copies[0].weights.shape[1])
+            sums.add(point, (along_x, along_y), intensity, weighted)
+        return sums.total().transpose(0, 2, 1)
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Multiply each copy's intensity with the samples of the tile, and sum the products, (copies, channels)."""
@@ -215,7 +223,7 @@ class Tile:
     def _intensities(self) -> Iterator[tuple[int, slice, slice, Any, Any]]:
         """Yield the intensities of all points in parts, (along x, along y), and as much memory for work."""
         batch, arrays = self._batch, self._arrays
-        work = Workspace(batch)
+        work = PatchWorkspace(batch)
         for first in range(0, len(self._copies), batch.together):
             stop = min(len(self._copies), first + batch.together)
             for point, along_y, field in batch.to_detector(first, stop, work):
@@ -230,13 +238,10 @@ class Tile:
                     yield point, slice(start, end), along_y, intensity, weighted
 
 
-def tile_extent(
-    corner: NDArray[np.int64], samples: int, copies: list[Copies]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first sample and size, along x and y, of what square patches and their copies reach."""
-    corners = [place + copy.shifts for place, copy in zip(corner, copies, strict=True)]
-    low = np.min([place.min(0) for place in corners], axis=0)
-    return low, np.max([place.max(0) for place in corners], axis=0) + samples - low
+def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
+    """Return what square patches and their copies reach of a grid that is finer than they are."""
+    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
+    return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
 
 @dataclass(frozen=True)
@@ -258,9 +263,8 @@ class Scatter:
 
 
 def _sum(batch: PatchBatch, copies: list[Copies]) -> Part:
-    tile = Tile(batch, copies)
-    sums = tile.sum()
-    return Part(Box(int(tile.corner[0]), int(tile.corner[1]), sums.shape[2], sums.shape[1]), sums)
+    tile = PatchTile(batch, copies)
+    return Part(tile.box, tile.sum())
 
 
 @dataclass(frozen=True)
@@ -282,7 +286,7 @@ class Gather:
 
 
 def _products(batch: PatchBatch, copies: list[Copies], tile: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-    return Tile(batch, copies).products(tile)
+    return PatchTile(batch, copies).products(tile)
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:

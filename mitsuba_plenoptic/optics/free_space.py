@@ -114,8 +114,8 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
     Lengths are in millimetres. The result is without the carrier :math:`\exp(i k d)` and where `field` is; with
-    `overwrite` the memory of the field is used. Fields that are under-sampled or leave their window raise a PhysicsError
-    (see `guards`).
+    `overwrite` the memory of the field is used. A field that is under-sampled or leaves its window raises a
+    PhysicsError (see `guards`).
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)

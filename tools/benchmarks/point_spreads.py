@@ -20,7 +20,7 @@ from mitsuba_plenoptic.capture.scene_light import SceneLight
 from mitsuba_plenoptic.capture.scene_points import find_points
 from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.operator.patch import PatchBatch, Workspace
+from mitsuba_plenoptic.operator.patch import PatchBatch, PatchWorkspace
 from mitsuba_plenoptic.operator.patch_plan import PatchPlan
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
@@ -167,7 +167,7 @@ def bare(runs: int) -> Iterator[Row]:
 
 def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
     """Do nothing but the transforms of so many points like a batch's."""
-    work, n, m = Workspace(batch), batch.samples, batch.mla_samples
+    work, n, m = PatchWorkspace(batch), batch.samples, batch.mla_samples
     work.rows[:], work.columns[:], work.field[:] = 0, 0, 0
 
     def transform(field: np.ndarray, axis: int) -> None:

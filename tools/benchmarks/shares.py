@@ -13,7 +13,7 @@ from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.operator.patch import PatchBatch
 from mitsuba_plenoptic.operator.recorder import Recorder
 from mitsuba_plenoptic.operator.sharing import find_patterns
-from mitsuba_plenoptic.operator.tile import Tile
+from mitsuba_plenoptic.operator.tile import PatchTile
 from mitsuba_plenoptic.runtime.batches import Batch, add
 from mitsuba_plenoptic.runtime.fft import fft
 from mitsuba_plenoptic.runtime.jobs import Job
@@ -24,7 +24,7 @@ from .table import Row, on_cores
 # A function's time, less that of another which it calls.
 _KINDS: dict[str, tuple[Callable[..., Any], ...]] = {
     "Fourier transforms": (fft,),
-    "squares, added to tiles": (Tile.sum, PatchBatch.to_detector),
+    "squares, added to tiles": (PatchTile.sum, PatchBatch.to_detector),
     "pupils, curvatures, transfer functions (Dr.Jit)": (PatchBatch.__init__,),
     "finding shared patterns": (find_patterns,),
     "tiles, added to the image": (add,),

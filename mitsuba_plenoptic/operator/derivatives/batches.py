@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from ...lattice import turn
 from ...runtime.backend import array_module
-from ...runtime.batches import Part
+from ...runtime.batches import Box, Part
 from ...runtime.fft import as_field, as_words, pack, unpack
 from ..patch import PatchBatch
 from ..patch_factors import Fields, PatchFactors
+from ..tile import CopySum, reached
 from .chain import FieldChain, Memory, Parts
-from .copies import SpreadCopies, SpreadSum, Window, covered, gathered
+from .copies import SpreadCopies, Window, gathered
 from .numbers import VaryingNumbers
 
 
@@ -85,7 +86,7 @@ class JvpBatch:
 def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[Parts]) -> Part:
     """Add the changes, direction by direction, and the point spreads last."""
     arrays, finer, channels = batch.libraries.arrays, work.finer, work.copies[0].weights.shape[1]
-    box = covered(batch.corner, batch.samples, work.copies, finer)
+    box = reached(batch.corner, batch.samples, work.copies, finer)
     parts = len(changes) + (3 if work.placed else 1)
     sums = arrays.zeros((parts, channels, box.rows, box.columns), np.float32)
     of_point, memory = batch.factors.of_point, Memory(arrays)
@@ -167,7 +168,7 @@ class VjpBatch:
 
 def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     arrays, finer, made = batch.libraries.arrays, work.finer, batch.factors
-    box = covered(batch.corner, batch.samples, work.copies, finer)
+    box = reached(batch.corner, batch.samples, work.copies, finer)
     # The intensity changes by twice the product of the field and its change.
     tile = 2 * arrays.asarray(work.tile)
     cotangents = [
@@ -176,7 +177,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     ]
     *per_point, total = cotangents
     returning = arrays.conj(batch.parts[-1])
-    spreads = SpreadSum(box, batch, [own.summed(work.summed) for own in work.copies], finer) if work.summed else None
+    spreads = _spread_sum(work, batch, box) if work.summed else None
     products, memory = np.zeros((2, 2)), Memory(arrays)
     for point, copies in enumerate(work.copies):
         memory.restart()
@@ -189,7 +190,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
             with memory.lent():
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
-            spreads.add(point, chain.intensity)
+            spreads.add(point, (slice(0, finer * batch.samples),) * 2, chain.intensity)
         *own, transfer = chain.vjp(gradient, work.varies)
         for target, part in zip(per_point, own, strict=True):
             if target is not None:
@@ -197,3 +198,12 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
         if total is not None:
             total[directions] += transfer
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
+
+
+def _spread_sum(work: VjpBatch, batch: PatchBatch, box: Box) -> CopySum:
+    """Return an empty sum of the point spreads, (channels, rows, columns)."""
+    copies, low = [own.summed(work.summed) for own in work.copies], np.array([box.left, box.top])
+    places = [
+        (work.finer * (corner + own.shifts) - low)[:, ::-1] for corner, own in zip(batch.corner, copies, strict=True)
+    ]
+    return CopySum(copies, places, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)

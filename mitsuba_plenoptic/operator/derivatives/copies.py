@@ -29,10 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...runtime.backend import backend
 from ...runtime.batches import Box
-from ..patch import PatchBatch
-from ..tile import Cells
+from ..tile import Copies
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
 """Numbers by which the lattice moves against the points: A is not zero."""
@@ -73,12 +71,10 @@ _BLOCK = 2**18
 
 
 @dataclass(frozen=True)
-class SpreadCopies:
-    """Where and how strongly a point spread is recorded."""
+class SpreadCopies(Copies):
+    """Where and how strongly a point spread is recorded, and how its copies change."""
 
-    shifts: NDArray[np.int64]  # (copies, 2): samples of the patch along x and y by which each copy is moved
-    places: NDArray[np.float64]  # (copies, 2): the same on the microlens array, in millimetres
-    weights: NDArray[np.float32]  # (copies, channels): factors on the intensity
+    places: NDArray[np.float64]  # (copies, 2): the shifts on the microlens array, in millimetres
     moving: bool  # whether what they show of a lattice that moves against their points is counted
 
     def summed(self, sums: int) -> SpreadCopies:
@@ -92,12 +88,6 @@ class SpreadCopies:
         start = finer * (corner + self.shifts) - np.array([box.left, box.top])
         size = finer * samples
         return [(slice(y, y + size), slice(x, x + size)) for x, y in start.tolist()]
-
-
-def covered(corner: NDArray[np.int64], samples: int, copies: list[SpreadCopies], finer: int) -> Box:
-    """Return what patches and their copies reach of the grid that is finer than they are."""
-    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
-    return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
 
 def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
@@ -120,38 +110,3 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
             part[...] = tile[channel, window_rows.start + first : window_rows.start + last, window_columns]
         result[:, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(along), last - first, columns)
     return list(result)
-
-
-class SpreadSum:
-    """A sum of the copies of point spreads, with their weights."""
-
-    def __init__(self, box: Box, batch: PatchBatch, copies: list[SpreadCopies], finer: int) -> None:
-        size, channels = np.array([box.rows, box.columns]), copies[0].weights.shape[1]
-        self._copies, self._samples = copies, finer * batch.samples
-        # Rows come first.
-        self._places = [
-            (finer * (corner + copy.shifts) - np.array([box.left, box.top]))[:, ::-1]
-            for corner, copy in zip(batch.corner, copies, strict=True)
-        ]
-        cells = Cells.of([finer * copy.shifts[:, ::-1] for copy in copies], self._samples)
-        self._cells = None if cells is None else cells.sum(size, channels, 1)
-        self._sums: Any = None
-        if cells is None:
-            self._sums = backend().arrays.zeros((channels, box.rows, box.columns), np.float32)
-
-    def add(self, spread: int, intensity: Any) -> None:
-        """Add the copies of one of the spreads."""
-        places, weights = self._places[spread], self._copies[spread].weights
-        if self._cells is not None:
-            if not self._cells.free:
-                self._cells.add()
-            self._cells.plane(spread, places, weights)[: self._samples, : self._samples] = intensity
-            return
-        for copy, (y, x) in enumerate(places.tolist()):
-            for channel in np.flatnonzero(weights[copy]).tolist():
-                part = self._sums[channel, y : y + self._samples, x : x + self._samples]
-                part += weights[copy, channel] * intensity
-
-    def total(self) -> Any:
-        """Return the sum, (channels, rows, columns)."""
-        return self._sums if self._cells is None else self._cells.total()

@@ -21,8 +21,9 @@ from ..patch_factors import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
 from ..recorder import STEPS, Recorder
+from ..tile import reached
 from .batches import JvpBatch, VjpBatch, varying_factors
-from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, SpreadCopies, copy_slopes, covered
+from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, SpreadCopies, copy_slopes
 from .numbers import MOVES, VaryingNumbers
 
 Direction = dict[str, NDArray[np.float64]]
@@ -155,7 +156,7 @@ class DerivativePlan(PatchPlan):
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             kept.append(pattern)
             places = shifts * self._per_sample
-            copies.append(SpreadCopies(shifts, places, factors.astype(np.float32), bool(moving[pattern])))
+            copies.append(SpreadCopies(shifts, factors.astype(np.float32), places, bool(moving[pattern])))
         return self._fields(np.array(kept, np.int64)), copies
 
     def _vjp_batch(
@@ -171,10 +172,8 @@ class DerivativePlan(PatchPlan):
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
         fields, copies = self.lit(chunk, weights, moving)
         placement = fields.placement
-        box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
-        low = np.array([box.left, box.top])
-        tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
-        return VjpBatch(fields, copies, self._finer, offset, tile, summed, varies)
+        box = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
+        return VjpBatch(fields, copies, self._finer, offset, self._tile(samples, box), summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
