@@ -19,7 +19,7 @@ from ..lenses.base import MainLens
 from .grid import Band
 
 DEFAULT_ACCURACY = 0.01
-"""Relative error, L2 over the image, that is allowed unless told."""
+"""Relative error, L2 over the image, that is allowed by default."""
 
 _BANDS = (
     (0.004, Band(cone=2.5, margin=120, bends=3.45, orders=22)),
@@ -82,7 +82,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
 
 
 def derivatives_share(accuracy: float, count: int) -> bool:
-    """Tell whether derivatives of the sum of some points share point spreads, as its image does."""
+    """Return whether derivatives of the sum of some points share point spreads, as its image does."""
     return accuracy >= _EXACT and count > _FEW
 
 

@@ -39,15 +39,15 @@ class Band:
     """How much of the diffracted light a patch holds."""
 
     cone: float
-    """Directions that are kept on the detector over those of the geometric cone, pupil plus microlens, at least."""
+    """Directions that are held on the detector over those of the geometric cone, pupil plus microlens, at least."""
     margin: float
     r"""Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern."""
     bends: float
-    """Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least."""
+    """Directions that are held besides the pupil's cone, over those that a wide microlens scatters to, at least."""
     orders: float
     """The same, in orders of the diffraction by a microlens's aperture (see `microlenses.diffraction`)."""
     beyond: float = math.inf
-    """Directions that are kept beyond the geometric cone, in the same orders, at most where lenses leave no gaps."""
+    """Directions that are held beyond the geometric cone, in the same orders, at most where lenses leave no gaps."""
     edge: float = 1.0
     """Samples over which the edges of the pupil, and of what hides parts of it, are softened. What a hard edge
     diffracts beyond the patch is folded back into it; what an edge softened over one sample diffracts there is lost. A
@@ -86,8 +86,8 @@ class Grid:
     ) -> Grid:
         """Lay the grid of a camera for some scene points.
 
-        Its pitch holds the kept directions, and along both axes a whole number of samples lies between neighbouring
-        micro-images.
+        Its pitch holds the directions of the band, and along both axes a whole number of samples lies between
+        neighbouring micro-images.
         """
         rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)

@@ -29,15 +29,15 @@ class SpectralSum:
     after: NDArray[np.float32]  # (channels, k): from what the sum makes of them to the channels of the image
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
-        """Return it with as few columns as tell the weights of some points: one where all have the same spectrum.
+        """Return it with the fewest columns that determine the weights of some points: one if all have one spectrum.
 
-        Spectra that change little between nodes give channels nearly the same weights but for a factor, and every
+        Spectra that change little between nodes give channels nearly the same weights except for a factor, and every
         column is added to the image copy by copy.
 
         In each of the channels of the image weights of the root sum square `errors` may be left out.
         """
         given = weights @ self.before
-        # In a fixed order: what is kept half done in a checkpoint is of these very columns.
+        # In a fixed order: a checkpoint of a sum under way is of these very columns.
         powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
         left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
         dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
@@ -70,7 +70,7 @@ class WeightChannels:
         return self.spectrum.wavelengths, self.spectrum.matrix()
 
     def parts(self, columns: int) -> Iterator[SpectralSum]:
-        """Yield the sums of which an image is the sum, for so many columns of weights (channels without a spectrum)."""
+        """Yield the sums that add up to an image, for a number of columns of weights (channels without a spectrum)."""
         wavelengths, matrix = self.mixing(columns)
         if self.spectrum is None or not self.spectrum.nodes:
             for wavelength, some in groups(wavelengths):
@@ -93,7 +93,7 @@ class WeightChannels:
             yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
 
     def check_image(self, image: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return an image of so many rows and columns as (rows, columns, channels), or refuse it."""
+        """Return an image of some (rows, columns) as (rows, columns, channels), or refuse it."""
         try:
             pixels = np.asarray(image, np.float32)
         except (TypeError, ValueError, OverflowError):
@@ -109,7 +109,7 @@ class WeightChannels:
         return channels
 
     def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
-        """Return the weights of so many points as (count, columns), or refuse them."""
+        """Return the weights of `count` points as (count, columns), or refuse them."""
         try:
             factors = np.asarray(weights, np.float64)
         except (TypeError, ValueError, OverflowError):

@@ -45,7 +45,7 @@ class CaptureOperator:
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
     where psf is the fraction of the power through the visible pupil that lands in the pixel p. Everything that does not
-    depend on the weights is planned when it is first needed, and kept.
+    depend on the weights is planned when it is first needed, and retained.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class CaptureOperator:
     accuracy : float
         Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" points of nearly the
         same wavefront at neighbouring lenses then share a point spread. 0: every point has a spread of its own, and the
-        most of the diffracted light is kept.
+        most of the diffracted light is retained.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
@@ -123,7 +123,7 @@ class CaptureOperator:
             Factors on the point spreads, of any sign. With a spectrum of several wavelengths one column for each of
             them, or one for all.
         job : Job, optional
-            Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
+            Who computes, what reports the progress, where the work is stored. Default: threads of this process.
 
         Returns
         -------
@@ -154,7 +154,7 @@ class CaptureOperator:
         image : array (rows, columns) or (rows, columns, channels)
             Of the recorded pixels.
         job : Job, optional
-            Who computes, and who is told of the progress.
+            Who computes, and what reports the progress.
 
         Returns
         -------
@@ -199,7 +199,7 @@ class CaptureOperator:
             nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
             the ``pupil_radius`` of its exit pupil).
         job : Job, optional
-            Who is told of the progress; the work is done by threads of this process.
+            What reports the progress; the work is done by threads of this process.
 
         Returns
         -------
@@ -263,7 +263,7 @@ class CaptureOperator:
         names : iterable of str, optional
             The numbers. Default: all.
         job : Job, optional
-            Who is told of the progress; the work is done by threads of this process.
+            What reports the progress; the work is done by threads of this process.
 
         Returns
         -------
@@ -288,7 +288,7 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        self.camera.require_no_objective("derivatives by waves are found")
+        self.camera.require_no_objective("derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
             raise InputError(

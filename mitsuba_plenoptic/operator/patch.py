@@ -39,7 +39,7 @@ from .patch_factors import Fields, PatchFactors
 
 
 class _Sizes(NamedTuple):
-    """Samples of the fields that are transformed together, so many that calls cost little, and of a block of them.
+    """Samples of the fields that are transformed together, enough for calls to cost little, and of a block of them.
 
     A block fits into a core's own cache; on CUDA there is nothing to gain from blocks.
     """
@@ -155,7 +155,7 @@ def _to_array(spectra: Field, work: Field) -> Field:
 
 
 def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
-    """Cut `count` rows of some length into blocks of about so many samples."""
+    """Cut `count` rows of some length into blocks of about some samples."""
     parts = max(1, round(count * length / samples))
     edges = [count * part // parts for part in range(parts + 1)]
     return (slice(*pair) for pair in itertools.pairwise(edges))

@@ -315,7 +315,7 @@ class PatchPlan:
             chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # as most patterns have it
             self._timed(chunk[:_FIRST], ones)  # compiles the kernels; those of one pattern are others
             _, taken = self._timed(chunk[:_FIRST], ones)
-            # What a chunk takes beside its patterns counts little where it is whole.
+            # What a chunk takes besides its patterns counts little where it is whole.
             some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
             part, taken = self._timed(some, ones)
             arrived += float(part.sums.sum(dtype=np.float64))
@@ -331,7 +331,7 @@ def _areas(samples: Any) -> Any:
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of so many patterns, evenly, each by itself."""
+    """Return a few of `count` patterns, evenly, each by itself."""
     return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 

@@ -25,7 +25,7 @@ from ..optics.phase import in_millimetres
 from .pupil_weights import PupilWeights
 
 ZONES = (2, 3, 4, 6, 8, 12, 16)
-"""Lenses along an axis over which patterns may be shared, beside one."""
+"""Lenses along an axis over which patterns may be shared, besides one."""
 
 _LENS_PER_WAVE = 2.5
 """Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""

@@ -59,7 +59,7 @@ class CopyCells:
         return cls(width, count) if pays and (count * width).prod() <= _MOST_PADDING * samples**2 else None
 
     def sum(self, size: NDArray[np.int64], channels: int, patterns: int) -> CellSum:
-        """Return an empty sum of so many samples along x and y, which holds so many patterns at a time or more."""
+        """Return an empty sum of some samples along x and y, which holds at least `patterns` at a time."""
         return CellSum(self, size, channels, patterns)
 
     def cut(self, planes: Any) -> Any:
@@ -69,7 +69,7 @@ class CopyCells:
         return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
 
     def join(self, cells: Any, planes: int, shape: NDArray[np.int64]) -> Any:
-        """Undo `cut` of so many planes, of `shape` cells each."""
+        """Undo `cut` of a number of planes, of `shape` cells each."""
         cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
         return cells.reshape(planes, *(shape * self.width).tolist())
 

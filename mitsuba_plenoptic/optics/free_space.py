@@ -78,7 +78,7 @@ class StepGuard:
         with guards.watch():
             guards.judge(guards.EVANESCENT, self._evanescent)
             guards.judge(guards.UNDERSAMPLED, self._band_edge)
-            # where few rows do not tell, nothing is known about the field before
+            # where few rows do not represent the field, nothing is known about it before the step
             guards.judge_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
     def _of_field(self, field: Field) -> tuple[float, float]:
@@ -92,7 +92,7 @@ class StepGuard:
 
 
 def _some_rows(field: Field) -> Field:
-    """Return a view of the rows of a field from which a fraction of its power is told."""
+    """Return a view of the rows of a field from which a fraction of its power is estimated."""
     return field[:: _row_step(field)]
 
 

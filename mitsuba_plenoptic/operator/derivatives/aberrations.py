@@ -29,7 +29,7 @@ def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
 
 
 class _VaryingPath(dr.CustomOp):
-    """A sum of Zernike polynomials with coefficients that are zero but for their changes."""
+    """A sum of Zernike polynomials with coefficients that are zero except for their changes."""
 
     def eval(self, coefficients: Any, radius: float, x: Any, y: Any) -> Any:
         self._count, self._radius, self._points = len(coefficients), radius, (x, y)

@@ -1,4 +1,4 @@
-r"""How a copy of a point spread changes beside the spread that it is a copy of.
+r"""How a copy of a point spread changes, compared with the spread that it is a copy of.
 
 A copy is :math:`\delta` away on the microlens array, a whole number of lenses, and on the detector
 :math:`\kappa \delta` away, :math:`\kappa = (b + z) / b`. As the camera changes, its lenses move by more than those of
@@ -16,7 +16,7 @@ with these matrices A and B, in the frame of the lattice:
   copies: A is the turn by a right angle times :math:`d\theta`, and B is :math:`\kappa A`;
 - with the wavelength the grid grows about the axis: :math:`B = \kappa \, d\lambda / \lambda`.
 
-Nothing else tells a copy from its spread.
+In all else a copy changes as its spread does.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ Window = tuple[slice, slice]
 """Rows and columns of a box of the grid."""
 
 _BLOCK = 2**18
-"""Samples that are gathered at a time: so many stay in a core's own cache."""
+"""Samples that are gathered at a time: they fit into a core's own cache."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ _LEFT_OUT = 0.1
 
 
 class DerivativePlan(PatchPlan):
-    """Point spreads and their copies, with what tells the changes of these from those of the spreads.
+    """Point spreads and their copies, with the differences between their changes.
 
     For sums of many, points share spreads as they do for images; else each has a spread of its own, whose intensity
     is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
@@ -48,16 +48,15 @@ class DerivativePlan(PatchPlan):
         pupil_weights: PupilWeights | None,
         accuracy: float,
     ) -> None:
-        camera, wavelength = system.camera, system.wavelength
         # Copies behind a real lens change in ways of their own.
         shared = system.lens.changes_evenly and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
-        self._wavelength, self._accuracy, self._finer = wavelength, accuracy, 1 if shared else 2
+        camera, self._wavelength = system.camera, system.wavelength
+        self._accuracy, self._finer = accuracy, 1 if shared else 2
         low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
-        reached = self._finer * self._shifts
         pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
-        low, size = low[pattern] + reached, size[pattern]
+        low, size = low[pattern] + self._finer * self._shifts, size[pattern]
         fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
         self._recorder = Recorder(camera, fine, low, low + size)
         # From samples of the patch between copies to the distance of their lenses.
@@ -92,18 +91,18 @@ class DerivativePlan(PatchPlan):
         batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
         waiting: list[VjpBatch] = []
 
-        def kept() -> Iterator[VjpBatch]:
+        def remembered() -> Iterator[VjpBatch]:
             for batch in batches:
                 waiting.append(batch)
                 yield batch
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
         sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
-        for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
-            waiting.pop(0).gather(pulled, numbers)
-            products[0] += pulled.products
-            if pulled.spreads is not None:
-                add(pulled.spreads, box, sums)
+        for result in job.each(remembered(), items.tolist(), done + self._count - int(items.sum()), total):
+            waiting.pop(0).gather(result, numbers)
+            products[0] += result.products
+            if result.spreads is not None:
+                add(result.spreads, box, sums)
         plain, *placed = np.split(sums, summed) if summed else [sums]
         if placed:
             stepped = [self._recorder.spread(image, move) for move in STEPS]
@@ -126,7 +125,7 @@ class DerivativePlan(PatchPlan):
         return np.array(turn(vector[0], vector[1], -self._grid.rotation))
 
     def _shifted(self, names: Iterable[str]) -> bool:
-        """Tell whether copies shift with some numbers."""
+        """Return whether copies shift with some parameters."""
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
@@ -136,7 +135,7 @@ class DerivativePlan(PatchPlan):
         return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell of which spreads the copies show how the lattice moves against their points.
+        """Return the spreads of which copies are counted for how the lattice moves against their points.
 
         They show it in proportion to their weights and distances. Spreads that have few copies, or near ones, take as
         long as others: the least of them are left out, which together are a small share of all.
@@ -180,7 +179,7 @@ class DerivativePlan(PatchPlan):
         return super().check_memory(batch_map, self._kept(channels))
 
     def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
-        """Return in how many of some directions sums of so many channels are differentiated at once: 1 at least."""
+        """Return the number of directions in which sums of some channels are differentiated at once: 1 at least."""
 
         def memory(count: int) -> float:
             return self.memory(batch_map, self._kept(count * channels))
@@ -188,7 +187,7 @@ class DerivativePlan(PatchPlan):
         return max(1, largest_fitting(memory, min(MEMORY_LIMIT, memory_limit()), directions))
 
     def _kept(self, channels: int) -> int:
-        """Return how many images are kept for the derivatives of so many channels."""
+        """Return the number of images in memory for the derivatives of some channels."""
         return channels + 3 if self._finer == 1 else 4 * channels
 
 
