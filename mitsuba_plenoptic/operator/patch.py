@@ -109,13 +109,13 @@ class PatchBatch:
         n, count = self.samples, stop - start
         through = self._through_axes if self.is_separable else self._through_plane
         for block, columns in through(start, stop, work):
-            spectrum = _forward(columns, axis=2)[..., :n]
+            spectrum = forward_along(columns, axis=2)[..., :n]
             for part, point in zip(spectrum, range(start, stop), strict=True):
                 along_y, along_x = self.factors.directions_of(point)
                 part *= self._transfer[along_x.start + block.start : along_x.start + block.stop, along_y]
-            work.field[:count, block] = _inverse(spectrum, axis=2)
+            work.field[:count, block] = inverse_along(spectrum, axis=2)
         for block in _blocks(n, n, self.sizes.block):
-            detector = _inverse(work.field[:count, :, block], axis=1)
+            detector = inverse_along(work.field[:count, :, block], axis=1)
             for part, point in zip(detector, range(start, stop), strict=True):
                 yield point, block, part
 
@@ -124,7 +124,7 @@ class PatchBatch:
         count, (along_x, along_y) = stop - start, (part[start:stop, None] for part in self.parts[1:-1])
         rows = _to_array(self.pupil[start:stop], work.rows[:count])
         rows *= along_x
-        rows = _forward(rows, axis=2)
+        rows = forward_along(rows, axis=2)
         for block in _blocks(self.samples, self.mla_samples, self.sizes.block):
             columns = _to_array(rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start])
             columns *= along_y
@@ -140,7 +140,7 @@ class PatchBatch:
             columns = _to_array(rows[..., block].transpose(0, 2, 1), work.columns[:count, : block.stop - block.start])
             columns *= along_x[:, None]
             columns *= plane[:, block]
-            work.plane[:count, block] = _forward(columns, axis=2)[..., :n]
+            work.plane[:count, block] = forward_along(columns, axis=2)[..., :n]
         for block in _blocks(n, m, self.sizes.block):
             columns = work.columns[:count, : block.stop - block.start]
             columns[...] = work.plane[:count, :, block].transpose(0, 2, 1)
@@ -151,7 +151,7 @@ def _to_array(spectra: Field, work: Field) -> Field:
     """Transform lines of spectra, with zeros behind them, to positions on the array, in the memory of `work`."""
     count = spectra.shape[2]
     work[..., :count], work[..., count:] = spectra, 0
-    return _inverse(work, axis=2)
+    return inverse_along(work, axis=2)
 
 
 def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
@@ -165,11 +165,11 @@ def _largest(blocks: Iterator[slice]) -> int:
     return max(block.stop - block.start for block in blocks)
 
 
-def _forward(field: Field, axis: int) -> Field:
+def forward_along(field: Field, axis: int) -> Field:
     """Transform unscaled, on this thread alone."""
     return fft(field, axis=axis, workers=1)
 
 
-def _inverse(field: Field, axis: int) -> Field:
+def inverse_along(field: Field, axis: int) -> Field:
     """Transform back unscaled, on this thread alone."""
     return fft(field, axis=axis, inverse=True, norm="forward", workers=1)

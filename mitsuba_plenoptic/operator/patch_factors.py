@@ -78,8 +78,8 @@ class PatchFactors:
     ) -> None:
         """Lay out the factors of fields with some amplitudes.
 
-        `elements` makes the elements, with microlenses up to a direction cosine, for a number of lanes; by default those
-        of the grid's camera. `types` is the module of Dr.Jit's arrays, by default those without gradients.
+        `elements` makes the elements, with microlenses up to a direction cosine, for a number of lanes; by default the
+        grid's camera has them. `types` is the module of Dr.Jit's arrays, by default those without gradients.
         """
         self._grid, self._placement, self._positions = fields.grid, fields.placement, fields.positions
         self._amplitudes, self._weights = amplitudes, fields.pupil_weights

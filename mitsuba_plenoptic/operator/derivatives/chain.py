@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ...runtime.fft import Field, fft
+from ...runtime.fft import Field
+from ..patch import forward_along, inverse_along
 
 
 class Memory:
@@ -199,7 +200,7 @@ class FieldChain:
     def _to_detector(self, spectrum: Field) -> Field:
         """Take a spectrum, whose memory is used, to the detector."""
         if self._finer == 1:
-            return _inverse(_inverse(spectrum, 0), 1)
+            return inverse_along(inverse_along(spectrum, 0), 1)
         return self._inverse(spectrum, self._finer * self._samples, (0, 1))
 
     def _from_detector(self, gradient: Any) -> Field:
@@ -213,7 +214,7 @@ class FieldChain:
     def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
         """Return the inverse transform of a field with zeros behind it, of some size along each of some axes."""
         for axis in axes:
-            field = _inverse(self._memory.widened(field, size, axis), axis)
+            field = inverse_along(self._memory.widened(field, size, axis), axis)
         return field
 
 
@@ -228,11 +229,6 @@ def _total(one: Field | None, other: Field | None) -> Field | None:
 def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
     """Transform unscaled, in the field's memory and on this thread alone, and take the first samples along the axes."""
     for axis in axes[::-1]:
-        field = fft(field, axis=axis, workers=1)
+        field = forward_along(field, axis)
         field = field[:count] if axis == 0 else field[:, :count]
     return field
-
-
-def _inverse(field: Field, axis: int) -> Field:
-    """Transform back unscaled, on this thread alone."""
-    return fft(field, axis=axis, inverse=True, norm="forward", workers=1)
