@@ -1,5 +1,7 @@
 """The transmission of microlens arrays: its orders, their sum, and the array's own images."""
 
+import pickle
+
 import numpy as np
 import pytest
 from drjit.llvm import Float64
@@ -169,3 +171,11 @@ def test_gaps_are_closed_and_apertures_open():
     array = MicrolensArray(SMALL.replace(mla_fill=0.8), WAVELENGTH)
     found = array.open_fraction(0.3, Float64([0.0, 0.032]), Float64(0.032))
     assert np.allclose(found, [0, 1], atol=0.1)
+
+
+def test_an_array_from_another_process_is_the_same_and_made_once():
+    array = MicrolensArray(SMALL, WAVELENGTH)
+    (sent, again), x = (pickle.loads(pickle.dumps(array)) for _ in range(2)), Float64(0.013, 0.4)
+    assert sent is again
+    found, expected = (to_numpy(some.factors(0.2)[0].at(x)) for some in (sent, array))
+    assert (found == expected).all()
