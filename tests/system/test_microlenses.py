@@ -162,7 +162,7 @@ def test_an_array_retains_its_last_factors():
     array = MicrolensArray(SMALL.replace(mla_fill=0.8), WAVELENGTH)
     first = array.factors(0.2)
     assert array.factors(0.2) is first
-    for cosine in np.linspace(0.05, 0.1, 8):
+    for cosine in np.linspace(0.05, 0.1, 16):
         array.factors(cosine)
     assert array.factors(0.2) is not first
 
