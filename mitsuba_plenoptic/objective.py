@@ -8,6 +8,7 @@ from typing import Any
 
 from .bounds import require_length
 from .errors import InputError, require_choice, require_known, require_number, shown, suggest_keywords
+from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
 
 ARRANGEMENTS = ("image", "fourier")
 
@@ -22,7 +23,7 @@ _WIDEST = 0.1
 
 @suggest_keywords
 @dataclass(frozen=True)
-class Objective:
+class Objective(LensData):
     r"""An infinity-corrected objective with its tube lens, the main lens of a light-field microscope.
 
     It obeys Abbe's sine condition, and its stop lies in its back focal plane, one focal length before the tube lens:
@@ -54,6 +55,10 @@ class Objective:
     InputError
         If a number is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
     """
+
+    mark = "magnification"
+    is_thin = False
+    converges = False
 
     magnification: float
     numerical_aperture: float
@@ -136,6 +141,75 @@ class Objective:
             Distance z from the array to the detector in millimetres.
         """
         return detector_distance * self.magnification / self.last_focal_length
+
+    @property
+    def images_stop(self) -> bool:
+        """Whether the array stands in the image of the stop."""
+        return self.is_fourier
+
+    @property
+    def nearest(self) -> float:
+        """The z of the front principal plane."""
+        return -self.immersion * self.focal_length
+
+    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+        """Return the focal length and the radius of the stop, whatever is given."""
+        return self.focal_length, self.stop_radius
+
+    def array_distance(self) -> float:
+        """Return the focal length of the lens before the array."""
+        return self.last_focal_length
+
+    def settled(self, given: dict[str, float]) -> dict[str, float]:
+        """Return the objective's own parameters; refuse others."""
+        own = {
+            "focal_length": self.focal_length,
+            "aperture_radius": self.stop_radius,
+            "mla_distance": self.last_focal_length,
+        }
+        return require_unscaled(given, own, SINGLE)
+
+    def require_focusable(self, focus_distance: Any) -> None:
+        """Refuse any other plane than the native one."""
+        raise InputError(
+            f"focus_distance = {shown(focus_distance)}: an objective is focused on its native object plane; "
+            "leave it out"
+        )
+
+    def require_fit(self, camera: Any) -> None:
+        """Refuse aberrations besides the objective's own, and a tilted array."""
+        require_alone(camera)
+        if any(camera.mla_tilt):
+            raise InputError(f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
+
+    def require_distance(self, camera: Any, distance: float) -> None:
+        """Refuse a depth that is not finite or not before the objective."""
+        if not -self.focal_length < distance < math.inf:
+            raise InputError(
+                f"distance = {distance:g}: it must be a finite depth beyond the native object plane, more than "
+                f"{-self.focal_length:g}"
+            )
+
+    def focus_distance(self, camera: Any) -> float:
+        """Return 0: the native object plane is in focus."""
+        return 0.0
+
+    def bin_count(self, camera: Any) -> tuple[int, int]:
+        """Return as many bins as there are pixels along a pitch in the Fourier arrangement, else those of the array."""
+        if not self.is_fourier:
+            return super().bin_count(camera)
+        across, down = camera.mla_pitches
+        return even_count(across, camera.pixel_size), even_count(down, camera.pixel_size)
+
+    def bin_size(self, camera: Any, distance: float) -> float:
+        """Return the width of a lens in the object, or in the Fourier arrangement that of a pixel, at all depths."""
+        if self.is_fourier:
+            return float(camera.pixel_size / self.view_scale(camera.detector_distance))
+        return float(camera.mla_pitch / self.magnification)
+
+    def image_blur(self, camera: Any, distance: float) -> float:
+        """Return `blur_diameter`."""
+        return self.blur_diameter(distance)
 
     def blur_diameter(self, distance: float) -> float:
         r"""Diameter on the array of the light of a point on the axis, by rays.

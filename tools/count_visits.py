@@ -2,7 +2,7 @@
 
     python tools/count_visits.py [--files] [--calls]
 
-For a ray capture, a wave capture, a coherent reconstruction and a gradient of a small camera a call profiler notes every
+For a ray capture, a wave capture, a coherent reconstruction and a gradient of a small camera a call profiler notes each
 function of the package that is entered, in all threads. The table lists the files visited, with their limits, and how
 often main lenses, checks of the camera and lattices were made, of which each should be made at most three times.
 `--files` lists the files too, `--calls` the functions that were called most often. The exit status is 1 where a limit

@@ -1,6 +1,6 @@
 """Results of the public interface for every kind of camera, to compare two versions of the package number by number.
 
-    python tools/goldens.py write OUT.npz [--only TEXT]
+    python tools/goldens.py write OUT.npz [--only PATTERN]
     python tools/goldens.py compare OLD.npz NEW.npz
 
 `write` computes every legal combination of a microlens array, a main lens and a task with the package that Python
@@ -12,6 +12,7 @@ iterates. The exit status is 1 where a difference is larger, or where a result i
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 import traceback
@@ -179,7 +180,7 @@ def results(only: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield every result with its name; what is refused is stored as the text of its refusal."""
 
     def computed(name: str, task: Callable[[], Any]) -> Iterator[tuple[str, np.ndarray]]:
-        if only not in name:
+        if not re.search(only, name):
             return
         start = time.perf_counter()
         try:
@@ -249,7 +250,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("write", "compare"))
     parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--only", default="", help="results whose names hold this text")
+    parser.add_argument("--only", default="", help="regular expression that the names of results hold")
     given = parser.parse_args()
     if given.what == "compare":
         return compare(*given.files)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -22,31 +21,21 @@ from ..bounds import (
 )
 from ..errors import InputError, require_choice, require_count, require_number, shown
 from ..lattice import APERTURES, LATTICES
-from ..objective import Objective
-from ..prescription import Prescription
+from ..lens_data import THIN, LensData
 from ..thin_lens import image_distance
 from .geometry import CameraGeometry
-from .given_lens import GivenLens, nearest_array, own_numbers
-
-_THIN_LENS = (80.0, 5.0)
-"""Focal length and radius of a thin lens, in millimetres, where they are not given."""
-
-_MLA_DISTANCE = 120.0
-"""Distance from the main lens to the array, in millimetres, where neither that nor a plane in focus is given."""
-
-_SINGLE = 1e-6
-"""What rounding to single precision changes, at most: files and scenes may hold numbers like that."""
 
 
 def lens_numbers(
-    lens: GivenLens | None,
+    lens: LensData | None,
     focal_length: float | None,
     aperture_radius: float | None,
     mla_distance: float | None,
     focus_distance: float | None,
 ) -> dict[str, Any]:
     """Return the numbers of the main lens and of the array's distance from it; None stands for what is not given."""
-    own = _THIN_LENS if lens is None else own_numbers(lens, focal_length)
+    data = lens or THIN
+    own = data.own_numbers(focal_length)
     focal_length = require_length("focal_length", own[0] if focal_length is None else focal_length)
     aperture_radius = require_length("aperture_radius", own[1] if aperture_radius is None else aperture_radius)
     if mla_distance is not None and focus_distance is not None:
@@ -54,34 +43,17 @@ def lens_numbers(
             f"mla_distance = {shown(mla_distance)} and focus_distance = {shown(focus_distance)}: give one of the two"
         )
     if focus_distance is not None:
-        if isinstance(lens, Objective):
-            raise InputError(
-                f"focus_distance = {shown(focus_distance)}: an objective is focused on its native object plane; "
-                "leave it out"
-            )
+        data.require_focusable(focus_distance)
         focus_distance = require_length("focus_distance", focus_distance, finite=False)
         mla_distance = image_distance(focal_length, focus_distance, name="focus_distance")
     if mla_distance is None:
-        mla_distance = lens.last_focal_length if isinstance(lens, Objective) else _MLA_DISTANCE
+        mla_distance = data.array_distance()
     numbers = {
         "focal_length": focal_length,
         "aperture_radius": aperture_radius,
         "mla_distance": require_length("mla_distance", mla_distance),
     }
-    return _numbers_of(lens, numbers) if isinstance(lens, Objective) else numbers
-
-
-def _numbers_of(objective: Objective, given: dict[str, float]) -> dict[str, float]:
-    """Return an objective's own numbers; refuse others."""
-    own = {
-        "focal_length": objective.focal_length,
-        "aperture_radius": objective.stop_radius,
-        "mla_distance": objective.last_focal_length,
-    }
-    for name, number in own.items():
-        if not math.isclose(given[name], number, rel_tol=_SINGLE):
-            raise InputError(f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out")
-    return own
+    return data.settled(numbers)
 
 
 def array_numbers(
@@ -150,12 +122,7 @@ def detector_numbers(distance: Any, width: Any, resolution: Any, crop_offset: An
 
 def require_whole(camera: CameraGeometry) -> None:
     """Refuse numbers each of which may be, but not all of them together."""
-    if camera.main_lens is not None:
-        _require_alone(camera)
-    if camera.prescription is not None:
-        _require_room(camera, camera.prescription)
-    if camera.objective is not None and any(camera.mla_tilt):
-        raise InputError(f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
+    camera.lens_data.require_fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
     if rise >= min(camera.detector_distance, camera.mla_distance):
@@ -163,25 +130,3 @@ def require_whole(camera: CameraGeometry) -> None:
     radius, (k1, k2, k3) = np.linspace(0, reach, 64) ** 2, camera.distortion[:3]
     if np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0:
         raise InputError(f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis")
-
-
-def _require_alone(camera: CameraGeometry) -> None:
-    """Refuse what a real main lens brings itself."""
-    for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
-        if any(values):
-            raise InputError(f"{name} = {values}: a main_lens brings its own; leave it out")
-    if camera.glass is not None:
-        raise InputError(f"glass = {shown(camera.glass.to_plain())}: a main_lens brings its own; leave it out")
-
-
-def _require_room(camera: CameraGeometry, lens: Prescription) -> None:
-    """Refuse a stop wider than a lens of surfaces, and an array within it."""
-    widest = own_numbers(lens, camera.focal_length)[1]
-    if camera.aperture_radius > widest * (1 + _SINGLE):
-        raise InputError(f"aperture_radius = {camera.aperture_radius:g}: the main_lens opens to {widest:.6g} at most")
-    nearest = nearest_array(lens, camera.focal_length)
-    if camera.mla_distance <= nearest:
-        raise InputError(
-            f"mla_distance = {camera.mla_distance:g}: the array would stand within the main_lens or its exit pupil; "
-            f"it must be more than {nearest:.4g}"
-        )

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ..errors import InputError
 from ..lattice import Lattice, make_lattice
+from ..lens_data import THIN, LensData, even_count
 from ..objective import Objective
 from ..prescription import Prescription
-from ..thin_lens import conjugate_distance, defocus_factor, vergence
-from .given_lens import exit_pupil
+from ..thin_lens import defocus_factor
 from .numbers import CameraNumbers
 
 
@@ -33,18 +33,23 @@ class CameraGeometry(CameraNumbers):
         return self.main_lens if isinstance(self.main_lens, Prescription) else None
 
     @property
+    def lens_data(self) -> LensData:
+        """The main lens's plain data, a thin one's, too: what is asked of it whatever its kind."""
+        return self.main_lens or THIN
+
+    @property
     def pupil_distance(self) -> float:
         """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil.
 
         That of the stop seen through the lens before the array is infinite behind an objective; this is then the focal
         length of that lens, by which places on the stop are divided to have directions at the array.
         """
-        return self.mla_distance + exit_pupil(self.main_lens, self.focal_length)[0]
+        return self.mla_distance + self.lens_data.exit_pupil(self.focal_length)[0]
 
     @property
     def pupil_radius(self) -> float:
         """Radius of the exit pupil near the axis: :math:`D_1/2` for a thin lens."""
-        return self.aperture_radius * exit_pupil(self.main_lens, self.focal_length)[1]
+        return self.aperture_radius * self.lens_data.exit_pupil(self.focal_length)[1]
 
     @property
     def aperture_diameter(self) -> float:
@@ -63,9 +68,7 @@ class CameraGeometry(CameraNumbers):
         Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that. An
         objective's is its native object plane, at 0.
         """
-        if isinstance(self.main_lens, Objective):
-            return 0.0
-        return conjugate_distance(self.focal_length, self.mla_distance)
+        return self.lens_data.focus_distance(self)
 
     def defocus(self, distance: float) -> float:
         """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.
@@ -89,18 +92,11 @@ class CameraGeometry(CameraNumbers):
 
     def blur_diameter(self, distance: float) -> float:
         """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
-        if isinstance(self.main_lens, Objective):
-            return self.main_lens.blur_diameter(distance)
-        if self.main_lens is not None:
-            # The cone from the exit pupil to the image, which lies this far before the MLA.
-            power = vergence(self.focal_length, distance)
-            gap = self.mla_distance - (math.inf if power == 0 else 1 / power)
-            return 2 * self.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (self.pupil_distance - gap)))
-        return self.aperture_diameter * abs(self.defocus(distance))
+        return self.lens_data.image_blur(self, distance)
 
     # -- detector and lattice ------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def lattice(self) -> Lattice:
         """The microlens lattice."""
         return make_lattice(
@@ -155,7 +151,7 @@ class CameraGeometry(CameraNumbers):
         lenses see in the same directions.
         """
         return (
-            (self.objective is None)
+            self.lens_data.converges
             + self.pupil_distance / self.detector_distance
             - self.pupil_distance / mla_focal_length
         )
@@ -212,9 +208,9 @@ class CameraGeometry(CameraNumbers):
         InputError
             If it is one.
         """
-        if self.objective is not None:
+        if not self.lens_data.converges:
             raise InputError(
-                f"main_lens = {self.objective.name}: {what} is not defined behind an objective; "
+                f"main_lens = {self.lens_data.label}: {what} is not defined behind an objective; "
                 "mitsuba_plenoptic.design tells native_field and resolution_limit"
             )
 
@@ -233,9 +229,9 @@ class CameraGeometry(CameraNumbers):
         InputError
             If it has one.
         """
-        if self.main_lens is not None:
+        if not self.lens_data.is_thin:
             raise InputError(
-                f"main_lens = {self.main_lens.name or 'prescription'}: {what} for thin main lenses only; "
+                f"main_lens = {self.lens_data.label}: {what} for thin main lenses only; "
                 f"leave main_lens out, or {instead}"
             )
 
@@ -252,8 +248,8 @@ class CameraGeometry(CameraNumbers):
         InputError
             If it is behind one.
         """
-        if self.objective is not None:
-            raise InputError(f"main_lens = {self.objective.name}: {what} for thin main lenses and prescriptions only")
+        if not self.lens_data.converges:
+            raise InputError(f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only")
 
     @property
     def bin_count(self) -> tuple[int, int]:
@@ -263,9 +259,7 @@ class CameraGeometry(CameraNumbers):
         does, so that bins and lenses line up there. On any other lattice the bins are the same. In the Fourier
         arrangement each lens sees the whole object: as many pixels as there are along a pitch.
         """
-        if self.objective is not None and self.objective.is_fourier:
-            return _even_count(self.mla_pitches[0], self.pixel_size), _even_count(self.mla_pitches[1], self.pixel_size)
-        return _even_count(self.detector_width, self.mla_pitch), _even_count(self.detector_height, self.mla_pitch)
+        return self.lens_data.bin_count(self)
 
     @property
     def lens_count(self) -> tuple[int, int]:
@@ -273,7 +267,7 @@ class CameraGeometry(CameraNumbers):
 
         A turned lattice has as many on the same area.
         """
-        columns, rows = (_even_count(width, self.mla_pitch) for width in (self.detector_width, self.detector_height))
+        columns, rows = (even_count(width, self.mla_pitch) for width in (self.detector_width, self.detector_height))
         if self.lattice.row_distance != self.mla_pitch:
             rows = max(1, round(self.detector_height / self.lattice.row_distance))
         return columns, rows
@@ -286,7 +280,7 @@ class CameraGeometry(CameraNumbers):
     @property
     def micro_image_pitch(self) -> float:
         """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`; the pitch behind an objective."""
-        if self.objective is not None:
+        if not self.lens_data.converges:
             return self.mla_pitch
         return self.mla_pitch * (self.pupil_distance + self.detector_distance) / self.pupil_distance
 
@@ -302,13 +296,4 @@ class CameraGeometry(CameraNumbers):
         distance : float
             Object distance from the main lens in millimetres.
         """
-        if self.objective is not None and self.objective.is_fourier:
-            return self.pixel_size / self.objective.view_scale(self.detector_distance)
-        if self.objective is not None:
-            return self.mla_pitch / self.objective.magnification
-        return self.mla_pitch * distance / self.mla_distance
-
-
-def _even_count(width: float, step: float) -> int:
-    """Return how many steps fit a width, as the nearest even number."""
-    return 2 * max(1, round(width / (2 * step)))
+        return self.lens_data.bin_size(self, distance)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..objective import Objective
-from ..prescription import Glass, Prescription
+from ..lens_data import LensData
+from ..prescription import Glass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class CameraNumbers:
     lens_model: str
     distortion: tuple[float, ...]
     wavefront: tuple[float, ...]
-    main_lens: Prescription | Objective | None
+    main_lens: LensData | None
     glass: Glass | None
     mla_glass: Glass | None
     mla_jitter: tuple[float, float]

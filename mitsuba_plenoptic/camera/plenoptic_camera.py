@@ -10,8 +10,8 @@ from typing import Any
 
 from ..bounds import require_numbers, require_response, require_wavefront
 from ..errors import InputError, did_you_mean, require_choice, shown, suggest_keywords
-from ..objective import Objective
-from ..prescription import Glass, Prescription
+from ..lens_data import LensData
+from ..prescription import Glass
 from ..presets import PRESETS
 from .checks import array_numbers, detector_numbers, lens_numbers, require_whole
 from .geometry import CameraGeometry
@@ -155,7 +155,7 @@ class PlenopticCamera(CameraGeometry):
         lens_model: str = "ideal",
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         wavefront: Sequence[float] = (),
-        main_lens: Prescription | Objective | str | Path | dict[str, Any] | None = None,
+        main_lens: LensData | str | Path | dict[str, Any] | None = None,
         glass: Glass | str | float | dict[str, Any] | None = None,
         mla_glass: Glass | str | float | dict[str, Any] | None = None,
         mla_jitter: Sequence[float] = (0.0, 0.0),
@@ -348,10 +348,9 @@ class PlenopticCamera(CameraGeometry):
     @property
     def is_dispersive(self) -> bool:
         """Whether rays of different wavelengths go different ways through it."""
-        glasses = [self.glass, self.mla_glass]
-        if self.prescription is not None:
-            glasses += [surface.glass for surface in self.prescription.surfaces]
-        return any(glass is not None and glass.form != "index" for glass in glasses)
+        glasses = self.glass, self.mla_glass
+        own = any(glass is not None and glass.form != "index" for glass in glasses)
+        return own or self.lens_data.disperses
 
     def at_wavelength(self, wavelength: float) -> PlenopticCamera:
         """Return the camera with its thin lenses as one wavelength meets them, and without their glasses.

@@ -17,7 +17,6 @@ from ..camera import PlenopticCamera
 from ..optics.phase import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
-from ..system.optical_system import OpticalSystem
 from ..system.phase_space import PhaseSpace
 from ..system.ray_pupil import RayPupil
 from .signed_colours import Lanes
@@ -156,7 +155,7 @@ class Draws:
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhaseSpace], step: float) -> None:
         self._camera, self._step = camera, step
-        self.pupil = RayPupil(OpticalSystem(camera, plans[0].wavelength))
+        self.pupil = RayPupil(plans[0].system)
         self.kinds = LensKinds(camera)
         # Rays that land by their own points of a lens see the pupil from there.
         self.by_points = plans[0].by_points

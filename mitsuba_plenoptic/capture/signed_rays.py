@@ -30,7 +30,6 @@ from ..camera import PlenopticCamera
 from ..optics.rays import angular_response
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
-from ..system.optical_system import OpticalSystem
 from ..system.phase_space import PhaseSpace
 from ..system.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
 from ..system.ray_pupil import RayPupil
@@ -382,6 +381,6 @@ def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:
     """Return the main lens of nodes whose rays go the same ways, and their numbers."""
     found: dict[float, tuple[RayPupil, list[int]]] = {}
     for number, node in enumerate(nodes):
-        pupil = RayPupil(OpticalSystem(node.plan.camera, node.plan.wavelength))
+        pupil = RayPupil(node.plan.system)
         found.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
     return list(found.values())

@@ -94,9 +94,10 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     InputError
         If the distance is not beyond the focal length, or the wavelength is out of range.
     """
-    if camera.objective is not None:
-        behind = _in_the_stops_image if camera.objective.is_fourier else _behind_objective
-        return behind(camera, camera.objective, require_number("distance", distance), wavelength)
+    objective = camera.objective
+    if objective is not None:
+        behind = _in_the_stops_image if objective.images_stop else _behind_objective
+        return behind(camera, objective, require_number("distance", distance), wavelength)
     image_distance(camera.focal_length, require_number("distance", distance, finite=False))
     b, defocus = camera.mla_distance, abs(camera.defocus(distance))
     # From the MLA, seen from the main lens's centre, to the object plane.

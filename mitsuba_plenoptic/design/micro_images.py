@@ -133,7 +133,7 @@ def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
     b, z, lattice = camera.pupil_distance, camera.detector_distance, camera.lattice
     # Behind an objective all lenses see the stop in the same directions.
-    growth = (camera.objective is None) + b / z
+    growth = camera.lens_data.converges + b / z
     reach = main_lens(camera).reach / growth
     smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
     covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2

@@ -35,7 +35,7 @@ def native_field(camera: PlenopticCamera) -> float:
         A microscope.
     """
     lens = objective_of(camera)
-    if lens.is_fourier:
+    if lens.images_stop:
         return camera.mla_pitch / lens.view_scale(camera.detector_distance)
     return camera.detector_width / lens.magnification
 
@@ -109,7 +109,7 @@ def parallax(camera: PlenopticCamera, place: float) -> float:
 def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Say in one sentence each what is poor about a microscope."""
     lens, found = objective_of(camera), []
-    if lens.is_fourier:
+    if lens.images_stop:
         across = lenses_across_stop(camera)
         if across < 2:
             found.append(f"no parallax: only {across:.2g} lenses lie across the image of the stop")
@@ -132,6 +132,6 @@ def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None
 
 def _fourier(camera: PlenopticCamera) -> Objective:
     lens = objective_of(camera)
-    if not lens.is_fourier:
+    if not lens.images_stop:
         raise InputError("main_lens: arrangement = image: this is a number of the Fourier arrangement")
     return lens

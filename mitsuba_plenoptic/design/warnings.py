@@ -15,7 +15,7 @@ _SMALLEST_PIXEL = 2e-4
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Say in one sentence each what is poor about a design."""
-    if camera.objective is not None:
+    if not camera.lens_data.converges:
         return microscope_warnings(camera, wavelength)
     found = []
     diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)

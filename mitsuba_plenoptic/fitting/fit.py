@@ -94,7 +94,7 @@ def fit(
     """
     from scipy.optimize import least_squares
 
-    if camera.objective is not None:
+    if not camera.lens_data.converges:
         camera.require_thin("cameras are fitted", "fit one behind a prescription")
     given = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))

@@ -10,7 +10,8 @@ from typing import Any
 import yaml
 
 from ..errors import InputError
-from ..objective import Objective
+from ..lens_data import LensData, known_kind
+from ..objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
 from .files import atomic_output, require_file
@@ -21,7 +22,7 @@ DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
 """Endings of other programs' files, and their readers."""
 
 
-def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription | Objective:
+def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:
     """Read a main lens: what `read_prescription` reads, or an objective as a file or as the text of a JSON file.
 
     Parameters
@@ -66,8 +67,8 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
         If there is no such file or lens, or it is not a prescription.
     """
     lens = read_lens(source, resolve)
-    if isinstance(lens, Objective):
-        raise InputError(f"{source}: it is an objective; a lens with surfaces is needed")
+    if not isinstance(lens, Prescription):
+        raise InputError(f"{source}: it is an {type(lens).__name__.lower()}; a lens with surfaces is needed")
     return lens
 
 
@@ -79,11 +80,9 @@ def _is_there(path: Path) -> bool:
         return False
 
 
-def lens_from_plain(value: Any) -> Prescription | Objective:
-    """Return the main lens of plain data: an objective, which has a magnification, or a prescription."""
-    if isinstance(value, dict) and "magnification" in value:
-        return Objective.from_plain(value)
-    return Prescription.from_plain(value)
+def lens_from_plain(value: Any) -> LensData:
+    """Return the main lens of plain data, whose kind an entry marks: a prescription if there is no such entry."""
+    return known_kind(value, Prescription).from_plain(value)
 
 
 def _parsed(text: str) -> Any:

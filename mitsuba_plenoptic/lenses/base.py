@@ -12,17 +12,17 @@ results.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics import rays
+
+if TYPE_CHECKING:
+    from .round_pupil import RoundMap
 
 Pair = tuple[Any, Any]
 """x and y in the camera frame, of places or of slopes."""
@@ -65,7 +65,7 @@ BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
 
 
 def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type."""
+    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type; None's is a thin one."""
 
     def mark(function: Builder) -> Builder:
         BUILDERS[description] = function
@@ -77,7 +77,7 @@ def builds(description: type) -> Callable[[Builder], Builder]:
 class MainLens(Protocol):
     """What the camera asks of its main lens. Lengths are millimetres, wavelengths nanometres.
 
-    `waves_of` returns the lens that has the methods from `cone` on for some points, and all others.
+    What is about waves is asked of the lens that `waves_of` returns, which serves the points that it was given.
     """
 
     @property
@@ -111,6 +111,10 @@ class MainLens(Protocol):
     @property
     def entrance(self) -> Entrance:
         """The scene's side of it."""
+
+    @property
+    def round_map(self) -> RoundMap | None:
+        """A map from the pupil, seen off the axis, onto the round one near the axis; None where both are the same."""
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
         """Return a radius and the z between which all rays start that reach the MLA up to a distance from the axis."""
@@ -348,126 +352,3 @@ class Entrance:
     pupil: float = 0.0
     front: float = 0.0
     magnification: float = 1.0
-
-
-class UniformLens:
-    """A main lens that is the light of any scene point itself, and whose whole pupil is open to all of them."""
-
-    pupil_radius: Any
-
-    is_open_evenly = True
-    changes_evenly = True
-
-    @property
-    def reach(self) -> Any:
-        """Radius of the pupil."""
-        return self.pupil_radius
-
-    @property
-    def entrance(self) -> Entrance:
-        """That of a thin lens."""
-        return Entrance()
-
-    def waves_of(self, points: NDArray[np.float64]) -> Self:
-        """Return the lens itself."""
-        return self
-
-    def waves_of_one(self, point: NDArray[np.float64]) -> Self:
-        """Return the lens itself."""
-        return self
-
-    def bind(self, points: NDArray[np.float64], which: Any = None) -> Self:
-        """Return the lens itself."""
-        return self
-
-    def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
-        """Return no points."""
-        return np.empty((0, 3))
-
-    def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 1."""
-        return np.ones(np.broadcast_shapes(np.shape(x), np.shape(y)))
-
-    def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 1."""
-        return np.ones(len(points))
-
-    def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return none."""
-        return {}
-
-    def opaque(self, number: Callable[[Any], Any]) -> Self:
-        """Return the lens itself."""
-        return self
-
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
-        """Return the places themselves."""
-        return x, y
-
-    def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the places themselves."""
-        return images
-
-
-class FiniteDistance:
-    """A main lens with its exit pupil at a finite distance before the array, for rays."""
-
-    pupil_distance: Any
-
-    def chief_point(self, place: Any, detector_distance: Any) -> Any:
-        """Return one coordinate on the MLA of rays from places on the detector to the middle of the exit pupil."""
-        return rays.chief_point(place, self.pupil_distance, detector_distance)
-
-    def pupil_distance_from(self, behind: Any) -> Any:
-        """Return the distance to the pupil from a plane so far behind the MLA."""
-        return self.pupil_distance + behind
-
-    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the exit pupil of rays from places nearer to it by a height than the MLA."""
-        return place + (self.pupil_distance - height) * slope
-
-    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
-        """Return the slope, along one axis, between places as of `pupil_point` and points of the exit pupil."""
-        return (pupil - place) / (self.pupil_distance - height)
-
-
-class FinitePupil(FiniteDistance, ABC):
-    """A main lens with its exit pupil at a finite distance b before the array, for rays and for waves."""
-
-    pupil_radius: Any
-
-    @abstractmethod
-    def convergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
-
-    def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the places on the MLA to which rays go on straight."""
-        return pupil + self.pupil_distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
-
-    def cone(self, distances: Any) -> float:
-        """Return the cosine to the rim of the pupil: of light that is collimated, or meets at MLA or image."""
-        powers = np.abs(self.convergence(distances))
-        return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
-
-    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
-        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R without that of the chief ray."""
-        (sx, sy), (x, y), b = cosine, image, self.pupil_distance
-        R = b / _sqrt(1 - sx * sx - sy * sy)
-        return (x - R * sx, y - R * sy), R, R - _sqrt(x * x + y * y + b * b)
-
-    def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction cosines from points of the pupil to places on the MLA."""
-        towards = image - pupil
-        return np.asarray(towards / np.sqrt((towards**2).sum(-1) + self.pupil_distance**2)[..., None])
-
-    def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slopes of the chief rays at places on the MLA."""
-        return np.asarray(image / self.pupil_distance)
-
-    def curvature(self, square: Any) -> Any:
-        """Return the reciprocal of the distance."""
-        return 1 / _sqrt(square)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)

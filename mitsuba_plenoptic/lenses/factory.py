@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from . import real_lens, telecentric, thin  # noqa: F401 (each registers what it builds)
 from .base import BUILDERS, LensNumbers
 
@@ -30,10 +31,16 @@ def main_lens(
         ``aperture_radius``, ``mla_distance`` and ``wavefront``.
     model : {"ideal", "parabolic"}, optional
         How rays refract. Default: the camera's `lens_model`.
+
+    Raises
+    ------
+    InputError
+        If nothing is marked to build a lens of this kind.
     """
     given = varying or {}
     names = "focal_length", "aperture_radius", "mla_distance", "wavefront"
     numbers = {name: given.get(name, getattr(camera, name)) for name in names}
-    return BUILDERS[type(camera.main_lens)](
-        LensNumbers(camera, wavelength, **numbers, model=model or camera.lens_model)
-    )
+    build = BUILDERS.get(type(camera.main_lens))
+    if build is None:
+        raise InputError(f"main_lens = {camera.main_lens!r}: no function is marked to build a lens of this kind")
+    return build(LensNumbers(camera, wavelength, **numbers, model=model or camera.lens_model))

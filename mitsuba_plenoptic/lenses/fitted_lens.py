@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Container, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics.phase import in_millimetres
-from .base import FinitePupil
+from .common import FinitePupil
 from .open_pupil import open_area
 from .pupil_fit import PupilFit
 from .pupil_polynomials import LensLight, Place, Polynomial
@@ -90,11 +90,14 @@ class FittedLens(FinitePupil):
         Radius of a circle about the axis that holds the open exit pupil wherever the detector looks, in millimetres.
     fitted : PupilFit
         The polynomials.
+    changes : dict
+        How it changes with parameters, by their names, as far as that has been asked for; see `lens_changes`.
     """
 
     system: Any
     pupil_radius: float
     fitted: PupilFit
+    changes: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     is_round = True
 

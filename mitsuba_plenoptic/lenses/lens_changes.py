@@ -9,7 +9,6 @@ lens as it is.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from ..lattice import turn
 from ..optics.phase import in_millimetres
 from ..runtime.limits import single_threaded_blas
-from .base import FinitePupil
+from .common import FinitePupil
 from .fitted_lens import FittedLens
 from .lens_system import LensSystem
 from .open_pupil import at_all, edges, places
@@ -54,9 +53,8 @@ class LensChange:
     stops: tuple[Polynomial, ...]
 
 
-@functools.lru_cache(maxsize=64)
 def lens_change(lens: FittedLens, name: str) -> LensChange:
-    """Return how a fitted lens changes with one of `LENS_NUMBERS`.
+    """Return how a fitted lens changes with one of `LENS_NUMBERS`, which the lens holds once it is found.
 
     Parameters
     ----------
@@ -65,6 +63,12 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     name : str
         The number; focal length and opening in millimetres, the wavelength in nanometres.
     """
+    if name not in lens.changes:
+        lens.changes[name] = _found_change(lens, name)
+    return lens.changes[name]
+
+
+def _found_change(lens: FittedLens, name: str) -> LensChange:
     system, fitted = lens.system, lens.fitted
     scales = fitted.aberration.scales
     step = _STEP * float(getattr(system, name))

@@ -25,7 +25,7 @@ from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.data import height
 from ..thin_lens import vergence
 from . import sequential
-from .base import FiniteDistance
+from .common import FiniteDistance
 
 _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
 """Places on the array and points across the exit pupil that are tried for light; how far out, in its radii."""

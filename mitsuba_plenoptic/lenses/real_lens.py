@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from .exit_pupil import ExitPupil
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
 from .pupil_fit import Pupils, covered, fit_pupil, trace
+from .round_pupil import RoundMap, round_map
 
 _FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
 """Steps of the fitted range: of fields, by factors, and of nearnesses, over the power of the lens. Fits are kept."""
@@ -59,10 +61,7 @@ class RealLens(LensSystem):
     @property
     def refraction(self) -> float:
         """The wavelength, where the glasses disperse light."""
-        disperses = any(
-            surface.glass is not None and surface.glass.form != "index" for surface in self.prescription.surfaces
-        )
-        return self._light if disperses else float(self.focal_length)
+        return self._light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
     def reach(self) -> float:
@@ -104,6 +103,11 @@ class RealLens(LensSystem):
         return heights, np.array(
             [np.mean(lens.ray((Px, Py), (np.zeros_like(Px), np.full_like(Py, height)))[2]) for height in heights]
         )
+
+    @functools.cached_property
+    def round_map(self) -> RoundMap:
+        """The map from its exit pupil, as places off the axis see it, onto the round one near the axis."""
+        return round_map(self, self.reach, self.corner)
 
     # -- waves ---------------------------------------------------------------------------------------
 
@@ -193,9 +197,8 @@ def _checked(lens: FittedLens) -> FittedLens:
 def real_lens(numbers: LensNumbers) -> RealLens:
     """Return the main lens of a camera that has a prescription."""
     camera = numbers.camera
-    assert isinstance(camera.main_lens, Prescription)
     return RealLens(
-        camera.main_lens,
+        cast(Prescription, camera.main_lens),
         numbers.focal_length,
         numbers.aperture_radius,
         numbers.mla_distance,

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -31,7 +31,8 @@ from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..optics.phase import in_millimetres
-from .base import LensNumbers, UniformLens, builds
+from .base import LensNumbers, builds
+from .common import UniformLens
 
 _Pair = tuple[Any, Any]
 
@@ -177,7 +178,7 @@ class TelecentricLens(UniformLens):
 
     def trace(self, place: _Pair, slope: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
         """Follow a ray from a place on the array to the scene; the image side is paraxial."""
-        if self.objective.is_fourier:
+        if self.objective.images_stop:
             f = self.objective.last_focal_length
             place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
         pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
@@ -233,14 +234,14 @@ class TelecentricLens(UniformLens):
 
     def cosines(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
         """Return the direction cosines at the array of light that has passed a point of the stop."""
-        if self.objective.is_fourier:
+        if self.objective.images_stop:
             x, y = self._image(pupil, point)
             return -x / self.objective.last_focal_length, -y / self.objective.last_focal_length
         return -pupil[0] / self.pupil_distance, -pupil[1] / self.pupil_distance
 
     def land(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
         """Return the place on the array of the light from a scene point through a point of the stop."""
-        if self.objective.is_fourier:
+        if self.objective.images_stop:
             growth = -self.objective.last_focal_length / self.pupil_distance
             # Adding 0 gives it the shape of the points.
             return pupil[0] * growth + 0 * point[0], pupil[1] * growth + 0 * point[0]
@@ -257,5 +258,4 @@ class TelecentricLens(UniformLens):
 @builds(Objective)
 def telecentric_lens(numbers: LensNumbers) -> TelecentricLens:
     """Return the main lens of a camera behind an objective."""
-    assert isinstance(numbers.camera.main_lens, Objective)
-    return TelecentricLens(numbers.camera.main_lens)
+    return TelecentricLens(cast(Objective, numbers.camera.main_lens))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ..optics import rays
 from ..optics.phase import in_millimetres, parabola
 from ..thin_lens import vergence
-from .base import FinitePupil, LensNumbers, UniformLens, builds
+from .base import LensNumbers, builds
+from .common import FinitePupil, UniformLens
 from .distortion import undistort
 from .wavefront import Wavefront
 
@@ -71,12 +72,13 @@ class ThinLens(UniformLens, FinitePupil):
         """Follow a ray from a place on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
         if self.model == "ideal":
-            behind = self._refract(slope, (Px, Py))
+            behind = self.refract(slope, (Px, Py))
         else:
-            behind = rays.cosines_to_slopes(*self._refract(rays.slopes_to_cosines(*slope), (Px, Py)))
+            behind = rays.cosines_to_slopes(*self.refract(rays.slopes_to_cosines(*slope), (Px, Py)))
         return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
 
-    def _refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
+    def refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return the direction before the lens, in slopes or in cosines, from that between lens and MLA."""
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
@@ -90,17 +92,18 @@ class ThinLens(UniformLens, FinitePupil):
     def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
         """Return the ray to the conjugate of a place on the MLA; its own aberrations are not followed."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
-        return (*pupil, 0.0), self._refract((tx, ty), pupil), True
+        return (*pupil, 0.0), self.refract((tx, ty), pupil), True
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
         """Return the lens of Dr.Jit's parameters."""
-        own = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
-        return ThinLens(*own, self.model, numbers["wavefront"])
+        f1, radius, b = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
+        return replace(self, focal_length=f1, pupil_radius=radius, pupil_distance=b, aberrations=numbers["wavefront"])
 
     def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
         """Return the lens of parameters that are not compiled into kernels."""
-        own = number(self.focal_length), number(self.pupil_radius), number(self.pupil_distance)
-        return ThinLens(*own, self.model, [number(value) for value in self.aberrations])
+        names = "focal_length", "pupil_radius", "pupil_distance"
+        aberrations = [number(value) for value in self.aberrations]
+        return replace(self, **{name: number(getattr(self, name)) for name in names}, aberrations=aberrations)
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
         """Return the bounds of the pupil, in which all rays start."""

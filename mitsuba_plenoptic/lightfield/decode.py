@@ -9,6 +9,7 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, require_camera
+from ..design.microscope import objective_of
 from ..errors import InputError, shown, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
@@ -74,11 +75,11 @@ def decode(
     """
     _require_suitable(white, capture, camera)
     image, camera = _checked(capture, camera, grid)
-    if camera is not None and camera.objective is not None and camera.objective.is_fourier:
+    if camera is not None and camera.lens_data.images_stop:
         for name, given in (("grid", grid), ("truth", truth)):
             if given is not None:
                 raise InputError(f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without")
-        return decode_views(image, camera, camera.objective, None if white is None else _white(white, image))
+        return decode_views(image, camera, objective_of(camera), None if white is None else _white(white, image))
     reference = _reference(image, camera, white, grid)
     if camera is not None:
         lenses, bins = grid or lens_grid(camera), bin_grid(camera)

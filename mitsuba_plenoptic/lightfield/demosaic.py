@@ -108,7 +108,7 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
         raise InputError(f"white of shape {white.image.shape}: it must have the pixels of the capture")
     require_suitable_white(white, [capture.camera])
     image = np.atleast_3d(white.image)
-    if capture.camera.main_lens is None:
+    if capture.camera.lens_data.is_thin:
         image = scaled_white(image, white_image(capture.camera), capture.camera)
     return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
 

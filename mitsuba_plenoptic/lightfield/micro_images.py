@@ -82,7 +82,7 @@ def micro_images(
     image, reference, known = checked_images(capture, camera, white, grid)
     if known is None:
         raise InputError("camera = None: of micro-images the camera must be known")
-    if known.objective is not None and known.objective.is_fourier:
+    if known.lens_data.images_stop:
         raise InputError("camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode")
     lenses = grid or lens_grid(known)
     half, alone = view_window(known, lenses)

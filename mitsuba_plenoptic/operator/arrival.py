@@ -146,7 +146,7 @@ def telecentric_arrival(
 
     `position` is that of a scene point, (3,). Both have the power 1, except for what misses the detector's window.
     """
-    if lens.objective.is_fourier:
+    if lens.objective.images_stop:
         return _at_stop_image(lens, position, wavelength, grids, weights)
     return _at_native_image(lens, position, wavelength, grids, weights)
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lenses.exit_pupil import ExitPupil
-from ..lenses.telecentric import TelecentricLens
 from ..optics.phase import in_millimetres
 from ..system.microlenses import diffraction, scattering
 from ..system.optical_system import OpticalSystem
@@ -84,14 +83,14 @@ def field_grids(
     # The window of the way to the MLA, square and on the same grid of pixels.
     low = np.minimum(place - half_width, start)
     high = np.maximum(place + half_width, start + np.array(pixels) * p)
-    if not isinstance(lens, TelecentricLens):
+    if camera.lens_data.converges:
         low, high = np.minimum(-radius, low), np.maximum(radius, high)
         diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
     else:
         # The samples of the stop are as many as the window holds waves of the steepest direction; softening its edge
         # over one of them darkens what the edge diffracts far from the image of the point.
-        blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not lens.objective.is_fourier)
-        diffracted = max(_PUPIL_SAMPLES * lam / lens.objective.image_aperture, blur)
+        blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not camera.lens_data.images_stop)
+        diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(position[2]), blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
     wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)

@@ -15,7 +15,6 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
 from ..lenses.wave_cameras import require_ideal, require_no_glass
-from ..objective import Objective
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
@@ -97,15 +96,17 @@ class CaptureOperator:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         require_ideal(camera)
-        if camera.prescription is not None and method == "full_field" and pupil_weights is not None:
+        if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
         require_choice("method", method, METHODS)
-        if camera.objective is not None:
-            _require_followed(camera.objective, method)
+        if method == "patch" and camera.lens_data.images_stop:
+            raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
+        if system is not None:
+            _require_bound(system, camera, wavelength)
         systems = {} if system is None else {system.wavelength: system}
         planned_for = self.points, self._pupil_weights, self._accuracy
         self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
@@ -383,7 +384,8 @@ class CaptureOperator:
         return self._channels.check_weights(weights, len(self.points))
 
 
-def _require_followed(objective: Objective, method: str) -> None:
-    """Refuse the method that does not know a microscope whose array stands in the image of the stop."""
-    if method == "patch" and objective.is_fourier:
-        raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
+def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:
+    """Refuse a system of another camera or wavelength."""
+    bound = system.wavelength
+    if bound != wavelength or system.camera != camera.at_wavelength(bound):
+        raise InputError(f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}")

@@ -129,20 +129,21 @@ class DepthInformation:
     def _tilts(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
         """Return X and Y of the chief rays for each g, (n, 1, 1); behind an objective these run along the axis."""
         x, y, g = self._spreads.points.T[..., None, None]
-        return [x / g, y / g] if camera.objective is None else [0 * x, 0 * y]
+        return [x / g, y / g] if camera.lens_data.converges else [0 * x, 0 * y]
 
     def _moves(self, camera: PlenopticCamera) -> list[_Move]:
         """Return the moves along X, along Y and along the chief ray, by the vergence, whose differences are slopes."""
         points = self._spreads.points
         g, path = points[:, 2], _WAVES * self._spreads.wavelength * 1e-6
-        if camera.objective is None:
+        objective = camera.objective
+        if objective is None:
             sideways, step = path * np.abs(g) / camera.aperture_radius, 2 * path / camera.aperture_radius**2
             near, far = 1 / (1 / g + step), 1 / (1 / g - step)
             there, back = points * (near / g)[:, None], points * (far / g)[:, None]
             rate = -1 / (2 * step * g**2)
         else:
-            aperture = camera.objective.numerical_aperture
-            sideways, step = np.full(len(g), path / aperture), 2 * path * camera.objective.immersion / aperture**2
+            aperture = objective.numerical_aperture
+            sideways, step = np.full(len(g), path / aperture), 2 * path * objective.immersion / aperture**2
             there, back = (points + np.array([0, 0, side * step]) for side in (1, -1))
             rate = np.full(len(g), 1 / (2 * step))
         moves = []

@@ -13,6 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..operator.accuracy import check_accuracy
 from ..operator.operator import CaptureOperator
+from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 
 DESIGN_ACCURACY = 0.02
@@ -28,6 +29,7 @@ class Spreads:
         # Where they may lie depends on the camera, and is checked with it.
         self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
         self._accuracy, self._method = check_accuracy(accuracy), method
+        self._system: OpticalSystem | None = None
 
     def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Return the spreads (n, rows, columns) of the points, or of others in their place."""
@@ -49,10 +51,12 @@ class Spreads:
         return total
 
     def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
+        if self._system is None or self._system.camera != camera:
+            self._system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
         # A step from a point far away may lead across infinity.
         options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method, "virtual": points is not None}
         for point in self.points if points is None else points:
-            yield CaptureOperator(camera, [point], wavelength=self.wavelength, **options)
+            yield CaptureOperator(camera, [point], wavelength=self.wavelength, system=self._system, **options)
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:

@@ -84,9 +84,8 @@ class Dispersion:
             dr.make_opaque(table)
             return table
 
-        indices = None
-        if camera.prescription is not None:
-            indices = [along(surface.glass, Glass.at) for surface in camera.prescription.surfaces]
+        surfaces = camera.lens_data.traced_surfaces
+        indices = [along(surface.glass, Glass.at) for surface in surfaces] if surfaces else None
         return cls(
             wavelengths, along(camera.glass, Glass.focal_ratio), along(camera.mla_glass, Glass.focal_ratio), indices
         )

@@ -10,8 +10,7 @@ import mitsuba as mi
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_choice, require_count, require_number
 from ..io.lens_file import read_lens
-from ..objective import Objective
-from ..prescription import Prescription
+from ..lens_data import LensData
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
@@ -144,7 +143,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
         )
     except InputError as error:
         raise InputError(f"{plugin}: {error}") from None
-    if camera.objective is not None and camera.objective.is_fourier:
+    if camera.lens_data.images_stop:
         raise InputError(
             f"{plugin}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
             "CaptureOperator with method full_field"
@@ -152,7 +151,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     return camera
 
 
-def _read_main_lens(props: Any, name: str) -> Prescription | Objective | None:
+def _read_main_lens(props: Any, name: str) -> LensData | None:
     """Take a main lens from a plugin's properties: a file, a bundled lens or the text of a JSON file."""
     source = read_plain(props, name, None)
     if source is None:

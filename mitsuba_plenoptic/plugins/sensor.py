@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -352,10 +352,10 @@ def make_class() -> type:
             if differential:
                 width = self.detector_width / self.film().size()[0]
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
-                    if isinstance(self._rays.lens, RealLens):
+                    if self.camera.lens_data.traced_surfaces:
                         # Surface by surface it would cost three times as much.
                         z = self.detector_distance
-                        beside, turned = self._rays.lens.beside(point, slope, (-dx / z, -dy / z))
+                        beside, turned = cast(RealLens, self._rays.lens).beside(point, slope, (-dx / z, -dy / z))
                     else:
                         beside, turned, _ = self._rays.trace((px + dx, py + dy), passage, light)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))

@@ -7,16 +7,21 @@ import itertools
 import math
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 import yaml
 
-from ..bounds import LONGEST, SHORTEST, require_wavelength
+from ..bounds import LONGEST, SHORTEST, require_length, require_wavelength
 from ..errors import InputError, did_you_mean, require_known, require_number, shown
+from ..lens_data import SINGLE, LensData, require_alone
+from ..thin_lens import vergence
 from . import lenses
 from .glass import LINE_D, Glass
+
+if TYPE_CHECKING:
+    from .paraxial import Paraxial
 
 MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
@@ -127,7 +132,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Prescription:
+class Prescription(LensData):
     """A lens as its designer writes it down. Lengths are millimetres.
 
     Parameters
@@ -144,11 +149,66 @@ class Prescription:
         Wavelength in nanometres at which rays are followed and focal length and pupils are told; the line d by default.
     """
 
+    mark = "surfaces"
+    is_thin = False
+
     surfaces: tuple[Surface, ...]
     stop: int
     name: str = ""
     source: str = ""
     wavelength: float = LINE_D
+
+    @property
+    def traced_surfaces(self) -> tuple[Surface, ...]:
+        """All of them."""
+        return self.surfaces
+
+    @property
+    def disperses(self) -> bool:
+        """Whether one of its glasses does."""
+        return any(surface.glass is not None and surface.glass.form != "index" for surface in self.surfaces)
+
+    @property
+    def paraxial(self) -> Paraxial:
+        """Its paraxial numbers at its own wavelength."""
+        from .paraxial import paraxial
+
+        return paraxial(self)
+
+    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+        """Return focal length and radius of the open entrance pupil, scaled to what focal length is given."""
+        numbers = self.paraxial
+        given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
+        return given, numbers.entrance_radius * given / numbers.focal_length
+
+    def exit_pupil(self, focal_length: float) -> tuple[float, float]:
+        """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's."""
+        numbers = self.paraxial
+        scale = focal_length / numbers.focal_length
+        return scale * (numbers.rear_principal - numbers.exit_pupil), numbers.exit_radius / numbers.entrance_radius
+
+    def require_fit(self, camera: Any) -> None:
+        """Refuse other aberrations than its own, a stop wider than it opens, and an array within it."""
+        require_alone(camera)
+        numbers, widest = self.paraxial, self.own_numbers(camera.focal_length)[1]
+        if camera.aperture_radius > widest * (1 + SINGLE):
+            raise InputError(
+                f"aperture_radius = {camera.aperture_radius:g}: the main_lens opens to {widest:.6g} at most"
+            )
+        scale = camera.focal_length / numbers.focal_length
+        nearest = -scale * min(numbers.rear_principal, numbers.rear_principal - numbers.exit_pupil)
+        if camera.mla_distance <= nearest:
+            raise InputError(
+                f"mla_distance = {camera.mla_distance:g}: the array would stand within the main_lens or its exit "
+                f"pupil; it must be more than {nearest:.4g}"
+            )
+
+    def image_blur(self, camera: Any, distance: float) -> float:
+        """Return the diameter on the array of the cone from the exit pupil to the image of a point."""
+        power = vergence(camera.focal_length, distance)
+        # So far the image lies before the array.
+        gap = camera.mla_distance - (math.inf if power == 0 else 1 / power)
+        return float(2 * camera.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (camera.pupil_distance - gap))))
 
     def to_plain(self) -> dict[str, Any]:
         """Return what `from_plain` takes: numbers, strings, lists and dictionaries."""

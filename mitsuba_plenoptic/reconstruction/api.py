@@ -265,9 +265,9 @@ def reconstruct(
     capture = as_capture(capture, camera)
     camera = capture.camera
     chosen = METHODS[require_choice("method", method, METHODS)]
-    if camera.objective is not None and method != "deconvolved":
+    if not camera.lens_data.converges and method != "deconvolved":
         raise InputError(
-            f"method = {method}: behind main_lens = {camera.objective.name} captures are only deconvolved; use "
+            f"method = {method}: behind main_lens = {camera.lens_data.label} captures are only deconvolved; use "
             f"{argument('method')} deconvolved"
         )
     if white is not None and method == "deconvolved":
@@ -299,10 +299,8 @@ def reconstruct(
         "volume": volume is not None and require_flag("volume", volume),
         "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
     }
-    if camera.main_lens is not None and method == "deconvolved" and given["response"] == "ray":
-        raise InputError(
-            f"response = ray: behind main_lens = {camera.main_lens.name or 'prescription'} it must be wave"
-        )
+    if not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray":
+        raise InputError(f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave")
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = require_distances(distance, camera)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +14,6 @@ from ..io.captures import Capture, as_array
 from ..mosaic import require_demosaiced
 from ..optics.phase import in_millimetres
 from ..runtime.limits import largest_fitting, require_memory
-from ..thin_lens import image_distance
 
 FOOTPRINTS = ("lens", "point")
 RESPONSES = ("wave", "ray")
@@ -45,13 +43,7 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     given = distance if several else [distance]
     distances = [require_number("distance", value, finite=False) for value in given]
     for value in distances:
-        if camera.objective is None:
-            image_distance(camera.focal_length, value)
-        elif not -camera.objective.focal_length < value < math.inf:
-            raise InputError(
-                f"distance = {value:g}: it must be a finite depth beyond the native object plane, more than "
-                f"{-camera.objective.focal_length:g}"
-            )
+        camera.lens_data.require_distance(camera, value)
     if not distances:
         raise InputError("distance = []: give at least one")
     return distances

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import drjit as dr
 import numpy as np
@@ -199,8 +199,7 @@ class RealConjugates:
         PhysicsError
             If its path cannot be fitted.
         """
-        camera, real = system.camera, system.lens
-        assert isinstance(real, RealLens)
+        camera, real = system.camera, cast(RealLens, system.lens)
         pupils, front = Pupils.of(real), real.entrance.front
         for distance in distances:
             if not distance > max(front, pupils.entrance):
@@ -295,8 +294,7 @@ def behind_thin_lens(system: OpticalSystem, radius: float | None = None) -> Plen
     radius : float, optional
         Radius of its pupil in millimetres. Default: that of a circle that holds the light of all the field.
     """
-    lens = system.lens
-    assert isinstance(lens, RealLens)
+    lens = cast(RealLens, system.lens)
     return system.camera.replace(
         main_lens=None,
         focal_length=1 / Pupils.of(lens).at_infinity,

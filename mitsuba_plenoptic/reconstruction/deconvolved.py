@@ -107,8 +107,7 @@ def _solve(
 
 def _response(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
     """Return the response that a camera has."""
-    fourier = camera.objective is not None and camera.objective.is_fourier
-    return FourierResponse if fourier else Response
+    return FourierResponse if camera.lens_data.images_stop else Response
 
 
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ..errors import InputError, require_choice, require_count, require_number
 from ..io.captures import as_array, require_pixels
 from ..lenses.wave_cameras import require_ideal
 from ..runtime.backend import one_at_a_time
+from ..system.optical_system import OpticalSystem
 from ..thin_lens import image_distance
 from .arguments import FOOTPRINTS
 from .bins import BinSums
@@ -168,7 +169,7 @@ class CoherentRefocus:
         distance = require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, distance)
         wavelength, oversample = require_wavelength(wavelength), require_count("oversample", oversample)
-        fine = fine_bins(camera, wavelength, oversample)
+        fine = fine_bins(OpticalSystem(camera, wavelength), oversample)
         self._camera, self._spread = camera, LensSpread(camera, distance, oversample, fine)
         self._fields = AmplitudeFields(
             camera, distance, wavelength, require_count("interleave", interleave), oversample * fine

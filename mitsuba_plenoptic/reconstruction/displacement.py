@@ -105,7 +105,7 @@ _BLOCK = 2**18
 
 def is_known(camera: PlenopticCamera) -> bool:
     """Whether displacements are told: of unfocused cameras, whose pixels see pupil points, behind thin lenses."""
-    return camera.main_lens is None and focus_type(camera) == "unfocused"
+    return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
 
 
 def tilted_whites(

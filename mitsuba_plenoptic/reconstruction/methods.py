@@ -12,6 +12,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, argument
 from ..io.checkpoints import Checkpoint
 from ..runtime.batches import BatchMap
+from ..system.optical_system import OpticalSystem
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -45,6 +46,8 @@ class Task:
         For a method that is long: keeps what is done.
     batch_map : BatchMap, optional
         For a method that is long: computes its point spreads.
+    systems : dict
+        What `system` has bound.
     """
 
     image: np.ndarray
@@ -58,6 +61,13 @@ class Task:
     exposure: dict[str, Any] | None = None
     checkpoint: Checkpoint | None = None
     batch_map: BatchMap | None = None
+    systems: dict[float, OpticalSystem] = field(default_factory=dict)
+
+    def system(self, wavelength: float) -> OpticalSystem:
+        """Return the camera bound to the wavelength of a channel, once for all that is done with the task."""
+        if wavelength not in self.systems:
+            self.systems[wavelength] = OpticalSystem(self.camera, wavelength)
+        return self.systems[wavelength]
 
 
 @dataclass(frozen=True, eq=False)

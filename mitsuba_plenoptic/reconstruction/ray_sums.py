@@ -64,7 +64,7 @@ def aligned_axes(
     camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> tuple[AxisBins, AxisBins] | None:
     """Return where the pixels of each axis go, if pixels and bins are arranged alike; None where they are not."""
-    if camera.main_lens is not None or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+    if not camera.lens_data.is_thin or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         return None
     x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
     return x, y
@@ -80,7 +80,7 @@ def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprin
 @functools.lru_cache(maxsize=1)
 def white_pixels(camera: PlenopticCamera) -> np.ndarray:
     """Return the camera's white image; the last one is kept, for the next distance."""
-    return white_image(camera) if camera.main_lens is None else traced_white(camera)
+    return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)
 
 
 def _axis(

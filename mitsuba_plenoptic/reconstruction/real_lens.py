@@ -37,7 +37,7 @@ def require_upright(camera: PlenopticCamera) -> None:
     InputError
         If there is one.
     """
-    if camera.main_lens is not None and any(camera.mla_tilt):
+    if not camera.lens_data.is_thin and any(camera.mla_tilt):
         raise InputError(f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only")
 
 

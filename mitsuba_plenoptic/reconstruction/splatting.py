@@ -215,7 +215,7 @@ def _landing(
     place, lens_type, pixel : int arrays
         Sample, counted bin by bin, type of lens, and flat index of each pixel.
     """
-    if camera.main_lens is not None:
+    if not camera.lens_data.is_thin:
         return _traced_landing(camera, distance, oversample, fine, shape)
     lattice, columns = camera.lattice, camera.crop_size[0]
     # All along the ray is linear in the pixel and the lens's centre.

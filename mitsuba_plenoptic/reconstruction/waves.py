@@ -10,7 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..system.optical_system import OpticalSystem
-from .conjugates import Conjugates, RealConjugates, behind_thin_lens, undistorted
+from .conjugates import Conjugates, RealConjugates, ThinConjugates, behind_thin_lens, undistorted
 from .lens_tiles import Tile
 from .methods import Progress, Task
 from .radiance import lens_scale, over_lenses, to_radiance
@@ -32,7 +32,7 @@ class Power(Protocol):
         oversample: int,
         judged: bool,
         progress: Progress,
-        conjugates: Conjugates | None,
+        conjugates: Conjugates,
     ) -> list[np.ndarray]:
         """Return the power in each bin of the object planes.
 
@@ -54,8 +54,8 @@ class Power(Protocol):
             Whether guards are told of the light that is lost.
         progress : callable
             Called with the fraction of the work that is done.
-        conjugates : Conjugates, optional
-            The main lens. Default: the camera's, which is thin.
+        conjugates : Conjugates
+            The main lens.
 
         Returns
         -------
@@ -93,16 +93,11 @@ def refocus_by_waves(task: Task, power: Power, *, relay: bool) -> list[np.ndarra
         return [np.stack(planes, axis=-1) for planes in zip(*channels, strict=True)]
 
     def model() -> list[np.ndarray]:
-        return [
-            np.stack(
-                [
-                    white_light(camera, w, g, task.oversample, fine=fine_bins(camera, w, task.oversample), relay=relay)
-                    for w in task.wavelengths
-                ],
-                axis=-1,
-            )
-            for g in task.distances
-        ]
+        def white(wavelength: float, distance: float) -> np.ndarray:
+            fine = fine_bins(task.system(wavelength), task.oversample)
+            return white_light(camera, wavelength, distance, task.oversample, fine=fine, relay=relay)
+
+        return [np.stack([white(w, g) for w in task.wavelengths], axis=-1) for g in task.distances]
 
     return to_radiance(task, sums, model=model, reach=rays)
 
@@ -132,12 +127,12 @@ def _of_amplitudes(
     judged: bool = True,
 ) -> list[np.ndarray]:
     """Return the power in bins of pixels that are not negative."""
-    camera, oversample = task.camera, task.oversample
-    conjugates, seen, distances = None, camera, task.distances
-    if camera.prescription is not None:
-        conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), list(distances), oversample)
-        seen, distances = conjugates.camera, [conjugates.distance(distance) for distance in distances]
-    fine = fine_bins(camera, wavelength, oversample)
+    camera, oversample, system = task.camera, task.oversample, task.system(wavelength)
+    real, seen, distances = None, camera, task.distances
+    if camera.lens_data.traced_surfaces:
+        real = RealConjugates.of(system, list(distances), oversample)
+        seen, distances = real.camera, [real.distance(distance) for distance in distances]
+    fine = fine_bins(system, oversample)
     totals = power(
         image,
         seen,
@@ -147,12 +142,12 @@ def _of_amplitudes(
         oversample=oversample * fine,
         judged=judged,
         progress=progress,
-        conjugates=conjugates,
+        conjugates=real or ThinConjugates(system),
     )
-    if conjugates is not None:
+    if real is not None:
         found = []
         for total, distance in zip(totals, task.distances, strict=True):
-            moved, scale = undistorted(total, conjugates, camera, distance, oversample * fine)
+            moved, scale = undistorted(total, real, camera, distance, oversample * fine)
             found.append(over_lenses(moved, camera, oversample, fine, scale * lens_scale(camera, distance)))
         return found
     if fine == 1:
@@ -163,10 +158,11 @@ def _of_amplitudes(
     ]
 
 
-def fine_bins(camera: PlenopticCamera, wavelength: float, oversample: int) -> int:
+def fine_bins(system: OpticalSystem, oversample: int) -> int:
     """Return how many fine bins across a bin power is summed in, before it is spread over lenses."""
-    if camera.prescription is not None:
-        camera = behind_thin_lens(OpticalSystem(camera, wavelength))
+    camera = system.camera
+    if camera.lens_data.traced_surfaces:
+        camera = behind_thin_lens(system)
     elif camera.lenses_are_bins:
         return 1
-    return Tile(camera, wavelength, 1, oversample).samples // oversample
+    return Tile(camera, system.wavelength, 1, oversample).samples // oversample

@@ -63,7 +63,7 @@ def white_light(
     -------
     (rows, columns) float64 array
     """
-    if camera.prescription is not None:
+    if camera.lens_data.traced_surfaces:
         places, throughput = _traced_throughput(camera, wavelength, distance, relay)
         x, y = (
             (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
@@ -82,7 +82,7 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
 
     A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
     """
-    if camera.prescription is not None or camera.lenses_like_bins or focus_type(camera) != "unfocused":
+    if camera.lens_data.traced_surfaces or camera.lenses_like_bins or focus_type(camera) != "unfocused":
         return white_sums(camera, distance, camera.lit_radius, "lens", oversample)
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     bins = math.prod(camera.bin_count) * (oversample * fine) ** 2

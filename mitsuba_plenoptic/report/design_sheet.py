@@ -65,7 +65,7 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", four_digits(width), "mm", "in the focused plane"))
-    if camera.main_lens is not None:
+    if not camera.lens_data.is_thin:
         rows.append(
             ("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length")
         )

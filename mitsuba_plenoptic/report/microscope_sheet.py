@@ -15,7 +15,7 @@ Line = tuple[str, str, str, str]
 def microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[Line]]:
     """Return the groups of the sheet that tell of the objective, and of what is seen through it."""
     groups = {"Objective": _objective(camera, lens)}
-    groups["Array"] = _fourier(camera, lens) if lens.is_fourier else _image(camera, lens)
+    groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
     if wavelength is not None:
         groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, lens, wavelength)
     return groups
@@ -71,7 +71,7 @@ def _diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) ->
         ("objective's limit", _four(design.objective_limit(camera, wavelength)), "lp/mm", "2 NA over the wavelength"),
         ("spot of a microlens", _four(1e3 * spot), "um", f"{_four(spot / camera.pixel_size)} pixels"),
     ]
-    if lens.is_fourier:
+    if lens.images_stop:
         aperture = design.lens_aperture(camera)
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
         rows.append(("limit of a lens", _four(2e6 * aperture / wavelength), "lp/mm", ""))

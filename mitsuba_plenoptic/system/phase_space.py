@@ -42,6 +42,7 @@ from ..lattice import Lattice
 from ..optics.phase import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .lens_kinds import Kind, LensKinds
+from .optical_system import OpticalSystem
 
 _TRANSFER_SAMPLES = 64
 """Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period."""
@@ -131,7 +132,7 @@ class PhaseSpace:
         for name, refused, rule in (
             (
                 "main_lens",
-                camera.objective is not None and camera.objective.is_fourier,
+                camera.lens_data.images_stop,
                 "not of the Fourier arrangement",
             ),
             ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
@@ -172,10 +173,15 @@ class PhaseSpace:
         """Where the detector may be."""
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
-        own = (camera.objective is None) / camera.pupil_distance
+        own = camera.lens_data.converges / camera.pupil_distance
         powers = [1 / f2 - own for f2 in camera.mla_focal_lengths]
         near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
+
+    @cached_property
+    def system(self) -> OpticalSystem:
+        """The camera, bound to the wavelength."""
+        return OpticalSystem(self.camera, self.wavelength)
 
     # -- sizes ---------------------------------------------------------------------------------------
 
@@ -426,7 +432,7 @@ class PhaseSpace:
     def convergence(self, kind: Kind) -> float:
         """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
         # Waves from a point of an objective's stop are plane.
-        own = (self.camera.objective is None) / self.camera.pupil_distance
+        own = self.camera.lens_data.converges / self.camera.pupil_distance
         return 1 / kind.detector_distance + own - 1 / kind.focal_length
 
     def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:

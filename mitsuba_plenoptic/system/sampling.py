@@ -186,14 +186,13 @@ def check_positions(
     for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
         if bad.any():
             raise InputError(f"position = {_format(points[bad][0])}: {rule}")
-    objective = None if camera is None else camera.objective
-    if objective is not None:
-        front = objective.immersion * objective.focal_length
-        behind = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] <= -front)
+    nearest = None if camera is None else camera.lens_data.nearest
+    if nearest is not None:
+        behind = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] <= nearest)
         if behind.any():
             raise InputError(
                 f"position = {_format(points[behind][0])}: its coordinates must be {_FARTHEST:g} at most, and g more "
-                f"than {-front:.6g}: before the objective"
+                f"than {nearest:.6g}: before the objective"
             )
         return points
     g = np.abs(points[:, 2]) if virtual else points[:, 2]

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...design.microscope import objective_of
 from ...errors import InputError
-from ...objective import Objective
 from ...operator.full_field import FullFieldPlan
 from ...operator.units import radiance_weight
 from ...optics.phase import in_millimetres
@@ -81,7 +81,7 @@ class FourierResponse:
         oversample: int,
         job: Job | None = None,
     ) -> None:
-        assert camera.objective is not None and wavelength is not None
+        assert wavelength is not None
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
@@ -90,7 +90,7 @@ class FourierResponse:
             self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-")
         self._planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
         deepest = max(abs(distance) for distance in distances)
-        fine = _fine_camera(camera, camera.objective, wavelength, oversample, deepest)
+        fine = _fine_camera(camera, wavelength, oversample, deepest)
         self._require_memory(fine)
         self._spectra = self._empty_spectra()
         points = np.array([[*self._middle, depth] for depth in distances])
@@ -271,14 +271,12 @@ class FourierResponse:
         )
 
 
-def _fine_camera(
-    camera: PlenopticCamera, lens: Objective, wavelength: float, oversample: int, deepest: float
-) -> PlenopticCamera:
+def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:
     r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
 
     The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
     """
-    p, z = camera.pixel_size, camera.detector_distance
+    p, z, lens = camera.pixel_size, camera.detector_distance, objective_of(camera)
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     per_bin = max(1, math.ceil(p / oversample / finest))
     moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)

@@ -210,7 +210,7 @@ class Response:
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
     """Whether points a lens apart have one spread: behind an objective, and by rays where there are no aberrations."""
     by_rays = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
-    return by_rays or camera.objective is not None
+    return by_rays or not camera.lens_data.converges
 
 
 def _period(camera: PlenopticCamera) -> int:

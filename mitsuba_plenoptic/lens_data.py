@@ -1,0 +1,162 @@
+"""What a camera asks of the plain data of its main lens, whatever its kind; a thin lens's answers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Self
+
+from .errors import InputError, shown
+from .thin_lens import conjugate_distance, image_distance
+
+SINGLE = 1e-6
+"""What rounding to single precision changes, at most: files and scenes may hold numbers like that."""
+
+_THIN_LENS = (80.0, 5.0)
+"""Focal length and radius of a thin lens, in millimetres, where they are not given."""
+
+_MLA_DISTANCE = 120.0
+"""Distance from the main lens to the array, in millimetres, where neither that nor a plane in focus is given."""
+
+
+class LensData:
+    """The plain data of a main lens. This class is a thin lens's; others derive from it and answer differently.
+
+    Attributes
+    ----------
+    mark : str
+        The entry of plain data by which a lens of this kind is known, such as ``surfaces``; "" for none.
+    is_thin : bool
+        Whether the closed forms of thin lenses hold for its rays.
+    converges : bool
+        Whether chief rays come to the array from a pupil at a finite distance; else they are parallel to the axis.
+    """
+
+    mark: ClassVar[str] = ""
+    kinds: ClassVar[list[type[LensData]]] = []
+
+    is_thin: ClassVar[bool] = True
+    converges: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        LensData.kinds.append(cls)
+
+    @property
+    def name(self) -> str:
+        """Its name, if it has one."""
+        return ""
+
+    @property
+    def traced_surfaces(self) -> tuple[Any, ...]:
+        """Surfaces through which its rays are traced, if there are any."""
+        return ()
+
+    @property
+    def images_stop(self) -> bool:
+        """Whether the array stands in an image of the stop, so that each microlens sees the whole object."""
+        return False
+
+    @property
+    def nearest(self) -> float | None:
+        """The z in the camera frame beyond which all scene points lie; None: in front of the main lens."""
+        return None
+
+    @property
+    def disperses(self) -> bool:
+        """Whether its own glasses bend light of different wavelengths differently."""
+        return False
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return self.name or type(self).__name__.lower()
+
+    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+        """Return the focal length and the radius of the open entrance pupil, scaled to what focal length is given."""
+        return _THIN_LENS
+
+    def array_distance(self) -> float:
+        """Return the distance to the array where neither that nor a plane in focus is given."""
+        return _MLA_DISTANCE
+
+    def settled(self, given: dict[str, float]) -> dict[str, float]:
+        """Return the camera's parameters of the main lens from those that are given, or refuse some."""
+        return given
+
+    def require_focusable(self, focus_distance: Any) -> None:
+        """Refuse a lens whose plane in focus cannot be chosen."""
+
+    def require_fit(self, camera: Any) -> None:
+        """Refuse a camera whose other parameters do not fit the lens."""
+
+    def require_distance(self, camera: Any, distance: float) -> None:
+        """Refuse an object distance that has no real image."""
+        image_distance(camera.focal_length, distance)
+
+    def exit_pupil(self, focal_length: float) -> tuple[float, float]:
+        """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's.
+
+        A thin lens is its own pupil. That of an objective is infinitely far, and the numbers are those of a thin lens.
+        """
+        return 0.0, 1.0
+
+    def focus_distance(self, camera: Any) -> float:
+        """Return the distance of the object plane that is in focus on the array."""
+        return conjugate_distance(camera.focal_length, camera.mla_distance)
+
+    def image_blur(self, camera: Any, distance: float) -> float:
+        """Return the diameter on the array of the image of a point at a distance, by rays."""
+        return float(camera.aperture_diameter * abs(camera.defocus(distance)))
+
+    def bin_count(self, camera: Any) -> tuple[int, int]:
+        """Return the bins across a reconstruction and down it."""
+        pitch = camera.mla_pitch
+        return even_count(camera.detector_width, pitch), even_count(camera.detector_height, pitch)
+
+    def bin_size(self, camera: Any, distance: float) -> float:
+        """Return the width in the object plane of one bin of a reconstruction."""
+        return float(camera.mla_pitch * distance / camera.mla_distance)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
+        raise NotImplementedError
+
+    @classmethod
+    def from_plain(cls, value: Any) -> Self:
+        """Take a lens from what `to_plain` gave, with its checks."""
+        raise NotImplementedError
+
+
+THIN = LensData()
+"""That of a thin lens."""
+
+
+def even_count(width: float, step: float) -> int:
+    """Return how many steps fit a width, as the nearest even number."""
+    return 2 * max(1, round(width / (2 * step)))
+
+
+def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
+    """Return the class of plain data by the entry that marks it."""
+    if isinstance(value, dict):
+        for kind in LensData.kinds:
+            if kind.mark and kind.mark in value:
+                return kind
+    return default
+
+
+def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: float) -> dict[str, float]:
+    """Return a lens's own parameters; refuse others."""
+    for name, number in own.items():
+        if not math.isclose(given[name], number, rel_tol=tolerance):
+            raise InputError(f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out")
+    return own
+
+
+def require_alone(camera: Any) -> None:
+    """Refuse what a real main lens brings itself."""
+    for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
+        if any(values):
+            raise InputError(f"{name} = {values}: a main_lens brings its own; leave it out")
+    if camera.glass is not None:
+        raise InputError(f"glass = {shown(camera.glass.to_plain())}: a main_lens brings its own; leave it out")
