@@ -146,12 +146,16 @@ class WavelengthPlans:
         """Return the plans of another kind for the same points."""
         return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
 
-    def at(self, wavelength: float) -> Any:
-        """Return the plan at a wavelength."""
+    def system_at(self, wavelength: float) -> OpticalSystem:
+        """Return the camera's optical system at a wavelength."""
         if wavelength not in self._systems:
             self._systems[wavelength] = OpticalSystem(self._camera.at_wavelength(wavelength), wavelength)
+        return self._systems[wavelength]
+
+    def at(self, wavelength: float) -> Any:
+        """Return the plan at a wavelength."""
         if wavelength not in self._plans:
-            self._plans[wavelength] = self._make(self._systems[wavelength], *self._planned_for)
+            self._plans[wavelength] = self._make(self.system_at(wavelength), *self._planned_for)
         return self._plans[wavelength]
 
     def checked(self, wavelength: float, job: Job, channels: int) -> Any:
