@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -74,13 +73,20 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
     return require_number(name, value, positive=True, minimum=SHORTEST, maximum=LONGEST, finite=finite)
 
 
-def require_lengths(name: str, value: Any, counts: Collection[int], rule: str) -> tuple[float, ...]:
-    """Return one length or several as a tuple; `counts` has the numbers of them that there may be, `rule` the words."""
+def require_lengths(name: str, value: Any) -> tuple[float, ...]:
+    """Return one length or several as a tuple."""
     value = _plain(value)
-    lengths = tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
-    if len(lengths) not in counts:
-        raise InputError(f"{name} = {shown(value)}: it must be {rule}")
-    return lengths
+    return tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
+
+
+def require_pitches(name: str, value: Any) -> tuple[float, float]:
+    """Return the pitches along the rows of a lattice and across them, which one number gives both."""
+    pitches = require_lengths(name, value)
+    if len(pitches) not in (1, 2):
+        raise InputError(f"{name} = {shown(value)}: it must be one number, or two, along the rows and across them")
+    if max(pitches) > MOST_STRETCH * min(pitches):
+        raise InputError(f"{name} = {pitches}: neither may be more than {MOST_STRETCH:g} times the other")
+    return pitches[0], pitches[-1]
 
 
 def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
@@ -99,20 +105,21 @@ def require_place(name: str, value: Any) -> tuple[float, float]:
     return x, y
 
 
-def require_wavefront(value: Any, name: str = "wavefront") -> tuple[float, ...]:
+def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
     """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) > MOST_ABERRATIONS:
         raise InputError(f"{name} = {shown(value)}: it must be at most {MOST_ABERRATIONS} numbers")
-    return require_numbers(name, value, len(value), STRONGEST_ABERRATION)
+    bound = STRONGEST_ABERRATION
+    return require_numbers(name, value, count=len(value), minimum=-bound, maximum=bound)
 
 
-def require_response(value: Any, name: str = "pixel_response") -> tuple[float, ...]:
+def require_response(name: str, value: Any) -> tuple[float, ...]:
     """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
         raise InputError(f"{name} = {shown(value)}: it must be two or more pairs of an angle in degrees and a response")
-    numbers = tuple(require_number(name, number, minimum=0, maximum=WIDEST_ANGLE) for number in value)
+    numbers = require_numbers(name, value, count=len(value), minimum=0, maximum=WIDEST_ANGLE)
     angles, responses = numbers[::2], numbers[1::2]
     if numbers and (angles[0] != 0 or any(a >= b for a, b in itertools.pairwise(angles))):
         raise InputError(f"{name} = {shown(value)}: its angles must rise from 0")
@@ -121,12 +128,14 @@ def require_response(value: Any, name: str = "pixel_response") -> tuple[float, .
     return numbers
 
 
-def require_numbers(name: str, value: Any, count: int, largest: float) -> tuple[float, ...]:
-    """Return so many numbers as a tuple, none larger in magnitude than `largest`."""
+def require_numbers(
+    name: str, value: Any, *, count: int, minimum: float | None = None, maximum: float | None = None
+) -> tuple[float, ...]:
+    """Return a given count of numbers as a tuple, each within bounds."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
         raise InputError(f"{name} = {shown(value)}: it must be {count} numbers")
-    return tuple(require_number(name, number, minimum=-largest, maximum=largest) for number in value)
+    return tuple(require_number(name, number, minimum=minimum, maximum=maximum) for number in value)
 
 
 def _plain(value: Any) -> Any:

@@ -97,12 +97,17 @@ class LensData:
         """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's.
 
         A thin lens is its own pupil. That of an objective is infinitely far, and the numbers are those of a thin lens.
+
+        Parameters
+        ----------
+        focal_length : float
+            Focal length to which the lens is scaled, in millimetres.
         """
         return 0.0, 1.0
 
-    def focus_distance(self, camera: Any) -> float:
+    def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return the distance of the object plane that is in focus on the array."""
-        return conjugate_distance(camera.focal_length, camera.mla_distance)
+        return conjugate_distance(focal_length, mla_distance)
 
     def image_blur(self, camera: Any, distance: float) -> float:
         """Return the diameter on the array of the image of a point at a distance, by rays."""
@@ -146,7 +151,20 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
 
 
 def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: float) -> dict[str, float]:
-    """Return a lens's own parameters; refuse others."""
+    """Return a lens's own parameters; refuse others.
+
+    Parameters
+    ----------
+    given, own : dict
+        Values by name: those that are given, and those of the lens.
+    tolerance : float
+        Allowed relative difference.
+
+    Raises
+    ------
+    InputError
+        If a given value is not the lens's own.
+    """
     for name, number in own.items():
         if not math.isclose(given[name], number, rel_tol=tolerance):
             raise InputError(f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out")

@@ -172,8 +172,7 @@ class Objective(LensData):
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse any other plane than the native one."""
         raise InputError(
-            f"focus_distance = {shown(focus_distance)}: an objective is focused on its native object plane; "
-            "leave it out"
+            f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; leave it out"
         )
 
     def require_fit(self, camera: Any) -> None:
@@ -190,7 +189,7 @@ class Objective(LensData):
                 f"{-self.focal_length:g}"
             )
 
-    def focus_distance(self, camera: Any) -> float:
+    def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return 0: the native object plane is in focus."""
         return 0.0
 

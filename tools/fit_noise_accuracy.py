@@ -44,7 +44,7 @@ from verdict import Verdict
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, come_near, lattice_from_white
-from mitsuba_plenoptic.fitting.model import Model, changed, limits_of, numbers_of, scales, values
+from mitsuba_plenoptic.fitting.model import Model, vector_of
 from mitsuba_plenoptic.fitting.noise import Pixels
 from mitsuba_plenoptic.fitting.result import summary
 from mitsuba_plenoptic.lenses.factory import main_lens
@@ -150,9 +150,9 @@ class Study:
 
     def __init__(self, camera: mp.PlenopticCamera, lights: list[tuple[Array, Array]], photons: float) -> None:
         self.camera, self.photons = camera, photons
-        self.numbers = numbers_of(camera, NAMES)
-        self.labels = [number.label for number in self.numbers]
-        self.true, self.unit = values(camera, self.numbers), scales(camera, self.numbers)
+        self.vector = vector_of(camera, NAMES)
+        self.labels = self.vector.labels
+        self.true, self.unit = self.vector.values, self.vector.scales
         self.lights = lights
         # In units in which the brightest pixel of each view is 1.
         self._tops = [1.0] * len(lights)
@@ -166,7 +166,7 @@ class Study:
 
     def expected(self, x: Array) -> Array:
         """Return what the camera with these numbers records at accuracy 0."""
-        camera = changed(self.camera, self.numbers, x)
+        camera = self.vector.at(x)
         blank = np.zeros((len(self.lights), *camera.shape))
         return Model(camera, self.views(blank, self.lights), WAVELENGTH, 0.0).images()
 
@@ -193,18 +193,18 @@ class Study:
             self.slopes = np.load(file)["slopes"]
             return
         model = Model(self.camera, self.views(self.images, self.lights), WAVELENGTH, arguments.derivatives)
-        self.slopes = model.derivatives(self.numbers, self.images) * self.unit[:, None, None, None]
+        self.slopes = model.derivatives(self.vector, self.images) * self.unit[:, None, None, None]
         np.savez(file, key=self.key, slopes=self.slopes)
 
     def _rows(self, images: Array) -> tuple[Array, Pixels]:
         """Return the weighted derivatives, (pixels, numbers), and the noise that fits weight by."""
         pixels = Pixels.of(self.views(images, self.lights), images, PixelNoise(self.photons))
-        return (self.slopes / pixels.weight).reshape(len(self.numbers), -1).T, pixels
+        return (self.slopes / pixels.weight).reshape(len(self.labels), -1).T, pixels
 
     def stated(self, images: Array, residuals: Array | None = None) -> Fit:
         """Return what a fit states that ends at such pixels, with these weighted residuals."""
         rows, pixels = self._rows(images)
-        limits = limits_of(self.camera, self.numbers, None)
+        limits = self.vector.limits(None)
         left = np.zeros(len(rows)) if residuals is None else residuals
         return summary(self.camera, self.labels, self.true, self.unit, limits, rows, left, pixels, 1)
 
@@ -250,9 +250,9 @@ def far_difference(study: Study, seen: Array, rng: np.random.Generator, near: di
     start = lattice_from_white(study.camera.replace(**off), seen[0])
     views = study.views(seen, study.lights)
     began = time.monotonic()
-    coarse = values(come_near(start, views, NAMES, wavelength=WAVELENGTH), study.numbers)
+    coarse = study.vector.of(come_near(start, views, NAMES, wavelength=WAVELENGTH)).values
     deviations = study.deviations(study.images)
-    print(f"from {np.round((values(start, study.numbers) - study.true) / deviations)}", flush=True)
+    print(f"from {np.round((study.vector.of(start).values - study.true) / deviations)}", flush=True)
     print(f"to {np.round((coarse - study.true) / deviations)}, {time.monotonic() - began:.0f} s", flush=True)
     settled = study.settle(coarse, seen, FAR_STEPS)
     print(f"last step {np.round(settled['last'], 3)}", flush=True)

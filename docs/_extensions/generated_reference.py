@@ -21,10 +21,16 @@ _KINDS = {"plenoptic": "sensor", "plenoptic_wave": "integrator"}
 
 
 def plugin_docstring(name: str) -> str:
-    """Return the documentation of a plugin's class, which exists only once a variant of Mitsuba is set."""
+    """Return the documentation of a plugin's class, which exists only once a variant of Mitsuba is set.
+
+    That of the sensor has a row for all parameters of the camera, which come from their table.
+    """
+    from mitsuba_plenoptic.camera.documentation import with_sensor_parameters
+
     tree = ast.parse((PACKAGE / PLUGINS[name]).read_text())
     found = [ast.get_docstring(node) or "" for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-    return next(text for text in found if ".. pluginparameters::" in text)
+    text = next(text for text in found if ".. pluginparameters::" in text)
+    return with_sensor_parameters(text) if name == "plenoptic" else text
 
 
 def plugin_parameters(docstring: str) -> list[list[str]]:
@@ -188,7 +194,7 @@ def _bound(fraction: float) -> str:
 
 
 PAGES: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
-    "reference/plugins": (plugins, tuple(PLUGINS.values())),
+    "reference/plugins": (plugins, (*PLUGINS.values(), "camera/parameters.py")),
     "theory/guards": (guards, ("optics/guards.py",)),
     "reference/command": (commands, tuple(f"cli/{path.name}" for path in sorted((PACKAGE / "cli").glob("*.py")))),
 }

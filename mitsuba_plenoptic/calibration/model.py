@@ -22,29 +22,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..camera.parameters import part_units
 from ..lenses.distortion import undistorted
 
-UNITS = {
-    "focal_length": "mm",
-    "mla_distance": "mm",
-    "detector_distance": "mm",
-    "pitch_along": "mm",
-    "pitch_across": "mm",
-    "mla_rotation": "degrees",
-    "offset_x": "mm",
-    "offset_y": "mm",
-    "tilt_x": "degrees",
-    "tilt_y": "degrees",
-    "principal_u": "pixels",
-    "principal_v": "pixels",
-    "k1": "mm^-2",
-    "k2": "mm^-4",
-    "k3": "mm^-6",
-    "p1": "mm^-1",
-    "p2": "mm^-1",
-}
-"""The camera's numbers that are fitted, with their units: those of `PlenopticCamera`, but for the offset, which is the
-place of the centre of lens (0, 0), and the principal point, the pixel on the axis."""
+CALIBRATED = (
+    "focal_length",
+    "mla_distance",
+    "detector_distance",
+    "mla_pitch",
+    "mla_rotation",
+    "mla_offset",
+    "mla_tilt",
+)
+"""Parameters that are calibrated, in the order of a vector, before the principal point and `distortion`."""
+
+UNITS = (
+    {part: unit for name in CALIBRATED for part, unit in part_units(name).items()}
+    | {"principal_u": "pixels", "principal_v": "pixels"}
+    | part_units("distortion")
+)
+"""The numbers that are fitted, with their units: those of the camera's parameters, but instead of the offset the centre
+of lens (0, 0), and the principal point, the pixel on the axis."""
 
 NAMES = tuple(UNITS)
 """Their names, in the order of a vector of them."""

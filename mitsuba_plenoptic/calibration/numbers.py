@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..camera import PlenopticCamera
-from .model import AT, NAMES
+from ..camera.vector import parts_of, with_parts
+from .model import AT, CALIBRATED
 
 _PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
 
@@ -24,49 +25,33 @@ def on_pixel_grid(numbers: np.ndarray) -> np.ndarray:
 def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
     """Return the camera of these numbers, with a principal point `on_pixel_grid`.
 
-    What they do not tell is as in `like`: recorded pixels and their size, f-number, lattice, apertures and focal
+    What they do not determine is as in `like`: recorded pixels and their size, f-number, lattice, apertures and focal
     lengths of the microlenses, and how rays refract.
     """
-    value = dict(zip(NAMES, numbers.tolist(), strict=True))
+    ends = np.cumsum([len(parts_of(like, name)) for name in CALIBRATED])
+    *rest, beyond = np.split(numbers, ends)
+    parts, focal_length = dict(zip(CALIBRATED, rest, strict=True)), numbers[AT["focal_length"]]
+    parts |= {"distortion": beyond[2:], "aperture_radius": np.array([focal_length / (2 * like.f_number)])}
+    offset, parts["mla_offset"] = parts["mla_offset"], np.zeros(2)
     resolution, crop = [], []
     for pixels, principal in zip(like.crop_size, numbers[_PRINCIPAL], strict=True):
-        # Twice the place of the axis from the first pixel's edge.
+        # Twice the distance of the axis from the first pixel's edge.
         twice = round(2 * principal) + 1
         crop.append(max(0, pixels - twice))
         resolution.append(max(twice, 2 * pixels - twice))
-    pitches = value["pitch_along"], value["pitch_across"]
-    camera = like.replace(
-        focal_length=value["focal_length"],
-        aperture_radius=value["focal_length"] / (2 * like.f_number),
-        mla_distance=value["mla_distance"],
-        detector_distance=value["detector_distance"],
-        mla_pitch=pitches,
-        mla_rotation=value["mla_rotation"],
-        mla_tilt=(value["tilt_x"], value["tilt_y"]),
-        mla_offset=(0.0, 0.0),
+    camera = with_parts(
+        like,
+        parts,
         detector_width=like.pixel_size * resolution[0],
         resolution=tuple(resolution),
         crop_offset=tuple(crop),
         crop_size=like.crop_size,
-        distortion=tuple(numbers[12:].tolist()),
     )
-    x, y = camera.lattice.centre(0.0, 0.0)
-    return camera.replace(mla_offset=(value["offset_x"] - x, value["offset_y"] - y))
+    return with_parts(camera, {"mla_offset": offset - camera.lattice.centre(0.0, 0.0)})
 
 
 def numbers_of(camera: PlenopticCamera) -> np.ndarray:
     """Return a camera's numbers, in the order of `NAMES`."""
+    parts = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
     principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
-    return np.array(
-        [
-            camera.focal_length,
-            camera.mla_distance,
-            camera.detector_distance,
-            *camera.mla_pitches,
-            camera.mla_rotation,
-            *camera.lattice.centre(0.0, 0.0),
-            *camera.mla_tilt,
-            *principal,
-            *camera.distortion,
-        ]
-    )
+    return np.concatenate([*parts.values(), principal, camera.distortion])

@@ -1,4 +1,4 @@
-"""Plain numbers of a plenoptic camera: their checks, their forms, and the few others that nearly everything uses.
+"""A plenoptic camera: the table of its parameters, their checks and forms, and the few numbers that most code derives.
 
 What else follows from them is in `mitsuba_plenoptic.design`.
 """

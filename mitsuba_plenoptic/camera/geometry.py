@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,12 +12,13 @@ from ..lens_data import THIN, LensData, even_count
 from ..objective import Objective
 from ..prescription import Prescription
 from ..thin_lens import defocus_factor
-from .numbers import CameraNumbers
+from .entry import record
+from .parameters import CameraParameters
 
 
-@dataclass(frozen=True, init=False, repr=False)
-class CameraGeometry(CameraNumbers):
-    """A camera's numbers with those that follow from them."""
+@record
+class CameraGeometry(CameraParameters):
+    """A camera's parameters with what follows from them."""
 
     # -- main lens -----------------------------------------------------------------------------------
 
@@ -60,15 +60,6 @@ class CameraGeometry(CameraNumbers):
     def f_number(self) -> float:
         """Focal length of the main lens over its diameter."""
         return self.focal_length / self.aperture_diameter
-
-    @property
-    def focus_distance(self) -> float:
-        """Distance of the object plane that is in focus on the MLA.
-
-        Infinite if the MLA stands in the focal plane, negative (no real plane) if it stands before that. An
-        objective's is its native object plane, at 0.
-        """
-        return self.lens_data.focus_distance(self)
 
     def defocus(self, distance: float) -> float:
         """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import stat
 from collections.abc import Iterator, Mapping
@@ -12,7 +11,7 @@ from xml.parsers import expat
 
 import mitsuba as mi
 
-from ..camera import PlenopticCamera
+from ..camera.parameters import PARAMETERS
 from ..errors import InputError, did_you_mean, shown, suggest_keywords
 from ..io.exr import read_parts
 from ..io.files import require_file, require_size
@@ -190,7 +189,7 @@ def _check_ply(scene: Path, file: Path, size: int) -> None:
 
 
 KNOWN_PARAMETERS = {
-    "plenoptic": (*inspect.signature(PlenopticCamera).parameters, "to_world"),
+    "plenoptic": (*PARAMETERS, "to_world"),
     "plenoptic_wave": (
         *("wavelength", "bandwidth", "responses", "wavelength_count", "nodes"),
         *("method", "accuracy"),

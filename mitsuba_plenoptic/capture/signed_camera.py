@@ -27,6 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.entry import Captures
+from ..camera.parameters import with_gradient
+from ..camera.vector import Values, shortest_parts, with_parts
 from ..errors import InputError
 from ..optics import rays
 from ..system.phase_space import PhaseSpace
@@ -36,15 +39,7 @@ from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot, Pair, jitter
 from .signed_rays import REACH, SignedRaySum
 
-PARAMETERS = (
-    "focal_length",
-    "mla_distance",
-    "mla_focal_length",
-    "mla_pitch",
-    "mla_offset",
-    "detector_distance",
-    "detector_width",
-)
+PARAMETERS = with_gradient(Captures.SCENES)
 """Parameters of a camera by which captures by signed rays have derivatives."""
 
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
@@ -59,45 +54,23 @@ _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
 _REACHED, _SHAPE = 16, 8.0
 """Samples that slopes are taken from on either side, and the shape of their weights, of Kaiser."""
 
-Values = dict[str, NDArray[np.float64]]
-
 
 class Held(NamedTuple):
-    """How rays that are held in the scene meet a changed camera.
+    """Rays that are held in the scene, as they meet a changed camera."""
 
-    Attributes
-    ----------
-    point : (Float, Float)
-        Where they meet the array, from the lens's centre, in the lattice's frame; it grows with the pitch.
-    cell : (Float, Float)
-        Where they land, in cells of the grid from the axis.
-    measure : Float
-        Logarithm of what a ray counts.
-    density : Float
-        Logarithm of how densely rays land whose directions fill the lens.
-    """
-
-    point: Pair
-    cell: Pair
-    measure: Any
-    density: Any
+    point: Pair  # on the array, from the lens's centre, in the lattice's frame, in which lengths grow with the pitch
+    cell: Pair  # on the detector, in cells of the grid from the axis
+    measure: Any  # logarithm of the weight of a ray
+    density: Any  # logarithm of the density on the detector of rays whose directions fill the lens
 
 
 def parameters_of(camera: PlenopticCamera) -> Values:
     """Return the values of all `PARAMETERS`, each as an array of its parts."""
-    given = {name: getattr(camera, name) for name in PARAMETERS if name != "mla_focal_length"}
-    given["mla_focal_length"] = camera.mla_focal_lengths
-    return {name: np.array(np.ravel(given[name]), np.float64) for name in PARAMETERS}
+    return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
 
 def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
-    """Refuse parameters by which captures by signed rays, or those of rays that land by their own points, have none.
-
-    Raises
-    ------
-    InputError
-        Naming the parameter.
-    """
+    """Refuse parameters by which captures by signed rays, or those of rays that land by their own points, have none."""
     for name in names:
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
@@ -115,13 +88,7 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
 
 
 class CameraTangents(SignedRaySum):
-    """The change of a capture with parameters of its camera.
-
-    Parameters
-    ----------
-    changes : dict
-        By name, of each part of some `PARAMETERS`.
-    """
+    """The change of a capture with parts of some `PARAMETERS` of its camera."""
 
     _sets = 4
 
@@ -204,13 +171,7 @@ class CameraTangents(SignedRaySum):
 
 
 class CameraAdjoint(SignedRaySum):
-    """The way back through a capture to the parameters of its camera.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Some `PARAMETERS`.
-    """
+    """The gradient of a figure of a capture by some `PARAMETERS` of its camera."""
 
     def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
         self._names = names
@@ -221,12 +182,7 @@ class CameraAdjoint(SignedRaySum):
     def _of_kernels(self) -> list[tuple[str, int]]:
         """Those parts of parameters that kernels depend on."""
         start = parameters_of(self._camera)
-        return [
-            (name, i)
-            for name in self._names
-            if name in _OF_KERNELS
-            for i in range(1 if name == "mla_pitch" else len(start[name]))
-        ]
+        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
     def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
         own = np.array(super()._kernels_of(plan, kind))
@@ -321,20 +277,9 @@ def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
 
 
 def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
-    """Follow rays that are held in the scene into a camera whose parameters are Dr.Jit's.
+    """Follow rays that a camera has drawn, by their slopes in the scene, into one whose `PARAMETERS` are Dr.Jit's.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera that has drawn them.
-    varying : dict
-        The parts of all `PARAMETERS`.
-    drawn : Drawn
-        The rays.
-    direction : (Float, Float)
-        Their slopes in the scene.
-    step : float
-        Width of a cell of the detector's grid.
+    The step is the width of a cell of the detector's grid.
     """
     ((f1,), (b,), (z,), (width,)) = (
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
@@ -397,19 +342,17 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
     if name not in _OF_KERNELS:
         return [np.zeros(1)] * len(start)
     slopes = []
-    # All parts of the pitch are one.
-    for part in range(1 if name == "mla_pitch" else len(start)):
+    for part in range(len(start)):
         sides = []
         for side in (_KERNEL_STEP, -_KERNEL_STEP):
             if name == "detector_width":
                 sides.append(plan.sampled_kernels(step * (1 + side), samples, kind))
                 continue
             changed = start.copy()
-            changed[slice(None) if name == "mla_pitch" else part] *= 1 + side
-            value = changed.tolist() if len(changed) > 1 else float(changed[0])
-            sides.append(plan.moved(camera.replace(**{name: value})).sampled_kernels(step, samples, kind))
+            changed[part] *= 1 + side
+            sides.append(plan.moved(with_parts(camera, {name: changed})).sampled_kernels(step, samples, kind))
         slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
-    return slopes + [np.zeros(1)] * (len(start) - len(slopes))
+    return slopes
 
 
 def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -23,9 +23,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.vector import Values
 from ..runtime.jobs import Job, Task
 from .scene_light import LightDerivatives
-from .signed_camera import CameraAdjoint, CameraTangents, Values, parameters_of
+from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_capture import SignedCapture, Sum
 from .signed_colours import Lanes, mixed
 from .signed_draws import Lot, jitter
@@ -127,10 +128,7 @@ class SignedGradients:
             if self.light is not None:
                 change += self._image(SignedRaySum, self.light)
             if changes:
-                # What is one number has one change, whatever it stands for.
-                start = parameters_of(self.capture.camera)
-                parts = {name: part[: len(start[name])] for name, part in changes.items()}
-                change += self._image(partial(CameraTangents, changes=parts))
+                change += self._image(partial(CameraTangents, changes=changes))
             for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
                 change[..., channel] = mended.forward(change[..., channel])
         return change

@@ -103,7 +103,7 @@ def fit(
     if isinstance(known, tuple):
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
     # Light is found below, which takes much longer than seeing what is asked for.
-    fitting.model.numbers_of(first, names)
+    fitting.model.vector_of(first, names)
     if photons is not None:
         require_number("photons", photons, positive=True)
     views = []

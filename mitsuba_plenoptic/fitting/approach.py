@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
+from ..camera.vector import CameraVector
 from ..lightfield.grid_estimation import estimate_lens_grid
 from .light import View, check_views
-from .model import Number, changed, limits_of, numbers_of, scales, values
+from .model import vector_of
 from .ray_model import RayModels, check_numbers
 
 
@@ -129,9 +130,9 @@ def come_near(
     """
     given = [views] if isinstance(views, View) else list(views)
     check_views(camera, given)
-    numbers = numbers_of(camera, names)
-    check_numbers(numbers)
-    low, high = limits_of(camera, numbers, bounds)
+    vector = vector_of(camera, names)
+    check_numbers(vector)
+    low, high = vector.limits(bounds)
     models = RayModels(camera, given, require_wavelength(wavelength))
     blurs = np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST)
     found, tried = camera, 0
@@ -144,14 +145,14 @@ def come_near(
 
     for blur in np.unique(blurs)[::-1].tolist():
         whole = blur >= _TELLS_LATTICE * camera.pixels_per_lens
-        sought = np.array([not (whole and number.name in _LATTICE) for number in numbers])
+        sought = np.array([not (whole and each.name in _LATTICE) for each in vector.components])
         if sought.any():
-            some = [number for number, one in zip(numbers, sought, strict=True) if one]
-            found = _nearest(found, some, (low[sought], high[sought]), models, given, blur, count)
-    x = values(found, numbers)
+            some = vector.of(found).keep(np.array(vector.labels)[sought])
+            found = _nearest(some, (low[sought], high[sought]), models, given, blur, count)
+    x = vector.of(found).values
     stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
     if stuck.any():
-        named = ", ".join(f"{numbers[one].label} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
+        named = ", ".join(f"{vector.labels[one]} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
         warnings.warn(
             f"come_near: at a bound: {named}: start nearer, give other bounds, or seek fewer numbers", stacklevel=2
         )
@@ -159,8 +160,7 @@ def come_near(
 
 
 def _nearest(
-    camera: PlenopticCamera,
-    numbers: list[Number],
+    vector: CameraVector,
     limits: tuple[NDArray[np.float64], NDArray[np.float64]],
     models: RayModels,
     views: list[View],
@@ -174,21 +174,21 @@ def _nearest(
     seen = np.stack([view.image for view in views]).astype(np.float64)
     kept = np.stack([view.kept for view in views])
     brightest = seen.max(axis=(1, 2), keepdims=True, where=kept, initial=0)
-    start, unit = values(camera, numbers), scales(camera, numbers)
+    start, unit = vector.values, vector.scales
 
     def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(gaussian_filter(images * kept / brightest, blur, axes=(-2, -1)))
 
     def camera_at(place: NDArray[np.float64]) -> PlenopticCamera:
-        return changed(camera, numbers, start + place * unit)
+        return vector.at(start + place * unit)
 
     def residuals(place: NDArray[np.float64]) -> NDArray[np.float64]:
         count()
         return blurred(models.images(camera_at(place)) - seen).ravel()
 
     def jacobian(place: NDArray[np.float64]) -> NDArray[np.float64]:
-        slopes = models.at(camera_at(place)).derivatives(numbers, seen) * unit[:, None, None, None]
-        return blurred(slopes).reshape(len(numbers), -1).T
+        slopes = models.at(camera_at(place)).derivatives(vector, seen) * unit[:, None, None, None]
+        return blurred(slopes).reshape(len(start), -1).T
 
     bounds = tuple((limit - start) / unit for limit in limits)
     return camera_at(least_squares(residuals, 0 * start, jacobian, bounds=bounds, max_nfev=_MOST_STEPS).x)

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
+from ..camera.vector import CameraVector
 from ..errors import InputError, require_choice, require_number, suggest_keywords
 from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
 from .light import View, check_views
-from .model import Model, Number, changed, limits_of, numbers_of, scales, values
+from .model import Model, vector_of
 from .noise import PixelNoise, Pixels, by_model
 from .ray_model import RayModels, check_numbers
 from .result import Fit, doubts, summary
@@ -100,23 +101,20 @@ def fit(
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
     if default is None and any(view.noise is None for view in given):
         raise InputError("photons: give them, or the noise of every view")
-    numbers = numbers_of(camera, names)
-    start = values(camera, numbers)
-    unit = scales(camera, numbers)
-    limits = limits_of(camera, numbers, bounds)
+    vector = vector_of(camera, names)
+    start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
     if method == "rays":
-        check_numbers(numbers)
+        check_numbers(vector)
     check_views(camera, given, default)
     images = np.stack([view.image for view in given]).astype(np.float64)
     model = _model_of(method, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
-    trial = _Trials(camera, numbers, model, progress)
+    trial = _Trials(vector, model, progress)
     x = start
     if checkpoint:
         asked = {"method": method, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
         # Where a fit goes on is as good as where it began.
-        sought = {number.name for number in numbers}
-        held = {name: value for name, value in camera.to_dict().items() if name not in sought}
-        facts = {"numbers": [number.label for number in numbers], "bounds": dict(bounds or {}), "camera": held}
+        held = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
+        facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
         x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
 
     def pixels_at(x: NDArray[np.float64]) -> Pixels:
@@ -126,7 +124,7 @@ def fit(
         return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
 
     def jacobian(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
-        return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(numbers), -1).T)
+        return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
 
     options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": _MOST_STEPS}
     for _ in range(_ROUNDS if any(by_model(view, default) for view in given) else 1):
@@ -135,8 +133,8 @@ def fit(
         x = result.x
     pixels = pixels_at(x)
     found = summary(
-        changed(camera, numbers, x),
-        [number.label for number in numbers],
+        vector.at(x),
+        vector.labels,
         x,
         unit,
         limits,
@@ -161,7 +159,7 @@ class _Model(Protocol):
     def images(self) -> NDArray[np.float64]:
         """Return the expected pixels of all views, (views, rows, columns)."""
 
-    def derivatives(self, numbers: list[Number], images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of these, (numbers, views, rows, columns)."""
 
 
@@ -181,12 +179,11 @@ class _Trials:
 
     def __init__(
         self,
-        camera: PlenopticCamera,
-        numbers: list[Number],
+        vector: CameraVector,
         model_of: Callable[[PlenopticCamera], _Model],
         progress: Callable[[int, int], None] | None,
     ) -> None:
-        self._camera, self._numbers, self._progress = camera, numbers, progress
+        self._vector, self._progress = vector, progress
         self._model_of = model_of
         self._checkpoint: Checkpoint | None = None
         self.count = 0
@@ -196,7 +193,7 @@ class _Trials:
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what a camera of these numbers records."""
         if self._x is None or not np.array_equal(x, self._x):
-            self._model = self._model_of(changed(self._camera, self._numbers, x))
+            self._model = self._model_of(self._vector.at(x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
             self.count += 1
             if self._progress:
@@ -209,7 +206,7 @@ class _Trials:
         if self._checkpoint:
             self._checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
         if self._slopes is None:
-            self._slopes = self._model.derivatives(self._numbers, images)
+            self._slopes = self._model.derivatives(self._vector, images)
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:

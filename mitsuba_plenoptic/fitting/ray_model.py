@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_known_to
+from ..camera.entry import Captures
+from ..camera.vector import CameraVector
 from ..errors import InputError
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens
@@ -25,7 +28,6 @@ from ..runtime.backend import array_module, one_at_a_time
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory, check_positions
 from .light import View
-from .model import Number, changed, scales, values
 
 _PER_PIXEL, _ENOUGH = 4.0, 96.0
 """Rays across a pixel, and across a micro-image that is so large that one ray a pixel tells its edge well enough."""
@@ -113,9 +115,7 @@ class PointRays:
 
 def _require_known(camera: PlenopticCamera) -> None:
     """Refuse a camera through which points cannot be followed, as `PointRays` says."""
-    for name in ("mla_tilt", "distortion", "mla_jitter", "pixel_response"):
-        if any(getattr(camera, name)):
-            raise InputError(f"{name} = {getattr(camera, name)}: points are followed through cameras without it only")
+    require_known_to(camera, Captures.POINTS, "points are followed")
     require_no_glass(camera, "points are followed at one wavelength;")
     camera.require_no_objective("points are followed by rays")
     if not camera.lattice.fills:
@@ -272,9 +272,9 @@ Over longer ones dark pixels beside edges of the light seem to change with a num
 """
 
 
-def check_numbers(numbers: Sequence[Number]) -> None:
-    """Refuse numbers of which rays from points know nothing."""
-    if any(number.name == "mla_fill" for number in numbers):
+def check_numbers(vector: CameraVector) -> None:
+    """Refuse numbers that rays from points do not depend on."""
+    if "mla_fill" in vector.names:
         raise InputError("mla_fill: rays from points know no gaps between lenses; fit it by waves")
 
 
@@ -328,12 +328,13 @@ class RayModel:
         """Return the expected pixels of all views, (views, rows, columns)."""
         return self._models.images(self._camera)
 
-    def derivatives(self, numbers: list[Number], images: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the derivatives of `images` by numbers, (numbers, views, rows, columns): central differences."""
-        x, steps = values(self._camera, numbers), _STEP * scales(self._camera, numbers)
-        rows = np.empty((len(numbers), *images.shape))
+        own = vector.of(self._camera)
+        x, steps = own.values, _STEP * own.scales
+        rows = np.empty((len(x), *images.shape))
         for number, step in enumerate(steps.tolist()):
             sides = (x + side * step * (np.arange(len(x)) == number) for side in (1, -1))
-            more, less = (self._models.images(changed(self._camera, numbers, side)) for side in sides)
+            more, less = (self._models.images(own.at(side)) for side in sides)
             rows[number] = (more - less) / (2 * step)
         return rows

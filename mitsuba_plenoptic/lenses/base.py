@@ -122,6 +122,11 @@ class MainLens(Protocol):
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the lens as the waves of scene points (n, 3) pass it.
 
+        Parameters
+        ----------
+        points : float64 array (n, 3)
+            Scene points in the camera frame.
+
         Raises
         ------
         InputError
@@ -143,10 +148,28 @@ class MainLens(Protocol):
         """Return how far on the exit pupil rays from one point so far behind the MLA are apart, over their slopes."""
 
     def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the exit pupil of rays from places nearer to it by a height than the MLA."""
+        """Return one coordinate on the exit pupil of rays from places nearer to it by a height than the MLA.
+
+        Parameters
+        ----------
+        place : array
+            Coordinates where the rays meet the array.
+        slope : array
+            Their slopes along the same axis.
+        height : array
+            How far the places stand before the MLA.
+        """
 
     def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
-        """Return the slope, along one axis, between places as of `pupil_point` and points of the exit pupil."""
+        """Return the slope along one axis between points of the exit pupil and places near the MLA.
+
+        Parameters
+        ----------
+        pupil, place : array
+            Coordinates on the exit pupil and near the MLA.
+        height : array
+            How far the places stand before the MLA.
+        """
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fraction of the circle of the radius `reach` that is open, seen from places on the MLA."""
@@ -203,7 +226,15 @@ class MainLens(Protocol):
         """Return the scene points (n, 3) that have these `images` and this `nearness`."""
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the places (2, ...) on the MLA of rays that leave points of the pupil by direction cosines."""
+        """Return the places (2, ...) on the MLA of rays that leave points of the pupil by direction cosines.
+
+        Parameters
+        ----------
+        pupil, cosine : array (2, ...)
+            Points of the exit pupil, and direction cosines of the rays there.
+        point : (array, array, array)
+            Scene point from which the rays come.
+        """
 
     def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fraction of the circle of the radius `reach` that is open to each of some points, (n,)."""
@@ -212,6 +243,13 @@ class MainLens(Protocol):
         """Return derivatives of the logarithm of the open area for points, (1, n), by those parameters it knows.
 
         For all others the area is that of a pupil that grows with the opening.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Parameters of the camera.
+        points : float64 array (n, 3)
+            Scene points in the camera frame.
         """
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
@@ -231,7 +269,17 @@ class MainLens(Protocol):
         """Return the lens with plain parameters that a function has made Dr.Jit's, if kernels depend on them."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
-        """Return where chief rays from object points come that bins of reconstructions count at x, y."""
+        """Return where chief rays from object points come that bins of reconstructions count at x, y.
+
+        Parameters
+        ----------
+        x, y : array
+            Coordinates on the MLA of the images of the bins by a thin lens.
+        camera : PlenopticCamera
+            The camera.
+        distance : float
+            Of the object plane, in millimetres.
+        """
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return places on the MLA (..., 2), those to which no light comes moved towards the axis to where it does."""
@@ -326,7 +374,17 @@ class PointLight(Protocol):
     pupil_distance: Any
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return what `Light.path` does."""
+        """Return what `Light.path` does.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        point : (array, array, array)
+            Scene point in the camera frame in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
 
     def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
         """Return what `Light.amplitude` does."""

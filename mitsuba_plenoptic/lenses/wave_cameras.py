@@ -3,44 +3,14 @@
 from __future__ import annotations
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_known_to
+from ..camera.entry import Captures
 from ..errors import InputError
 
 
 def require_ideal(camera: PlenopticCamera) -> None:
-    """Refuse, for work by waves, a camera with a tilted array or a thin main lens that distorts.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        Naming the parameter.
-    """
-    require_regular(camera)
-    for name in ("mla_tilt", "distortion"):
-        if any(getattr(camera, name)):
-            raise InputError(f"{name} = {getattr(camera, name)}: waves need 0; work by rays, or set it to 0")
-
-
-def require_regular(camera: PlenopticCamera) -> None:
-    """Refuse, for work by waves, an irregular array and pixels that answer to angles differently.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        Naming the parameter.
-    """
-    for name in ("mla_jitter", "pixel_response"):
-        if any(getattr(camera, name)):
-            raise InputError(f"{name} = {getattr(camera, name)}: it is for rays; work by rays, or leave it out")
+    """Refuse, for waves of points, a camera with what they know nothing of, such as a tilted or irregular array."""
+    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ")
 
 
 def require_no_glass(camera: PlenopticCamera, what: str) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.vector import CameraVector
 from ..errors import InputError, require_count, shown
-from ..fitting.model import Number, changed, numbers_of, values
+from ..fitting.model import vector_of
 from .spreads import Gradient
 
 _TOLERANCE = 1e-6
@@ -89,18 +90,15 @@ def maximise(
     """
     from scipy.optimize import minimize
 
-    numbers, low, high = _numbers(camera, bounds)
-    start, names = values(camera, numbers), tuple(dict.fromkeys(number.name for number in numbers))
-    for number, value, least, most in zip(numbers, start, low, high, strict=True):
-        if not least <= value <= most:
-            raise InputError(f"bounds: {number.label} starts at {value:g}: it must lie from {least:g} to {most:g}")
+    vector = _vector(camera, bounds)
+    low, high = vector.limits(bounds)
     best: list[Any] = [-np.inf, camera]
     tried = 0
 
     def cost(place: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         nonlocal tried
-        one = changed(camera, numbers, low + place * (high - low))
-        value, slopes = figure.gradient(one, names)
+        one = vector.at(low + place * (high - low))
+        value, slopes = figure.gradient(one, vector.names)
         tried += 1
         if not np.isfinite(value):
             raise InputError(f"figure: it is {value} for {one.to_json()}")
@@ -108,42 +106,33 @@ def maximise(
             best[:] = value, one
         if progress:
             progress(tried, value, best[1])
-        slope = np.array([slopes[number.name][list(number.parts)].sum() for number in numbers])
-        return -value, -slope * (high - low)
+        return -value, -vector.slopes(slopes) * (high - low)
 
     options = {"maxiter": require_count("steps", steps), "ftol": _TOLERANCE}
     found = minimize(
         cost,
-        (start - low) / (high - low),
+        (vector.values - low) / (high - low),
         jac=True,
         method="L-BFGS-B",
-        bounds=[(0.0, 1.0)] * len(numbers),
+        bounds=[(0.0, 1.0)] * len(low),
         options=options,
     )
     value, one = best
-    labels = [number.label for number in numbers]
-    chosen = dict(zip(labels, values(one, numbers).tolist(), strict=True))
+    chosen = dict(zip(vector.labels, vector.of(one).values.tolist(), strict=True))
     return Design(one, float(value), chosen, tried, str(found.message))
 
 
-def _numbers(
-    camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]
-) -> tuple[list[Number], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the numbers that vary, and their bounds."""
-    numbers, limits = [], []
-    for name, pair in bounds.items():
-        if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-            raise InputError(f"bounds: {shown(name)} = {shown(pair)}: it must be the lowest and the highest value")
-        found = numbers_of(camera, str(name).split(".", 1)[0])
-        chosen = [number for number in found if name in (number.name, number.label)]
+def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
+    """Return the numbers that vary: those of which there are bounds."""
+    named: list[str] = []
+    for name in bounds:
+        found = vector_of(camera, str(name).split(".", 1)[0])
+        chosen = [each.label for each in found.components if name in (each.name, each.label)]
         if not chosen:
-            labels = ", ".join(number.label for number in found)
-            raise InputError(f"bounds: {shown(name)}: the camera has {labels}")
-        numbers += chosen
-        limits += [pair] * len(chosen)
-    if not numbers:
+            raise InputError(f"bounds: {shown(name)}: the camera has {', '.join(found.labels)}")
+        named += chosen
+    if not named:
         raise InputError("bounds: name at least one number that varies")
-    if len({number.label for number in numbers}) < len(numbers):
+    if len(set(named)) < len(named):
         raise InputError("bounds: a number has two of them")
-    low, high = np.array(limits, np.float64).T
-    return numbers, low, high
+    return vector_of(camera, [label.split(".", 1)[0] for label in named]).keep(named)

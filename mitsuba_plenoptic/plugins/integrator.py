@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_known_to
+from ..camera.entry import Captures
 from ..capture import colour
 from ..capture.points_capture import PointsCapture
 from ..capture.scene import GONE_PARAMETERS
@@ -21,7 +23,7 @@ from ..capture.signed_gradients import SignedGradients
 from ..errors import InputError
 from ..lenses.wave_cameras import require_ideal
 from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..operator.derivatives import NUMBERS, values_of
+from ..operator.derivatives import NUMBERS
 from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
@@ -31,19 +33,9 @@ from .properties import read_choice, read_plain
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
-    """Return which numbers of the camera carry gradients, and whether parameters of the scene do.
+    """Return the names of the camera's parameters that carry gradients, and whether any of the scene's does.
 
-    Parameters
-    ----------
-    params : mitsuba.SceneParameters, or None
-        As `mi.render` has been given them.
-    sensor : mitsuba.Sensor
-        The camera.
-
-    Raises
-    ------
-    InputError
-        If there is one by which captures have no derivative.
+    Those by which captures have no derivative are refused.
     """
     names, others = [], False
     for key, (_, _, node, _) in {} if params is None else params.properties.items():
@@ -63,25 +55,14 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
 
 
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
-    """Return in which direction a number of the camera changes, as `derivatives.values_of` has its parts."""
-    given = np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
-    size = _parts(sensor, name)
-    return np.repeat(given, 2) if name == "mla_pitch" and given.size == 1 else np.pad(given, (0, size - given.size))
+    """Return the direction in which a parameter of the camera changes."""
+    return np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add to the gradient of a number of the camera."""
+    """Add to the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
-    if name == "mla_pitch" and dr.width(value) == 1:
-        gradient = gradient.sum(keepdims=True)
-    if name == "wavefront":
-        gradient = gradient[: dr.width(value)]
     dr.accum_grad(value, type(value)(gradient.tolist()))
-
-
-def _parts(sensor: Any, name: str) -> int:
-    """Return of how many parts `derivatives.values_of` takes a number to be."""
-    return values_of(sensor.camera, 1.0, name).size
 
 
 SIGNED_RAYS = "signed_rays"
@@ -317,7 +298,9 @@ def make_class() -> type:
             if mi.is_spectral:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
-            return SignedCapture(PlenopticCamera.from_sensor(sensor), light, colours, self.accuracy)
+            camera = PlenopticCamera.from_sensor(sensor)
+            require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            return SignedCapture(camera, light, colours, self.accuracy)
 
         def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:
             camera = PlenopticCamera.from_sensor(sensor)

@@ -11,12 +11,15 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.documentation import with_sensor_parameters
+from ..camera.entry import Captures, Form, Parameter
+from ..camera.parameters import PARAMETERS
 from ..errors import InputError
 from ..lenses.factory import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays, Pair, Traced
-from .properties import FIXED, NUMBERS, POSITIVE, SEVERAL, WORDS, read_camera
+from .properties import film_numbers, read_camera
 
 NAME = "plenoptic"
 
@@ -33,107 +36,7 @@ def make_class() -> type:
 
         .. pluginparameters::
 
-         * - focal_length
-           - |float|
-           - Focal length of the main lens. (Default: 80, or that of ``main_lens``, which is scaled to what is given)
-           - |exposed|, |differentiable|
-         * - aperture_radius
-           - |float|
-           - Radius of the main lens, as for ``thinlens``, or of the entrance pupil of ``main_lens``; only the edge of
-             the pupil moves with it, so that it has a gradient by waves alone. (Default: 5, or ``main_lens`` fully
-             open)
-           - |exposed|
-         * - mla_distance
-           - |float|
-           - Distance from the main lens, from the rear principal plane of ``main_lens``, to the microlens array.
-             (Default: 120)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - focus_distance
-           - |float|
-           - Instead of ``mla_distance``: distance of the object plane that is in focus on the microlens array
-             (larger than ``focal_length``). It is turned into ``mla_distance`` when the scene is loaded.
-         * - mla_focal_length
-           - |float| or |string|
-           - Focal length of a microlens; or three, with commas between them, for a multi-focus array: three types
-             of lenses interleaved on a hexagonal lattice, so that no two neighbours are alike. (Default: 0.512)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - mla_pitch
-           - |float| or |string|
-           - Pitch of the microlens lattice, the distance of neighbouring centres; or two, with a comma between them,
-             along the rows and across them, to which the lattice is stretched with its cells. (Default: 0.064)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - mla_lattice
-           - |string|
-           - ``square``: the corner of four lenses is on the axis. ``hexagonal``: rows along x, every second one
-             offset by half a pitch; the centre of a lens is on the axis. Either covers the whole plane.
-             (Default: ``square``)
-         * - mla_rotation
-           - |float|
-           - Angle of the lattice about the axis in degrees, counter-clockwise in the camera frame, that is from
-             left to up and clockwise as one looks at the capture. (Default: 0)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - mla_offset
-           - |string| or |point|
-           - Place "x, y" in the camera frame of the corner or centre that is on the axis by default; a point's or
-             vector's z must be 0. (Default: "0, 0")
-           - |exposed|, |differentiable|, |discontinuous|
-         * - mla_tilt
-           - |string| or |point|
-           - Degrees "x, y" by which the array rises towards the main lens along x and along y. (Default: "0, 0")
-         * - mla_aperture
-           - |string|
-           - ``cell``: a lens has the shape of its cell, a square or a hexagon. ``circle``: it is round. The rest of
-             the cell is opaque. (Default: ``cell``)
-         * - mla_fill
-           - |float|
-           - Width of a lens's aperture over the pitch, at most 1; of a round one's over the shorter pitch.
-             (Default: 1)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - detector_distance
-           - |float|
-           - Distance from the microlens array to the detector. (Default: ``mla_focal_length``, the first of three)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - detector_width
-           - |float|
-           - Width that the full film's columns span, whatever its crop window. Pixels are square.
-             (Default: 8.192)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - lens_model
-           - |string|
-           - ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic phase elements,
-             with the aberrations that go with them: the geometric twin of the wave capture. (Default: ``ideal``)
-         * - distortion
-           - |string|
-           - Distortion of the main lens, "k1, k2, k3, p1, p2": see ``mitsuba_plenoptic.lenses.distortion``.
-             (Default: none)
-         * - wavefront
-           - |string|
-           - Aberrations of the main lens: coefficients of Zernike polynomials in Noll's order, in waves of 633 nm, with
-             commas between them. (Default: none, and then it is not exposed)
-           - |exposed|, |differentiable|, |discontinuous|
-         * - mla_jitter
-           - |string| or |point|
-           - What is irregular in the array: standard deviations "a, b" of its lenses' places along x and y, and of
-             their focal lengths over these. (Default: "0, 0")
-         * - mla_seed
-           - |int|
-           - Which of all such arrays it is. (Default: 0)
-         * - pixel_response
-           - |string|
-           - Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed by a response
-             from 0 to 1, with commas between all of them. (Default: 1 at all angles)
-         * - main_lens
-           - |string|
-           - Surfaces and glasses of a real main lens: a YAML or JSON file, beside the scene or anywhere, the name of
-             a bundled lens (``cooke_triplet``, ``double_gauss``, ``singlet``, ``tessar``), or the text of a JSON file.
-             Or a microscope's objective as such a file or text, an object with ``magnification`` and
-             ``numerical_aperture``: see `mitsuba_plenoptic.Objective`.
-             (Default: a thin lens)
-         * - glass, mla_glass
-           - |string| or |float|
-           - Of what the thin main lens and the microlenses are made: the name of a glass in a catalogue, an index, or
-             the text of a JSON object such as ``{"index": 1.5168, "abbe": 64.2}``. Focal lengths are then those at
-             587.5618 nm, and every wavelength has its own. (Default: the same for all wavelengths)
+         * - CAMERA
          * - to_world
            - |transform|
            - Camera to world, without scale. The camera looks along +z, +x is left and +y is up.
@@ -148,7 +51,8 @@ def make_class() -> type:
            - Its size is the detector's resolution. Its filter must be ``box``: a wider one smears the
              micro-images.
 
-        All lengths are in scene units, taken as millimetres. A ray starts at a detector point :math:`p`,
+        All lengths are in scene units, taken as millimetres. Several numbers are text with commas between them, such as
+        "0.064, 0.06"; a pair is also a point or vector, whose z must be 0. A ray starts at a detector point :math:`p`,
         passes a point :math:`m` of a microlens of centre :math:`c` with slope
         :math:`t = (m - p)/z - (m - c)/f_2`, meets the main lens in :math:`P = m + b t` and leaves it with slope
         :math:`t - P/f_1`. Where :math:`P` is outside the main lens, nothing is traced and the weight is zero.
@@ -198,6 +102,8 @@ def make_class() -> type:
                 }
         """
 
+        __doc__ = with_sensor_parameters(__doc__ or "")
+
         def __init__(self, props: Any) -> None:
             for name in ("near_clip", "far_clip"):
                 if name in props:
@@ -215,15 +121,11 @@ def make_class() -> type:
                 line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
                 raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
             camera = self._given = read_camera(props, NAME, film)
-            for name in (*WORDS, *FIXED):
-                setattr(self, name, getattr(camera, name))
-            for name in (*POSITIVE, "mla_rotation"):
-                setattr(self, name, mi.Float(getattr(camera, name)))
-            self.mla_focal_length = mi.Float(camera.mla_focal_lengths)
-            # One number where one is enough, so that it can be set as such.
-            self.mla_pitch = mi.Float(camera.to_dict()["mla_pitch"])
-            self.mla_offset = mi.Point2f(camera.mla_offset)
-            self.wavefront = mi.Float(camera.wavefront)
+            own = _parameters_of(camera)
+            # A parameter of no numbers is not exposed.
+            self._numbers = [name for name, value in own.items() if PARAMETERS[name].is_exposed and value != ()]
+            for name, value in own.items():
+                setattr(self, name, _as_drjit(PARAMETERS[name], value) if name in self._numbers else value)
             self.m_needs_sample_3 = True
             self._update()
 
@@ -233,7 +135,7 @@ def make_class() -> type:
             differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
             callback.put("to_world", self.m_to_world, differentiable | discontinuous)
             for name in self._numbers:
-                callback.put(name, getattr(self, name), _flags(name))
+                callback.put(name, getattr(self, name), _flags(PARAMETERS[name]))
 
         def parameters_changed(self, keys: list[str] | None = None) -> None:
             """Check and take over changed parameters."""
@@ -254,28 +156,14 @@ def make_class() -> type:
             dr.make_opaque(*self._candidates)
 
         @property
-        def _numbers(self) -> tuple[str, ...]:
-            """Names of the numbers that are exposed."""
-            return NUMBERS + ("wavefront",) * bool(self._given.wavefront)
-
-        @property
         def camera(self) -> PlenopticCamera:
             """The camera's present numbers."""
-            film, given = self.film(), self._given
-            numbers: dict[str, Any] = {
-                name: _plain(getattr(self, name), getattr(given, SEVERAL.get(name, name))) for name in self._numbers
-            }
-            numbers |= {name: numbers[name][0] for name in (*POSITIVE, "mla_rotation")}
-            return PlenopticCamera(
-                **numbers,
-                **{name: getattr(self, name) for name in (*WORDS, *FIXED)},
-                main_lens=given.main_lens,
-                glass=given.glass,
-                mla_glass=given.mla_glass,
-                resolution=tuple(film.size()),
-                crop_offset=tuple(film.crop_offset()),
-                crop_size=tuple(film.crop_size()),
-            )
+            given = _parameters_of(self._given)
+            values = {name: getattr(self, name) for name in given}
+            for name in self._numbers:
+                numbers = _plain(values[name], given[name])
+                values[name] = numbers[0] if PARAMETERS[name].form is Form.NUMBER else numbers
+            return PlenopticCamera(**values, **film_numbers(self.film()))
 
         def _on_detector(self, film_sample: Any) -> Pair:
             """Return the points of the detector that are fractions of the crop window."""
@@ -402,12 +290,22 @@ def make_class() -> type:
     return PlenopticSensor
 
 
-def _flags(name: str) -> Any:
-    """Return how a number may be differentiated by rays, which know nothing of edges that move."""
-    if name == "aperture_radius":
+def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
+    """Return the parameters of a camera that are not its film's."""
+    return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
+
+
+def _as_drjit(entry: Parameter, value: Any) -> Any:
+    """Return the value of a parameter as numbers that can carry gradients, in its shortest form."""
+    return (mi.Point2f if entry.form is Form.PLACE else mi.Float)(entry.plain(value))
+
+
+def _flags(entry: Parameter) -> Any:
+    """Return how ray captures may be differentiated by a parameter."""
+    if Captures.RAYS not in entry.gradients:
         return mi.ParamFlags.NonDifferentiable
-    differentiable = mi.ParamFlags.Differentiable
-    return differentiable if name == "focal_length" else differentiable | mi.ParamFlags.Discontinuous
+    flags = mi.ParamFlags.Differentiable
+    return flags | mi.ParamFlags.Discontinuous if Captures.EDGES in entry.gradients else flags
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:

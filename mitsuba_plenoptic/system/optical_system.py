@@ -62,6 +62,11 @@ class OpticalSystem:
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens as the waves of scene points (n, 3) pass it.
 
+        Parameters
+        ----------
+        points : float64 array (n, 3)
+            Scene points in the camera frame.
+
         Raises
         ------
         InputError

@@ -328,7 +328,7 @@ def test_lattice_from_white(numbers):
 @pytest.mark.parametrize(
     ("names", "options", "message"),
     [
-        ("wavelength", {}, "wavelength: it is no number of a camera"),
+        ("wavelength", {}, "wavelength: it is no parameter of a camera"),
         ("f_number", {}, "f_number"),
         ("wavefront", {}, "wavefront: the camera has no coefficients"),
         ((), {}, "names = .*: name at least one"),

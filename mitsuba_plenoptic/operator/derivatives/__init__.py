@@ -1,12 +1,12 @@
 """Derivatives of captures with respect to the numbers of the camera."""
 
 from .differentials import Differentials
-from .numbers import ABERRATIONS, NUMBERS, brightness_slopes, check_changes, check_names, light_slopes, values_of
+from .numbers import NUMBERS, WAVELENGTH, brightness_slopes, check_changes, check_names, light_slopes, values_of
 from .plan import DerivativePlan
 
 __all__ = [
-    "ABERRATIONS",
     "NUMBERS",
+    "WAVELENGTH",
     "DerivativePlan",
     "Differentials",
     "brightness_slopes",

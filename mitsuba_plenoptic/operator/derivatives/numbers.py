@@ -1,4 +1,4 @@
-"""The numbers of a camera with respect to which captures are differentiated, as Dr.Jit numbers that carry gradients."""
+"""The parameters of a camera by which captures are differentiated, as Dr.Jit numbers that carry gradients."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...camera.entry import Captures
+from ...camera.parameters import with_gradient
+from ...camera.vector import change_of, parts_of, size_of
 from ...errors import InputError, did_you_mean, require_number, shown
 from ...lattice import make_lattice, turn
 from ...runtime.backend import array_module
@@ -21,41 +24,26 @@ from ..patch_factors import Elements
 from ..units import brightness
 from .aberrations import varying_path
 
-ABERRATIONS = 36
-"""Zernike polynomials whose coefficients have a gradient, if the camera does not name more."""
+WAVELENGTH = "wavelength"
+"""By it captures can be differentiated like by the parameters of the camera."""
 
-NUMBERS = (
-    "focal_length",
-    "aperture_radius",
-    "mla_distance",
-    "mla_focal_length",
-    "mla_pitch",
-    "mla_rotation",
-    "mla_offset",
-    "mla_fill",
-    "detector_distance",
-    "detector_width",
-    "wavelength",
-    "wavefront",
-)
-"""Numbers of a camera, and the wavelength, by which captures can be differentiated."""
+NUMBERS = (*with_gradient(Captures.POINTS), WAVELENGTH)
+"""Parameters of a camera, and the wavelength, by which captures can be differentiated."""
 
 MOVES = ("detector_width", "mla_rotation", "wavelength")
 """Those that move the pixels against the samples of the light."""
 
 
 def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
-    """Return the present value of a number, as an array: two pitches, each focal length, 36 aberrations or more."""
-    if name == "wavelength":
+    """Return the present parts of a parameter: two pitches, each focal length, 36 aberrations or more."""
+    if name == WAVELENGTH:
         return np.array([wavelength])
-    if name == "wavefront":
-        return np.pad(np.array(camera.wavefront, np.float64), (0, max(0, ABERRATIONS - len(camera.wavefront))))
-    fields = {"mla_focal_length": "mla_focal_lengths", "mla_pitch": "mla_pitches"}
-    return np.array(np.ravel(getattr(camera, fields.get(name, name))), np.float64)
+    parts = parts_of(camera, name)
+    return np.pad(parts, (0, size_of(camera, name) - len(parts)))
 
 
 def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Return names of numbers, all for None."""
+    """Return names of parameters with derivatives, all for None; others are refused."""
     names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in NUMBERS:
@@ -67,26 +55,22 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
-    """Return changes of numbers by name, each as an array of what `values_of` returns."""
+    """Return changes of parameters by name, each of all parts that `values_of` returns; others are refused."""
     if not isinstance(changes, dict):
         raise InputError(f"changes = {shown(changes)}: they must be numbers by name")
     check_names(changes)
     checked = {}
     for name, change in changes.items():
         size = len(values_of(camera, 1.0, name))
-        numbers = [require_number(name, number) for number in np.ravel(np.asarray(change, object)).tolist()]
-        if name == "wavefront" and len(numbers) <= size:
-            numbers += [0.0] * (size - len(numbers))
-        if len(numbers) == 1 and name in ("mla_pitch", "mla_focal_length"):
-            numbers *= size
-        if len(numbers) != size:
+        numbers = np.array([require_number(name, number) for number in np.ravel(np.asarray(change, object)).tolist()])
+        checked[name] = numbers if name == WAVELENGTH else change_of(camera, name, numbers)
+        if len(checked[name]) != size:
             raise InputError(f"{name} = {shown(change)}: its change must be {size} number{'s' * (size > 1)}")
-        checked[name] = np.array(numbers)
     return checked
 
 
 def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives, by each number, of the logarithm of what `units.brightness` returns.
+    """Return the derivatives, by all parts of each parameter, of the logarithm of what `units.brightness` returns.
 
     The pupil is taken to grow as the opening does; see `light_slopes` for what real main lenses do.
     """
@@ -110,16 +94,15 @@ def light_slopes(
 
 
 class VaryingNumbers:
-    """The numbers of a camera as Dr.Jit numbers, of which some carry gradients."""
+    """The parameters of a camera, and the wavelength, as Dr.Jit numbers; those of some names carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad
         self._numbers: dict[str, list[Any]] = {}
         self._varies = set(names)
         for name in NUMBERS:
-            values = values_of(camera, wavelength, name)
-            if name == "wavefront" and name not in self._varies:
-                values = values[: len(camera.wavefront)]
+            fixed = name not in self._varies and name != WAVELENGTH
+            values = parts_of(camera, name) if fixed else values_of(camera, wavelength, name)
             self._numbers[name] = [dr.opaque(self.types.Float64, value) for value in values.tolist()]
             if name in self._varies:
                 dr.enable_grad(self._numbers[name])

@@ -1,0 +1,382 @@
+"""The table of a camera's parameters, from which everything else that knows them is made.
+
+The record and its constructor, checks, files, scene files, documentation, and the vectors that fits, calibrations,
+gradients and searches work with all read this table. A new parameter is one entry here, and a formula that uses it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+from ..bounds import (
+    FULL_TURN,
+    LEAST_FILL,
+    MOST_SEED,
+    STEEPEST_TILT,
+    require_length,
+    require_lengths,
+    require_numbers,
+    require_pitches,
+    require_pixels,
+    require_place,
+    require_response,
+    require_wavefront,
+)
+from ..errors import require_choice, require_count, require_number
+from ..lattice import APERTURES, LATTICES
+from ..lens_data import LensData
+from ..prescription import Glass
+from .entry import Captures, Form, Parameter, record
+from .given_lens import known_glass, known_lens
+
+LENS_MODELS = ("ideal", "parabolic")
+
+
+def _one_if_equal(pitches: tuple[float, float]) -> float | tuple[float, float]:
+    """Return the pitch of a lattice that is not stretched, or both."""
+    return pitches[0] if pitches[0] == pitches[1] else pitches
+
+
+def _one_if_single(values: tuple[float, ...]) -> float | tuple[float, ...]:
+    """Return the only value, or all."""
+    return values[0] if len(values) == 1 else values
+
+
+def _one(camera: Any) -> float:
+    return 1.0
+
+
+_angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
+
+_Glass = Glass | str | float | dict[str, Any]
+
+
+@record
+class CameraParameters:
+    """The table; an instance holds one camera's values, which `PlenopticCamera` checks."""
+
+    focal_length: Parameter[float | None, float] = Parameter(
+        default=None,
+        check=require_length,
+        words="Focal length :math:`f_1` of the main lens.",
+        otherwise="80, or that of `main_lens`, which is scaled to what is given",
+        unit="mm",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.EDGES,
+        in_first_files=True,
+    )
+    aperture_radius: Parameter[float | None, float] = Parameter(
+        default=None,
+        check=require_length,
+        words=(
+            "Radius :math:`D_1/2` of the main lens, as for the sensor ``thinlens``; of its entrance pupil if it is a "
+            "`main_lens`, which is stopped down to it. Only the edge of the pupil moves with it, so that ray captures "
+            "have no gradient by it."
+        ),
+        otherwise="5, or `main_lens` fully open",
+        unit="mm",
+        known_to=Captures.ALL,
+        gradients=Captures.POINTS,
+        in_first_files=True,
+    )
+    mla_distance: Parameter[float | None, float] = Parameter(
+        default=None,
+        check=require_length,
+        words=(
+            "Distance :math:`b` from the main lens, from the rear principal plane of `main_lens`, to the microlens "
+            "array (MLA)."
+        ),
+        otherwise="120, unless `focus_distance` is given",
+        unit="mm",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
+        in_first_files=True,
+    )
+    focus_distance: Parameter[float | None, float] = Parameter(
+        default=None,
+        check=partial(require_length, finite=False),
+        words=(
+            "Instead of `mla_distance`: distance of the object plane that is in focus on the MLA, :math:`1/g + 1/b = "
+            "1/f_1`, larger than `focal_length`; it may be infinite. A camera has it whatever was given: infinite if "
+            "the MLA stands in the focal plane, negative (no real plane) if it stands before that, and 0, the native "
+            "object plane, for an objective."
+        ),
+        otherwise="what follows from `mla_distance`",
+        unit="mm",
+        instead_of="mla_distance",
+        known_to=Captures.ALL,
+    )
+    mla_focal_lengths: Parameter[float | Sequence[float], tuple[float, ...]] = Parameter(
+        default=0.512,
+        check=require_lengths,
+        words=(
+            "Focal length :math:`f_2` of a microlens. Three on a hexagonal lattice make a multi-focus array: three "
+            "types of lenses interleaved, so that no two neighbours are alike, the first on the lens with the indices "
+            "(0, 0)."
+        ),
+        form=Form.SEVERAL,
+        takes="float or three floats",
+        unit="mm",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
+        shortest=_one_if_single,
+        in_first_files=True,
+        alias="mla_focal_length",
+    )
+    mla_pitches: Parameter[float | Sequence[float], tuple[float, float]] = Parameter(
+        default=0.064,
+        check=require_pitches,
+        words=(
+            "Pitch :math:`D_2` of the microlens lattice, the distance of neighbouring centres. Of two the first is "
+            "that along the rows and the second that across them: the lattice is stretched, its cells with it."
+        ),
+        form=Form.SEVERAL,
+        takes="float or two floats",
+        unit="mm",
+        parts=("pitch_along", "pitch_across"),
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
+        shortest=_one_if_equal,
+        in_first_files=True,
+        alias="mla_pitch",
+    )
+    mla_lattice: Parameter[str, str] = Parameter(
+        default="square",
+        check=partial(require_choice, choices=LATTICES),
+        words=(
+            "Arrangement of the microlenses, see `mitsuba_plenoptic.lattice`. ``square``: the corner of four lenses "
+            "is on the axis. ``hexagonal``: rows along x, every second one offset by half a pitch; the centre of a "
+            "lens is on the axis. Either covers the whole plane."
+        ),
+        form=Form.WORD,
+        takes='{"square", "hexagonal"}',
+        known_to=Captures.ALL,
+    )
+    mla_rotation: Parameter[float, float] = Parameter(
+        default=0.0,
+        check=_angle,
+        words=(
+            "Angle of the lattice about the axis in degrees, counter-clockwise in the camera frame, that is from left "
+            "to up and clockwise as one looks at the capture."
+        ),
+        unit="degrees",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.SCENES,
+        scale=_one,
+    )
+    mla_offset: Parameter[tuple[float, float], tuple[float, float]] = Parameter(
+        default=(0.0, 0.0),
+        check=require_place,
+        words="Position, x and y in the camera frame, of the point of the lattice that is on the axis by default.",
+        form=Form.PLACE,
+        unit="mm",
+        parts=("offset_x", "offset_y"),
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
+        scale=lambda camera: min(camera.mla_pitches),
+    )
+    mla_tilt: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(0.0, 0.0),
+        check=partial(require_numbers, count=2, minimum=-STEEPEST_TILT, maximum=STEEPEST_TILT),
+        words=(
+            "Angles in degrees, up to 5, by which the array rises towards the main lens along x and along y. Pitches, "
+            "rotation and offset are those of its projection along the axis, and each lens still faces the main lens."
+        ),
+        form=Form.PLACE,
+        unit="degrees",
+        parts=("tilt_x", "tilt_y"),
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    mla_aperture: Parameter[str, str] = Parameter(
+        default="cell",
+        check=partial(require_choice, choices=APERTURES),
+        words=(
+            "Shape of a lens. ``cell``: that of its cell, a square or a hexagon. ``circle``: a disc. The rest of the "
+            "cell is opaque."
+        ),
+        form=Form.WORD,
+        takes='{"cell", "circle"}',
+        known_to=Captures.ALL,
+    )
+    mla_fill: Parameter[float, float] = Parameter(
+        default=1.0,
+        check=partial(require_number, positive=True, minimum=LEAST_FILL, maximum=1),
+        words="Width of a lens's aperture over the pitch, at most 1; of a disc's over the shorter pitch.",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.SCENES,
+        highest=1.0,
+    )
+    detector_distance: Parameter[float | None, float] = Parameter(
+        default=None,
+        check=require_length,
+        words="Distance :math:`z` from the MLA to the detector.",
+        otherwise="`mla_focal_length`, the first of three",
+        unit="mm",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
+        in_first_files=True,
+    )
+    detector_width: Parameter[float, float] = Parameter(
+        default=8.192,
+        check=require_length,
+        words="Width :math:`W` that the columns of the full detector span, cropped or not; pixels are square.",
+        unit="mm",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL,
+        in_first_files=True,
+    )
+    resolution: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
+        default=(4096, 4096),
+        check=partial(require_pixels, minimum=1),
+        words="Columns and rows of the full detector.",
+        form=Form.FILM,
+        in_first_files=True,
+        known_to=Captures.ALL,
+    )
+    crop_offset: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
+        default=(0, 0),
+        check=partial(require_pixels, minimum=0),
+        words="Column and row of the first recorded pixel.",
+        form=Form.FILM,
+        in_first_files=True,
+        known_to=Captures.ALL,
+    )
+    crop_size: Parameter[tuple[int, int] | None, tuple[int, int]] = Parameter(
+        default=None,
+        check=partial(require_pixels, minimum=1),
+        words="Columns and rows that are recorded.",
+        form=Form.FILM,
+        otherwise="all from `crop_offset` on",
+        in_first_files=True,
+        known_to=Captures.ALL,
+    )
+    lens_model: Parameter[str, str] = Parameter(
+        default="ideal",
+        check=partial(require_choice, choices=LENS_MODELS),
+        words=(
+            "How rays refract. ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic "
+            "phase elements, with the aberrations that belong to them: the geometric twin of the wave capture."
+        ),
+        form=Form.WORD,
+        takes='{"ideal", "parabolic"}',
+        in_first_files=True,
+        known_to=Captures.ALL,
+    )
+    distortion: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(0.0,) * 5,
+        check=partial(require_numbers, count=5, minimum=-1.0, maximum=1.0),
+        words=(
+            "Distortion of the main lens: k1, k2, k3 (radial, in mm^-2, mm^-4, mm^-6) and p1, p2 (tangential, in "
+            "mm^-1) of the map that takes the distortion away in the plane of the MLA; see "
+            "`mitsuba_plenoptic.lenses.distortion`."
+        ),
+        form=Form.NUMBERS,
+        takes="five floats",
+        otherwise="none",
+        unit=("mm^-2", "mm^-4", "mm^-6", "mm^-1", "mm^-1"),
+        parts=("k1", "k2", "k3", "p1", "p2"),
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    wavefront: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(),
+        check=require_wavefront,
+        words=(
+            "Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, "
+            "beginning with piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other "
+            "wavelengths see the same path. Sensors expose it if it has coefficients."
+        ),
+        form=Form.NUMBERS,
+        otherwise="none",
+        known_to=Captures.ALL,
+        gradients=Captures.ALL & ~Captures.SCENES,
+        scale=_one,
+        unseen=1,
+        room=36,
+    )
+    mla_jitter: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(0.0, 0.0),
+        check=partial(require_numbers, count=2, minimum=0.0),
+        words=(
+            "Standard deviations of what is irregular in the array, for rays: of the lenses' positions along x and "
+            "along y, in millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most "
+            "0.1; see `mitsuba_plenoptic.system.lens_kinds`. Decoding and refocusing assume the regular array."
+        ),
+        form=Form.PLACE,
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    mla_seed: Parameter[int, int] = Parameter(
+        default=0,
+        check=partial(require_count, minimum=0, maximum=MOST_SEED),
+        words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter`.",
+        form=Form.COUNT,
+        known_to=Captures.ALL,
+    )
+    pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(),
+        check=require_response,
+        words=(
+            "Angular response of the pixels, for rays: angles of incidence in degrees, rising from 0, each followed "
+            "by a response from 0 to 1, with straight lines between and the last beyond."
+        ),
+        form=Form.NUMBERS,
+        otherwise="1 at all angles",
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    main_lens: Parameter[LensData | str | Path | dict[str, Any] | None, LensData | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_lens(value),
+        words=(
+            "Surfaces and glasses of a real main lens: the name of a bundled lens (``cooke_triplet``, "
+            "``double_gauss``, ``singlet``, ``tessar``), a YAML, JSON, Zemax or CODE V file, see `read_prescription`, "
+            "or the text of a JSON file; in Python also a `Prescription`, or what `Prescription.from_plain` takes. Or "
+            "a microscope's `Objective`, as such a file or text with ``magnification`` and ``numerical_aperture``, or "
+            "in Python as itself: the origin of the camera frame is then its native object plane, `focal_length` and "
+            "`aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the array."
+        ),
+        form=Form.LENS,
+        otherwise="a thin lens",
+        shortest=lambda lens: lens and lens.to_plain(),
+        known_to=Captures.ALL,
+    )
+    glass: Parameter[_Glass | None, Glass | None] = Parameter(
+        default=None,
+        check=known_glass,
+        words=(
+            "Glass of the thin main lens: its name in a catalogue, an index, or the object, in a scene file its JSON "
+            'text, that `Glass.from_plain` takes, such as ``{"index": 1.5168, "abbe": 64.2}``. `focal_length` is then '
+            "that at 587.5618 nm (the line d), and other wavelengths have others, see `at_wavelength`."
+        ),
+        form=Form.GLASS,
+        otherwise="the same focal length for all wavelengths",
+        shortest=lambda glass: glass and glass.to_plain(),
+        known_to=Captures.ALL,
+    )
+    mla_glass: Parameter[_Glass | None, Glass | None] = Parameter(
+        default=None,
+        check=known_glass,
+        words="Glass of the microlenses, written like `glass`: `mla_focal_length` is then that at the line d.",
+        form=Form.GLASS,
+        otherwise="the same focal length for all wavelengths",
+        shortest=lambda glass: glass and glass.to_plain(),
+        known_to=Captures.ALL,
+    )
+
+
+PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for each in fields(CameraParameters))}
+"""The entries of the table by the names of the constructor's arguments."""
+
+
+def with_gradient(kind: Captures) -> tuple[str, ...]:
+    """Return the names of the parameters by which captures of a kind have derivatives."""
+    return tuple(name for name, entry in PARAMETERS.items() if kind in entry.gradients)
+
+
+def part_units(name: str) -> dict[str, str]:
+    """Return the units of a parameter's parts, by the names that calibrations give them."""
+    entry = PARAMETERS[name]
+    parts = entry.parts or (name,)
+    return dict(zip(parts, [entry.unit] * len(parts) if isinstance(entry.unit, str) else entry.unit, strict=True))

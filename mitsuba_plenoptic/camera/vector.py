@@ -1,0 +1,165 @@
+"""Parameters of a camera as a vector of numbers and back, for fits, calibrations, gradients and searches alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, did_you_mean, shown
+from .entry import Form
+from .parameters import PARAMETERS
+from .plenoptic_camera import PlenopticCamera
+
+Array = NDArray[np.float64]
+Values = dict[str, Array]
+"""Numbers by parameter: one for each of its parts."""
+
+_FARTHEST = 50.0
+"""Steps, of `CameraVector.scales`, by which numbers may change where no bounds are given."""
+
+
+def parts_of(camera: PlenopticCamera, name: str) -> Array:
+    """Return the present numbers of a parameter: both pitches, each focal length, each coefficient."""
+    return np.array(np.ravel(getattr(camera, PARAMETERS[name].attribute)), np.float64)
+
+
+def shortest_parts(camera: PlenopticCamera, name: str) -> Array:
+    """Return the numbers of a parameter in its shortest form: one pitch where both are equal."""
+    entry = PARAMETERS[name]
+    return np.array(np.ravel(entry.plain(getattr(camera, entry.attribute))), np.float64)
+
+
+def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
+    """Return a change as one of all parts by which there are derivatives; one number is that of all of them.
+
+    Coefficients that are not named do not change.
+    """
+    numbers, form = np.ravel(change), PARAMETERS[name].form
+    size = size_of(camera, name)
+    if form is Form.NUMBERS and len(numbers) < size:
+        return np.pad(numbers, (0, size - len(numbers)))
+    return np.repeat(numbers, size) if form is Form.SEVERAL and len(numbers) == 1 else numbers
+
+
+def size_of(camera: PlenopticCamera, name: str) -> int:
+    """Return the number of parts of a parameter by which there are derivatives."""
+    return max(len(parts_of(camera, name)), PARAMETERS[name].room)
+
+
+def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: Any) -> PlenopticCamera:
+    """Return the camera with other numbers of some parameters, and other values of others."""
+    for name, numbers in parts.items():
+        others[name] = float(numbers[0]) if PARAMETERS[name].form is Form.NUMBER else tuple(numbers.tolist())
+    return camera.replace(**others)
+
+
+@dataclass(frozen=True)
+class Component:
+    """A number of a vector: parts, which are equal, of one parameter, and the label by which results name it."""
+
+    name: str
+    parts: tuple[int, ...]
+    label: str
+
+
+def _components(camera: PlenopticCamera, name: str) -> list[Component]:
+    """Return the numbers that a parameter consists of, of aberrations all but the piston."""
+    count, entry = len(parts_of(camera, name)), PARAMETERS[name]
+    if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
+        return [Component(name, tuple(range(count)), name)]
+    if count <= entry.unseen:
+        raise InputError(f"{name}: the camera has no coefficients to start from; give it some, zeros too")
+    labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
+    return [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
+
+
+@dataclass(frozen=True)
+class CameraVector:
+    """Some numbers of a camera; another camera has the same `components` with values of its own, see `of`."""
+
+    camera: PlenopticCamera
+    components: tuple[Component, ...]
+
+    @classmethod
+    def by_names(cls, camera: PlenopticCamera, names: Iterable[str]) -> CameraVector:
+        """Return the numbers of parameters; it refuses some of a camera that has none of them."""
+        return cls(camera, tuple(each for name in names for each in _components(camera, name)))
+
+    def of(self, camera: PlenopticCamera) -> CameraVector:
+        """Return the same numbers of another camera."""
+        return replace(self, camera=camera)
+
+    def keep(self, labels: Iterable[str]) -> CameraVector:
+        """Return the numbers of some labels, in their order here."""
+        chosen = set(labels)
+        return replace(self, components=tuple(each for each in self.components if each.label in chosen))
+
+    @property
+    def labels(self) -> list[str]:
+        """What the numbers are called: the parameter, and which part it is, counted from 1, if there are others."""
+        return [each.label for each in self.components]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters, each once."""
+        return tuple(dict.fromkeys(each.name for each in self.components))
+
+    @property
+    def values(self) -> Array:
+        """The numbers themselves."""
+        return np.array([parts_of(self.camera, each.name)[each.parts[0]] for each in self.components])
+
+    @property
+    def scales(self) -> Array:
+        """The change of each number that is a step of a fit: a hundredth, a degree, a pitch, a wave."""
+        scales = (PARAMETERS[each.name].scale for each in self.components)
+        pairs = zip(scales, self.values, strict=True)
+        return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
+
+    def limits(self, bounds: Mapping[str, tuple[float, float]] | None) -> tuple[Array, Array]:
+        """Return the lowest and the highest values, by label or name as given, or else not far from the camera.
+
+        Bounds of other numbers, in the wrong order, or with the camera outside them are refused.
+        """
+        labels, start = self.labels, self.values
+        low, high = start - _FARTHEST * self.scales, start + _FARTHEST * self.scales
+        for index, each in enumerate(self.components):
+            highest = PARAMETERS[each.name].highest
+            high[index] = high[index] if highest is None else highest
+        for name, pair in (bounds or {}).items():
+            where = [index for index, each in enumerate(self.components) if name in (each.label, each.name)]
+            if not where:
+                raise InputError(
+                    f"bounds: {shown(name)} is not fitted; there are {', '.join(labels)}{did_you_mean(name, labels)}"
+                )
+            if np.shape(pair) != (2,) or not pair[0] < pair[1]:
+                raise InputError(f"bounds: {name} = {shown(pair)}: it must be the lowest and the highest value")
+            low[where], high[where] = pair
+        for label, value, least, most in zip(labels, start, low, high, strict=True):
+            if not least <= value <= most:
+                raise InputError(f"bounds: {label} starts at {value:g}: it must lie from {least:g} to {most:g}")
+        return low, high
+
+    def at(self, values: Array) -> PlenopticCamera:
+        """Return the camera with other values of the numbers."""
+        parts: Values = {}
+        for each, value in zip(self.components, values.tolist(), strict=True):
+            parts.setdefault(each.name, parts_of(self.camera, each.name))[list(each.parts)] = value
+        return with_parts(self.camera, parts)
+
+    def directions(self) -> list[Values]:
+        """Return the change of parameters with each number, by 1."""
+        changes = []
+        for each in self.components:
+            change = np.zeros(size_of(self.camera, each.name))
+            change[list(each.parts)] = 1
+            changes.append({each.name: change})
+        return changes
+
+    def slopes(self, gradient: Mapping[str, Array]) -> Array:
+        """Return the derivatives by the numbers from those by all parts of the parameters."""
+        return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])

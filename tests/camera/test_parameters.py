@@ -1,0 +1,257 @@
+"""The table of a camera's parameters, and what is made from it."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.camera.documentation import with_sensor_parameters
+from mitsuba_plenoptic.camera.parameters import PARAMETERS
+from mitsuba_plenoptic.camera.vector import CameraVector, parts_of
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = Path(mitsuba_plenoptic.__file__).parent
+
+FIRST_FILE = {
+    "focal_length": 80.0,
+    "aperture_radius": 5.0,
+    "mla_distance": 120.0,
+    "mla_focal_length": 0.512,
+    "mla_pitch": 0.064,
+    "detector_distance": 0.512,
+    "detector_width": 8.192,
+    "resolution": [4096, 4096],
+    "crop_offset": [0, 0],
+    "crop_size": [4096, 4096],
+    "lens_model": "ideal",
+}
+"""The header of a capture of the first version."""
+
+
+def test_headers_of_the_first_version_stay_readable_and_must_be_whole():
+    assert PlenopticCamera.from_dict(FIRST_FILE) == PlenopticCamera()
+    for name in FIRST_FILE:
+        with pytest.raises(InputError, match=f"^{name}: it is missing from the camera parameters"):
+            PlenopticCamera.from_dict({other: value for other, value in FIRST_FILE.items() if other != name})
+
+
+def test_the_record_its_signature_and_its_documentation_have_all_entries():
+    arguments = inspect.signature(PlenopticCamera).parameters
+    assert list(arguments) == list(PARAMETERS)
+    assert {each.name for each in fields(PlenopticCamera)} == {entry.attribute for entry in PARAMETERS.values()}
+    assert all(argument.default == PARAMETERS[name].default for name, argument in arguments.items())
+    rows = with_sensor_parameters(" * - CAMERA")
+    for name, entry in PARAMETERS.items():
+        assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
+        assert (f" * - {name}\n" in rows) == (name not in ("resolution", "crop_offset", "crop_size"))
+        assert entry.words.endswith(".")
+        known = {*PARAMETERS, "read_prescription", "Prescription", "Objective", "at_wavelength"}
+        assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
+
+
+OTHER = {
+    "focal_length": 70.3,
+    "aperture_radius": 4.1,
+    "mla_distance": 130.7,
+    "focus_distance": 300.9,
+    "mla_focal_length": 0.5123,
+    "mla_pitch": (0.0641, 0.0652),
+    "mla_lattice": "hexagonal",
+    "mla_rotation": -1.1,
+    "mla_offset": (0.011, -0.023),
+    "mla_tilt": (0.1, -0.2),
+    "mla_aperture": "circle",
+    "mla_fill": 0.83,
+    "detector_distance": 0.49,
+    "detector_width": 8.3,
+    "resolution": (4000, 3000),
+    "crop_offset": (5, 7),
+    "crop_size": (100, 90),
+    "lens_model": "parabolic",
+    "distortion": (1e-4, -1e-6, 1e-9, 2e-5, -3e-5),
+    "wavefront": (0.0, 0.1, -0.2),
+    "mla_jitter": (0.0011, 0.023),
+    "mla_seed": 4294967295,
+    "pixel_response": (0.0, 1.0, 20.0, 0.3),
+    "main_lens": "tessar",
+    "glass": {"index": 1.5168, "abbe": 64.2},
+    "mla_glass": 1.4585,
+}
+"""A value of each parameter that is not its default."""
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_parameter_survives_files_and_scene_files(name):
+    camera = PlenopticCamera(**{name: OTHER[name]})
+    assert camera != PlenopticCamera()
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    assert PlenopticCamera.from_json(json.dumps({name: OTHER[name]})) == camera
+    written = mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>')
+    assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
+    if name not in ("resolution", "crop_offset", "crop_size"):
+        entry, value = PARAMETERS[name], OTHER[name]
+        text = json.dumps(value) if isinstance(value, dict) else ", ".join(map(str, np.ravel(value).tolist()))
+        kind = {int: "integer", float: "float"}.get(type(value), "string")
+        film = '<film type="hdrfilm"><integer name="width" value="4096"/><integer name="height" value="4096"/>'
+        given = f"<{kind} name={quoteattr(name)} value={quoteattr(text)}/>"
+        sensor = f'<sensor type="plenoptic">{given}{film}<rfilter type="box"/></film></sensor>'
+        found = mi.load_string(f'<scene version="3.0.0">{sensor}</scene>').sensors()[0]
+        assert PlenopticCamera.from_sensor(found) == camera
+        exposed = {key.rsplit(".", 1)[-1] for key in mi.traverse(found).keys()}  # noqa: SIM118
+        assert (name in exposed) == bool(entry.gradients)
+
+
+@pytest.mark.parametrize("lens", [None, "tessar", {"magnification": 20, "numerical_aperture": 0.5}])
+def test_arguments_make_the_same_camera(lens):
+    camera = PlenopticCamera(main_lens=lens, mla_pitch=(0.06, 0.07), mla_jitter=(0.001, 0.02), mla_seed=3)
+    assert PlenopticCamera(**camera.arguments()) == camera == camera.replace(mla_seed=4).replace(mla_seed=3)
+
+
+def test_a_focus_distance_is_what_the_other_distances_make_it():
+    camera = PlenopticCamera(focus_distance=300.0)
+    assert "focus_distance" not in camera.to_dict()
+    assert camera.replace(mla_distance=120).focus_distance == PlenopticCamera().focus_distance
+    assert camera.replace(focal_length=60).mla_distance == camera.mla_distance
+
+
+VECTORS = {
+    "square": ({}, ["mla_pitch"], ["mla_pitch"], [0.064], [0.00064]),
+    "two pitches": ({"mla_pitch": (0.06, 0.07)}, ["mla_pitch"], ["mla_pitch.1", "mla_pitch.2"], [0.06, 0.07], None),
+    "three types": (
+        {"mla_focal_length": (0.5, 0.6, 0.7), "mla_lattice": "hexagonal"},
+        ["mla_focal_length"],
+        ["mla_focal_length.1", "mla_focal_length.2", "mla_focal_length.3"],
+        [0.5, 0.6, 0.7],
+        [0.005, 0.006, 0.007],
+    ),
+    "offset and angle": (
+        {"mla_offset": (0.01, 0.02), "mla_rotation": 3},
+        ["mla_offset", "mla_rotation"],
+        ["mla_offset.1", "mla_offset.2", "mla_rotation"],
+        [0.01, 0.02, 3],
+        [0.064, 0.064, 1],
+    ),
+    "aberrations": ({"wavefront": (0, 0.1, 0.2)}, ["wavefront"], ["wavefront.2", "wavefront.3"], [0.1, 0.2], [1, 1]),
+}
+
+
+@pytest.mark.parametrize(("parameters", "names", "labels", "values", "scales"), VECTORS.values(), ids=VECTORS)
+def test_a_camera_is_a_vector_and_back(parameters, names, labels, values, scales):
+    camera = PlenopticCamera(**parameters)
+    vector = CameraVector.by_names(camera, names)
+    assert vector.labels == labels and vector.names == tuple(names)
+    assert vector.values.tolist() == values
+    if scales is not None:
+        np.testing.assert_allclose(vector.scales, scales, rtol=1e-12)
+    assert vector.at(vector.values) == camera
+    moved = vector.values * 1.01
+    assert vector.of(vector.at(moved)).values == pytest.approx(moved, rel=1e-15)
+    # A direction is the change of all parts of a parameter with one number; a gradient by all parts goes back by it.
+    for number, direction in enumerate(vector.directions()):
+        ((name, change),) = direction.items()
+        step = np.eye(len(values))[number] * 1e-3
+        change = change[: len(parts_of(camera, name))] * 1e-3
+        assert parts_of(vector.at(vector.values + step), name) == pytest.approx(parts_of(camera, name) + change)
+        slopes = vector.slopes({name: direction.get(name, np.zeros(36)) for name in names})
+        assert slopes[number] == direction[name].sum()
+
+
+def test_bounds_are_by_number_or_by_parameter():
+    vector = CameraVector.by_names(PlenopticCamera(mla_pitch=(0.06, 0.07)), ["mla_pitch", "mla_fill"])
+    low, high = vector.limits(None)
+    np.testing.assert_allclose([low, high], [[0.03, 0.035, 0.5], [0.09, 0.105, 1]])
+    low, high = vector.limits({"mla_pitch": (0.05, 0.08), "mla_fill": (0.9, 1)})
+    assert (low.tolist(), high.tolist()) == ([0.05, 0.05, 0.9], [0.08, 0.08, 1])
+    assert vector.limits({"mla_pitch.2": (0.05, 0.08)})[0].tolist() == [0.03, 0.05, 0.5]
+
+
+TRIAL = """
+import drjit as dr, mitsuba as mi, numpy as np
+import mitsuba_plenoptic as mp
+
+mi.set_variant("llvm_ad_mono")
+Camera = mp.PlenopticCamera
+small = dict(detector_width=0.256, resolution=(64, 64), crop_offset=(37, 21), crop_size=(6, 6), temperature=35)
+camera = Camera(**small)
+assert camera.temperature == 35 and camera != camera.replace(temperature=20)
+assert Camera.from_json(camera.to_json()) == camera
+old = camera.to_dict()
+del old["temperature"]
+assert Camera.from_dict(old).temperature == 20
+try:
+    Camera(temperature=200)
+except mp.InputError as error:
+    assert str(error) == "temperature = 200: it must be at most 100"
+dark = {"type": "scene", "integrator": {"type": "path"}}
+for work in (
+    lambda: mp.CaptureOperator(camera, [(0, 0, 240)], wavelength=550),
+    lambda: mp.render_capture(mp.load_scene(dark | {"camera": camera.to_sensor()}), model="wave", spp=4),
+):
+    try:
+        work()
+    except mp.InputError as error:
+        assert "temperature = 35.0: " in str(error) and "through cameras without it only" in str(error), error
+    else:
+        raise AssertionError
+assert "temperature : float" in Camera.__doc__
+
+u = np.linspace(0, 1, 64, dtype=np.float32)
+waves = 1 + 0.5 * np.sin(40 * u[None]) * np.cos(30 * u[:, None])
+texture = {"type": "bitmap", "bitmap": mi.Bitmap(waves[..., None].astype(np.float32)), "raw": True}
+place = mi.ScalarTransform4f().translate([0, 0, 215]).rotate([0, 1, 0], 180)
+card = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": texture}}
+world = {"type": "scene", "integrator": {"type": "path"}, "camera": camera.to_sensor(), "card": card}
+written = mi.load_string('<scene version="3.0.0">' + camera.to_xml() + "</scene>")
+assert Camera.from_sensor(written.sensors()[0]) == camera
+
+def captured(value, gradient=False):
+    scene = mi.load_dict(world, optimize=False)
+    params = mi.traverse(scene)
+    (key,) = [key for key in params.keys() if key.endswith("temperature")]
+    dr.enable_grad(params[key])
+    dr.set_grad(params[key], 1.0)
+    params[key] = value + (params[key] - dr.detach(params[key]))
+    params.update()
+    assert Camera.from_sensor(scene.sensors()[0]) == camera.replace(temperature=value)
+    # Gradients are estimated with random numbers of their own, which are those of the captures that are compared.
+    image = mi.render(scene, params, spp=64, seed=1 if gradient else 2, seed_grad=2 if gradient else 1)
+    return (dr.forward_to(image) if gradient else image).numpy()[..., 0]
+
+slope, more, less = captured(35.0, gradient=True), captured(37.0), captured(33.0)
+step = (more - less) / 4
+print(np.abs(more / less - 1).max(), np.linalg.norm(slope - step) / np.linalg.norm(step))
+"""
+
+
+def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
+    """As the developer page says: a copy of the package with the page's entry and the page's line."""
+    page = (ROOT / "docs" / "develop" / "parameter.md").read_text()
+    entry = re.search(r"```py\n(.*?)```", page, re.DOTALL)[1]
+    before, after = re.search(r"```diff\n-(.*\n)\+(.*\n)```", page).groups()
+    table, formula = Path("camera/parameters.py"), Path("plugins/camera_rays.py")
+    copy = tmp_path / PACKAGE.name
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    for path, old, new in ((table, "\n\nPARAMETERS = ", f"{entry}\n\nPARAMETERS = "), (formula, before, after)):
+        text = (copy / path).read_text()
+        assert text.count(old) == 1
+        (copy / path).write_text(text.replace(old, new))
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", TRIAL]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+    change, error = map(float, done.stdout.split())
+    assert change > 1e-3 and error < 0.02
