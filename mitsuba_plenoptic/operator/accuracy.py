@@ -19,7 +19,7 @@ from ..lenses.base import MainLens
 from .grid import Band
 
 DEFAULT_ACCURACY = 0.01
-"""Relative error, L2 over the image, that is allowed unless told."""
+"""Relative error, L2 over the image, that is allowed by default."""
 
 _BANDS = (
     (0.004, Band(cone=2.5, margin=120, bends=3.45, orders=22)),
@@ -53,13 +53,7 @@ _MANY = 1600
 
 
 def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
-    """Return an allowed error as a float.
-
-    Raises
-    ------
-    InputError
-        If it is not a number from 0 to below 1.
-    """
+    """Return an allowed error as a float."""
     number = require_number(name, accuracy)
     if not 0 <= number < 1:
         raise InputError(f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
@@ -88,7 +82,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
 
 
 def derivatives_share(accuracy: float, count: int) -> bool:
-    """Tell whether derivatives of the sum of some points share point spreads, as its image does."""
+    """Return whether derivatives of the sum of some points share point spreads, as its image does."""
     return accuracy >= _EXACT and count > _FEW
 
 
@@ -97,21 +91,8 @@ def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, pos
 
     The errors of point spreads that overlap average out, so fewer of them must each be truer.
 
-    Parameters
-    ----------
-    accuracy : float
-        Allowed error.
-    camera : PlenopticCamera
-        The camera.
-    lens : MainLens
-        Its main lens.
-    positions : float64 array (n, 3)
-        Scene points in the camera frame, or in one that is turned about the axis if the lens is round.
-
-    Returns
-    -------
-    float
-        0 if nothing may be shared.
+    The positions are in the camera frame, or, behind a round lens, in one that is turned about the axis. The result is
+    0 where nothing may be shared.
     """
     if not len(positions):
         return 0.0

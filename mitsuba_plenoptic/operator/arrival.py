@@ -144,23 +144,7 @@ def telecentric_arrival(
 ) -> tuple[SampledField, SampledField]:
     """Return the field on the stop, and that on the array just before the microlenses.
 
-    Parameters
-    ----------
-    lens : TelecentricLens
-        The objective.
-    position : float64 array (3,)
-        Scene point in the camera frame.
-    wavelength : float
-        Wavelength in nanometres.
-    grids : FieldGrids
-        Sizes and places of the grids.
-    weights : PupilWeights, optional
-        Relative power over the stop, of this one point.
-
-    Returns
-    -------
-    stop, mla : SampledField
-        Both have the power 1, but for what misses the detector's window.
+    `position` is that of a scene point, (3,). Both have the power 1, except for what misses the detector's window.
     """
     if lens.objective.images_stop:
         return _at_stop_image(lens, position, wavelength, grids, weights)

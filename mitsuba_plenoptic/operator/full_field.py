@@ -36,8 +36,7 @@ from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
 from ..runtime.jobs import Job
-from ..system.microlens_orders import axis_transmission, open_fraction, plane_transmission
-from ..system.microlenses import is_separable
+from ..system.microlens_orders import ArrayFactor
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field, telecentric_arrival
@@ -67,34 +66,12 @@ def full_field(
 ) -> NDArray[np.float32]:
     """Integrate one scene point's intensity over the recorded pixels.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    position : float64 array (3,)
-        Scene point (X, Y, g) in the camera frame, checked.
-    pupil_weights : PupilWeights, optional
-        Relative power over the pupil, of this one point.
-    microlenses : bool
-        Whether the microlenses are there.
-    refinement, growth : float
-        Factors on the sampling density and on the window's margins, to test convergence.
-    grids : FieldGrids, optional
-        Those of a camera that hardly differs, by which differences between the two are free of their grids'.
-
-    Returns
-    -------
-    float32 array (rows, columns)
-        Fractions of the power through the pupil.
-
-    Raises
-    ------
-    InputError
-        If the grids would need too much memory.
+    `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
+    `grids` may be those of a camera that hardly differs, so that differences are free of the grids'.
     """
     grids = grids or field_grids(system, position, refinement, growth)
     _, mla = _arrival(system, position, grids, pupil_weights)
-    spectrum = _detector_spectrum(system.camera, system.wavelength, grids, mla.samples, microlenses)
+    spectrum = _detector_spectrum(system, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
     return backend().to_host(_pixel_integrals(system.camera, spectrum, grids))
@@ -110,7 +87,7 @@ def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microl
     """
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, mla = _arrival(system, position, grids)
-    spectrum = _detector_spectrum(system.camera, system.wavelength, grids, mla.samples.copy(), microlenses)
+    spectrum = _detector_spectrum(system, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
     planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
@@ -130,49 +107,39 @@ def _arrival(
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil)
 
 
-def _detector_spectrum(
-    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field, microlenses: bool
-) -> Field:
+def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
-        before = _passed_power(camera, wavelength, grids, samples)
-        if is_separable(camera):
-            along_x, along_y = _microlens_factors(camera, wavelength, grids)
-            samples *= along_x[None, :]
-            samples *= along_y[:, None]
-        else:
-            _apply_plane(camera, wavelength, grids, samples)
+        before = _passed_power(system, grids, samples)
+        _apply(system.microlenses.factors(grids.bend), grids, samples)
         if before > 0:
             guards.judge(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
-    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
+    return advance(spectrum, grids.pitch, system.camera.detector_distance, system.wavelength)
 
 
-def _microlens_factors(camera: PlenopticCamera, wavelength: float, grids: FieldGrids) -> list[Field]:
-    """Return the transmission of the microlenses along x and along y; the whole is their product."""
-    types, lenses = backend().types, axis_transmission(camera, wavelength, grids.bend)
-    factors = []
-    for axis, (start, offset, count) in enumerate(zip(grids.wide_origin, grids.offset, grids.count, strict=True)):
-        place = types.Float64(dr.arange(types.UInt32, count)) * grids.pitch + (start + offset * grids.pitch)
-        factors.append(as_field(pack(lenses.along(place, axis)), (count,)))
-    return factors
+def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:
+    """Multiply a field by the factors of the microlenses."""
+    for factor in factors:
+        if len(factor.axes) == 2:
+            for block, x, y in _places(grids):
+                samples[block] *= as_field(pack(factor.at(x, y)), samples[block].shape)
+            continue
+        (axis,) = factor.axes
+        count, start = grids.count[axis], grids.wide_origin[axis] + grids.offset[axis] * grids.pitch
+        place = backend().types.Float64(dr.arange(backend().types.UInt32, count)) * grids.pitch + start
+        line = as_field(pack(factor.at(place)), (count,))
+        samples *= line if axis == 0 else line[:, None]
 
 
-def _apply_plane(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field) -> None:
-    """Multiply a field by the transmission of microlenses that are no product of two axes."""
-    lenses = plane_transmission(camera, wavelength, grids.bend)
-    for block, x, y in _places(grids):
-        samples[block] *= as_field(pack(lenses.at(x, y)), samples[block].shape)
-
-
-def _passed_power(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, samples: Field) -> float:
+def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: Field) -> float:
     """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
-    if camera.lattice.fills:
+    if system.lattice.fills:
         return power(samples)
-    total, cosine = 0.0, in_millimetres(wavelength) / (2 * grids.pitch)
+    total, cosine = 0.0, in_millimetres(system.wavelength) / (2 * grids.pitch)
     for block, x, y in _places(grids):
-        passed = backend().from_drjit(open_fraction(camera, wavelength, cosine, x, y))
+        passed = backend().from_drjit(system.microlenses.open_fraction(cosine, x, y))
         intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
         total += float((intensity * passed).sum(dtype=np.float64))
     return total

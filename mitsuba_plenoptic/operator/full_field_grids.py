@@ -60,13 +60,7 @@ def field_grids(
     refinement: float,
     growth: float,
 ) -> FieldGrids:
-    """Choose the grids of one scene point's field; parameters as of `full_field`.
-
-    Raises
-    ------
-    InputError
-        If they would need too much memory.
-    """
+    """Choose the grids of one scene point's field; parameters as of `full_field`."""
     camera, wavelength, lens = system.camera, system.wavelength, system.waves_of_one(position)
     p, lam = camera.pixel_size, in_millimetres(wavelength)
     radius = lens.pupil_radius

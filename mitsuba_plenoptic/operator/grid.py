@@ -19,6 +19,7 @@ from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..lenses.base import MainLens
 from ..optics.phase import in_millimetres
+from ..system.microlens_orders import MicrolensArray
 from ..system.microlenses import diffraction, scattering, upright
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_samples, fast_length, footprint
@@ -35,67 +36,39 @@ _BLOCK = 4096
 
 @dataclass(frozen=True)
 class Band:
-    r"""How much of the diffracted light a patch keeps.
-
-    Attributes
-    ----------
-    cone : float
-        Directions that are kept on the detector over those of the geometric cone, pupil plus microlens, at least.
-    margin : float
-        Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern.
-    bends : float
-        Directions that are kept beside the pupil's cone, over those that a wide microlens scatters to, at least.
-    orders : float
-        The same, in orders of the diffraction by a microlens's aperture (see `system.microlenses.diffraction`).
-    beyond : float
-        Directions that are kept beyond the geometric cone, in the same orders, at most where lenses leave no gaps.
-    edge : float
-        Samples over which the edges of the pupil, and of what hides parts of it, are softened.
-
-        What a hard edge diffracts beyond the patch is folded back into it; what an edge softened over one sample
-        diffracts there is lost. A single spread is truer without that light. A sum of many is truer with it, since
-        what one point sends away comes to another's patch: its power is right, and so are the rims of micro-images.
-    smooth : bool
-        Whether the softened edges have no kinks: less of what they diffract is then folded back.
-    """
+    """How much of the diffracted light a patch holds."""
 
     cone: float
+    """Directions that are held on the detector over those of the geometric cone, pupil plus microlens, at least."""
     margin: float
+    r"""Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern."""
     bends: float
+    """Directions that are held besides the pupil's cone, over those that a wide microlens scatters to, at least."""
     orders: float
+    """The same, in orders of the diffraction by a microlens's aperture (see `microlenses.diffraction`)."""
     beyond: float = math.inf
+    """Directions that are held beyond the geometric cone, in the same orders, at most where lenses leave no gaps."""
     edge: float = 1.0
-    smooth: bool = False
+    """Samples over which the edges of the pupil, and of what hides parts of it, are softened. What a hard edge
+    diffracts beyond the patch is folded back into it; what an edge softened over one sample diffracts there is lost. A
+    single spread is truer without that light. A sum of many is truer with it, since what one point sends away comes to
+    another's patch: its power is right, and so are the rims of micro-images."""
+    smooth: bool = False  # whether the softened edges have no kinks: less of what they diffract is then folded back
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The grid of the detector on which intensities are sampled, and what patches on it have in common.
+    """The grid of the detector on which intensities are sampled, and what patches on it have in common."""
 
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera in the frame of its lattice.
-    lens : MainLens
-        Its main lens, as the waves of the points pass it.
-    rotation : float
-        Degrees by which that frame is turned, counter-clockwise.
-    cosine : float
-        Half the range of direction cosines of one scene point's light at the MLA.
-    pitch : float64 array (2,)
-        Distance between samples along x and y, in millimetres.
-    origin : float64 array (2,)
-        x and y of sample (0, 0).
-    """
-
-    camera: PlenopticCamera
-    lens: MainLens
-    rotation: float
+    camera: PlenopticCamera  # in the frame of its lattice
+    lens: MainLens  # as the waves of the points pass it
+    microlenses: MicrolensArray  # in the frame of the lattice
+    rotation: float  # degrees by which that frame is turned, counter-clockwise
     wavelength: float
     band: Band
-    cosine: float
-    pitch: NDArray[np.float64]
-    origin: NDArray[np.float64]
+    cosine: float  # half the range of direction cosines of one scene point's light at the MLA
+    pitch: NDArray[np.float64]  # distances between samples along x and y, in millimetres
+    origin: NDArray[np.float64]  # x and y of sample (0, 0)
 
     @property
     def lens_samples(self) -> NDArray[np.int64]:
@@ -113,8 +86,8 @@ class Grid:
     ) -> Grid:
         """Lay the grid of a camera for some scene points.
 
-        Its pitch holds the kept directions, and along both axes a whole number of samples lies between neighbouring
-        micro-images.
+        Its pitch holds the directions of the band, and along both axes a whole number of samples lies between
+        neighbouring micro-images.
         """
         rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)
@@ -129,7 +102,17 @@ class Grid:
         steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
-        return cls(camera, lens, rotation, wavelength, band, cosine, steps / np.ceil(steps / largest), origin)
+        return cls(
+            camera,
+            lens,
+            system.upright_microlenses,
+            rotation,
+            wavelength,
+            band,
+            cosine,
+            steps / np.ceil(steps / largest),
+            origin,
+        )
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Turn scene points of the camera frame, (n, 3), into the frame of the lattice."""
@@ -156,16 +139,7 @@ class Placement:
 def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     """Choose size and place of the patches of some points.
 
-    Parameters
-    ----------
-    grid : Grid
-        The grid that they lie on.
-    positions : float64 array (n, 3)
-        Scene points in the frame of the lattice.
-
-    Returns
-    -------
-    Placement
+    The points are in the frame of the lattice.
     """
     # Rays are traced for some points at a time, so that memory does not grow with their number.
     starts = range(0, max(1, len(positions)), _BLOCK)

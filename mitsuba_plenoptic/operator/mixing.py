@@ -1,49 +1,43 @@
-"""Columns of weights, one for each wavelength, and the channels of an image that record them."""
+"""Columns of weights, one for each wavelength, the channels of an image that record them, and plans for wavelengths."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..optics.spectrum import Spectrum
+from ..runtime.jobs import Job
+from ..system.optical_system import OpticalSystem
+from .pupil_weights import PupilWeights
+
+_LEFT_OUT, _ROUNDING = 0.1, 1e-6
+"""Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
 
 
 @dataclass(frozen=True)
 class SpectralSum:
-    """The sum of point spreads at one wavelength, of which an image has some.
+    """The sum of point spreads at one wavelength, of which an image has some."""
 
-    Attributes
-    ----------
-    wavelength : float
-        In nanometres.
-    before : float64 array (columns, k)
-        What the columns of the weights are multiplied by.
-    after : float32 array (channels, k)
-        From what the sum makes of them to the channels of the image.
-    """
-
-    wavelength: float
-    before: NDArray[np.float64]
-    after: NDArray[np.float32]
+    wavelength: float  # in nanometres
+    before: NDArray[np.float64]  # (columns, k): what the columns of the weights are multiplied by
+    after: NDArray[np.float32]  # (channels, k): from what the sum makes of them to the channels of the image
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
-        """Return it with as few columns as tell the weights of some points: one where all have the same spectrum.
+        """Return it with the fewest columns that determine the weights of some points: one if all have one spectrum.
 
-        Spectra that change little between nodes give channels nearly the same weights but for a factor, and every
+        Spectra that change little between nodes give channels nearly the same weights except for a factor, and every
         column is added to the image copy by copy.
 
-        Parameters
-        ----------
-        weights : float64 array (n, columns)
-            Of the points.
-        errors : float64 array (channels,)
-            Root sum square of the weights in each channel of the image that may be left out.
+        In each of the channels of the image weights of the root sum square `errors` may be left out.
         """
         given = weights @ self.before
-        # In a fixed order: what is kept half done in a checkpoint is of these very columns.
+        # In a fixed order: a checkpoint of a sum under way is of these very columns.
         powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
         left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
         dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
@@ -53,30 +47,122 @@ class SpectralSum:
         return SpectralSum(self.wavelength, self.before @ kept, (self.after @ kept).astype(np.float32))
 
 
-def spectral_sums(
-    wavelengths: tuple[float, ...], matrix: NDArray[np.float32], spectrum: Spectrum | None
-) -> Iterator[SpectralSum]:
-    """Yield the sums of which the image is the sum: one for each distinct wavelength, or for each node.
+class WeightChannels:
+    """The wavelengths of columns of weights, of which there is one or a spectrum, and the image's channels."""
 
-    Parameters
-    ----------
-    wavelengths : tuple of float
-        Of each column of the weights.
-    matrix : float32 array (channels, columns)
-        From the columns to the image's channels.
-    spectrum : Spectrum, optional
-        Whose nodes count.
-    """
-    if spectrum is None or not spectrum.nodes:
-        for wavelength, some in groups(wavelengths):
-            yield SpectralSum(wavelength, np.eye(len(wavelengths))[:, some], matrix[:, some])
-        return
-    channels, columns = matrix.shape
-    for node, share in zip(spectrum.nodes, spectrum.shares(), strict=True):
-        if channels <= columns:
-            yield SpectralSum(node, share[:, None] * matrix.T.astype(np.float64), np.eye(channels, dtype=np.float32))
-        else:
-            yield SpectralSum(node, np.diag(share), matrix)
+    def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
+        self._wavelength, self.spectrum = wavelength, spectrum
+
+    @property
+    def light(self) -> Any:
+        """The wavelength or the spectrum, as plain data."""
+        return self._wavelength if self.spectrum is None else asdict(self.spectrum)
+
+    @property
+    def sums(self) -> int:
+        """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
+        return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
+
+    def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+        """Return the wavelength of each column of the weights, and the matrix (channels, columns) to the image's."""
+        if self.spectrum is None:
+            return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
+        return self.spectrum.wavelengths, self.spectrum.matrix()
+
+    def parts(self, columns: int) -> Iterator[SpectralSum]:
+        """Yield the sums that add up to an image, for a number of columns of weights (channels without a spectrum)."""
+        wavelengths, matrix = self.mixing(columns)
+        if self.spectrum is None or not self.spectrum.nodes:
+            for wavelength, some in groups(wavelengths):
+                yield SpectralSum(wavelength, np.eye(len(wavelengths))[:, some], matrix[:, some])
+            return
+        channels, columns = matrix.shape
+        for node, share in zip(self.spectrum.nodes, self.spectrum.shares(), strict=True):
+            if channels <= columns:
+                before = share[:, None] * matrix.T.astype(np.float64)
+                yield SpectralSum(node, before, np.eye(channels, dtype=np.float32))
+            else:
+                yield SpectralSum(node, np.diag(share), matrix)
+
+    def reduced_parts(self, weights: NDArray[np.float64], accuracy: float) -> Iterator[SpectralSum]:
+        """Yield the sums for some weights, (n, columns), those of nodes simplified within an allowed error."""
+        _, matrix = self.mixing(weights.shape[1])
+        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
+        errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * whole
+        for part in self.parts(weights.shape[1]):
+            yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
+
+    def check_image(self, image: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return an image of some (rows, columns) as (rows, columns, channels), or refuse it."""
+        try:
+            pixels = np.asarray(image, np.float32)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
+        rows, columns = shape
+        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
+            raise InputError(
+                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
+            )
+        channels = pixels.reshape(rows, columns, -1)
+        if self.spectrum is not None and channels.shape[2] != self.spectrum.channels:
+            raise InputError(f"image of shape {pixels.shape}: the spectrum has {self.spectrum.channels} channels")
+        return channels
+
+    def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
+        """Return the weights of `count` points as (count, columns), or refuse them."""
+        try:
+            factors = np.asarray(weights, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
+        if factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0):
+            raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
+        if not np.isfinite(factors).all():
+            raise InputError("weights: they must be finite")
+        wavelengths = 1 if self.spectrum is None else len(self.spectrum.wavelengths)
+        if factors.ndim == 1:
+            return np.repeat(factors[:, None], wavelengths, axis=1)
+        if self.spectrum is not None and factors.shape[1] != wavelengths:
+            raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
+        return factors
+
+
+class WavelengthPlans:
+    """The plans of some points at each wavelength, made when they are first asked for."""
+
+    def __init__(
+        self,
+        make: Callable[..., Any],
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        accuracy: float,
+        systems: dict[float, OpticalSystem],
+    ) -> None:
+        self._make, self._camera, self._systems = make, camera, systems
+        self._planned_for = points, pupil_weights, accuracy
+        self._plans: dict[float, Any] = {}
+
+    def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
+        """Return the plans of another kind for the same points."""
+        return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
+
+    def system_at(self, wavelength: float) -> OpticalSystem:
+        """Return the camera's optical system at a wavelength."""
+        if wavelength not in self._systems:
+            self._systems[wavelength] = OpticalSystem(self._camera.at_wavelength(wavelength), wavelength)
+        return self._systems[wavelength]
+
+    def at(self, wavelength: float) -> Any:
+        """Return the plan at a wavelength."""
+        if wavelength not in self._plans:
+            self._plans[wavelength] = self._make(self.system_at(wavelength), *self._planned_for)
+        return self._plans[wavelength]
+
+    def checked(self, wavelength: float, job: Job, channels: int) -> Any:
+        """Return the plan at a wavelength, or refuse what it takes."""
+        plan = self.at(wavelength)
+        plan.check_memory(job.workers, channels)
+        return plan
 
 
 def mix(image: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]:

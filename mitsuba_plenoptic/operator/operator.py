@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
-from typing import Any, Protocol, cast
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,41 +18,24 @@ from ..lenses.wave_cameras import require_ideal, require_no_glass
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job, LongSum, SumTask
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from .accuracy import DEFAULT_ACCURACY, check_accuracy
-from .derivatives import Differentials, check_changes, check_names
+from .derivatives import DerivativePlan, Differentials, check_changes, check_names
 from .full_field import FullFieldPlan
-from .mixing import SpectralSum, mix, spectral_sums
+from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
 
-
-class Plan(Protocol):
-    """The operator at one wavelength, planned for its points."""
-
-    def sum(self, weights: NDArray[np.float64]) -> LongSum:
-        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
-
-    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return for every point the image, (rows, columns, channels), weighted by its point spread."""
-
-    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes that a sum takes, or refuse them."""
-
-    def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate what a sum takes."""
-
-
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
-"""Ways to compute point spreads, by name."""
+"""Methods to compute point spreads at one wavelength, by name: the types of their plans.
+
+A plan takes an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`, `check_memory`
+and `cost`, as `PatchPlan` does.
+"""
 
 METHODS = tuple(PLANS)
-
-_LEFT_OUT, _ROUNDING = 0.1, 1e-6
-"""Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
 
 
 class CaptureOperator:
@@ -61,7 +44,7 @@ class CaptureOperator:
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
     where psf is the fraction of the power through the visible pupil that lands in the pixel p. Everything that does not
-    depend on the weights is planned when it is first needed, and kept.
+    depend on the weights is planned when it is first needed, and retained.
 
     Parameters
     ----------
@@ -79,7 +62,7 @@ class CaptureOperator:
     accuracy : float
         Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" points of nearly the
         same wavefront at neighbouring lenses then share a point spread. 0: every point has a spread of its own, and the
-        most of the diffracted light is kept.
+        most of the diffracted light is retained.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
@@ -116,8 +99,7 @@ class CaptureOperator:
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
-        self._wavelength = None if wavelength is None else require_wavelength(wavelength)
-        self._spectrum = spectrum
+        self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
         require_choice("method", method, METHODS)
         if method == "patch" and camera.lens_data.images_stop:
             raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
@@ -125,8 +107,9 @@ class CaptureOperator:
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if system is not None:
             _require_bound(system, camera, wavelength)
-        self._plans: dict[float, Plan] = {}
-        self._systems: dict[float, OpticalSystem] = {} if system is None else {system.wavelength: system}
+        systems = {} if system is None else {system.wavelength: system}
+        planned_for = self.points, self._pupil_weights, self._accuracy
+        self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
         self._differentials: Differentials | None = None
 
     @one_at_a_time
@@ -141,7 +124,7 @@ class CaptureOperator:
             Factors on the point spreads, of any sign. With a spectrum of several wavelengths one column for each of
             them, or one for all.
         job : Job, optional
-            Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
+            Who computes, what reports the progress, where the work is stored. Default: threads of this process.
 
         Returns
         -------
@@ -156,7 +139,7 @@ class CaptureOperator:
             If too much of the light is lost (see `optics.guards`).
         """
         factors = self._check(weights)
-        _, matrix = self._mixing(factors.shape[1])
+        _, matrix = self._channels.mixing(factors.shape[1])
         job = job or Job()
         with guards.watch():
             shape, items = (*self.camera.shape, len(matrix)), self._items
@@ -172,7 +155,7 @@ class CaptureOperator:
         image : array (rows, columns) or (rows, columns, channels)
             Of the recorded pixels.
         job : Job, optional
-            Who computes, and who is told of the progress.
+            Who computes, and what reports the progress.
 
         Returns
         -------
@@ -184,15 +167,15 @@ class CaptureOperator:
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        channels = self._check_image(image)
-        wavelengths, _ = self._mixing(channels.shape[2])
+        channels = self._channels.check_image(image, self.camera.shape)
+        wavelengths, _ = self._channels.mixing(channels.shape[2])
         job = job or Job()
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
             done = 0
-            for part in self._sums(channels.shape[2]):
+            for part in self._channels.parts(channels.shape[2]):
                 given = mix(channels, part.after.T)
-                plan = self._planned(part.wavelength, job, given.shape[2])
+                plan = self._plans.checked(part.wavelength, job, given.shape[2])
                 result += plan.gather(given, job, done, self._items) @ part.before.T
                 done += len(self.points)
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
@@ -217,7 +200,7 @@ class CaptureOperator:
             nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
             the ``pupil_radius`` of its exit pupil).
         job : Job, optional
-            Who is told of the progress; the work is done by threads of this process.
+            What reports the progress; the work is done by threads of this process.
 
         Returns
         -------
@@ -258,8 +241,8 @@ class CaptureOperator:
         factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
         if not checked:
             raise InputError("directions: give at least one")
-        wavelengths, matrix = self._mixing(factors.shape[1])
-        image = self._for_derivatives().push(factors, checked, wavelengths, matrix, job or Job())
+        wavelengths, matrix = self._channels.mixing(factors.shape[1])
+        image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
         made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
         flat = np.ndim(weights) == 1 and len(matrix) == 1
         return np.ascontiguousarray(made[..., 0] if flat else made)
@@ -281,7 +264,7 @@ class CaptureOperator:
         names : iterable of str, optional
             The numbers. Default: all.
         job : Job, optional
-            Who is told of the progress; the work is done by threads of this process.
+            What reports the progress; the work is done by threads of this process.
 
         Returns
         -------
@@ -295,26 +278,25 @@ class CaptureOperator:
         InputError
             As of `derivative`.
         """
-        factors, channels, chosen = self._check(weights), self._check_image(image_gradient), check_names(names)
-        wavelengths, matrix = self._mixing(factors.shape[1])
+        factors, chosen = self._check(weights), check_names(names)
+        channels = self._channels.check_image(image_gradient, self.camera.shape)
+        wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
-        return self._for_derivatives().pull(factors, channels, chosen, wavelengths, matrix, job or Job())
+        return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
 
     def _for_derivatives(self) -> Differentials:
         """Return the derivatives of the sums, or refuse methods that have none."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
-        self.camera.require_no_objective("derivatives by waves are found")
+        self.camera.require_no_objective("derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
-        if self._spectrum is not None and self._spectrum.nodes:
+        if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
             raise InputError(
-                f"spectrum: nodes = {self._spectrum.nodes}: there are no derivatives between nodes; leave them out"
+                f"spectrum: nodes = {spectrum.nodes}: there are no derivatives between nodes; leave them out"
             )
         if self._differentials is None:
-            self._differentials = Differentials(
-                self.camera, self.points, self._pupil_weights, self._accuracy, self._system_at
-            )
+            self._differentials = Differentials(self.camera, len(self.points), self._plans.made_by(DerivativePlan))
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
@@ -332,9 +314,9 @@ class CaptureOperator:
         PhysicsError
             If too much of the light would be lost.
         """
-        wavelengths, workers = sorted(each.wavelength for each in self._sums(1)), (job or Job()).workers
+        wavelengths, workers = sorted(each.wavelength for each in self._channels.parts(1)), (job or Job()).workers
         wavelength = wavelengths[len(wavelengths) // 2]
-        cost = self._plan(wavelength).cost(workers)
+        cost = self._plans.at(wavelength).cost(workers)
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
 
     def as_linear_operator(self) -> Any:
@@ -352,9 +334,10 @@ class CaptureOperator:
         """
         from scipy.sparse.linalg import LinearOperator
 
-        if self._spectrum is not None and (len(self._spectrum.wavelengths), self._spectrum.channels) != (1, 1):
+        spectrum = self._channels.spectrum
+        if spectrum is not None and (len(spectrum.wavelengths), spectrum.channels) != (1, 1):
             raise InputError(
-                f"spectrum of {len(self._spectrum.wavelengths)} wavelengths and {self._spectrum.channels} channels: a "
+                f"spectrum of {len(spectrum.wavelengths)} wavelengths and {spectrum.channels} channels: a "
                 "linear operator between flat arrays has one of each"
             )
         return LinearOperator(
@@ -367,62 +350,22 @@ class CaptureOperator:
     @property
     def sums(self) -> int:
         """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
-        return 1 if self._spectrum is None else len(self._spectrum.nodes or set(self._spectrum.wavelengths))
+        return self._channels.sums
 
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
         """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
-        for part in self._sums(weights.shape[1]):
-            if self._spectrum is not None and self._spectrum.nodes:
-                part = part.reduced(weights, self._left_out(weights))
+        for part in self._channels.reduced_parts(weights, self._accuracy):
 
             def plan(part: SpectralSum = part) -> LongSum:
                 given = weights @ part.before
-                return self._planned(part.wavelength, job, given.shape[1]).sum(given)
+                return self._plans.checked(part.wavelength, job, given.shape[1]).sum(given)
 
-            def combine(sums: NDArray[np.float32], after: NDArray[np.float32] = part.after) -> NDArray[np.float32]:
-                return mix(sums, after)
-
-            yield SumTask(len(self.points), plan, combine)
-
-    def _left_out(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much, root sum square, the weights in each channel may be wrong at a node."""
-        _, matrix = self._mixing(weights.shape[1])
-        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
-        return np.asarray(max(_LEFT_OUT * self._accuracy, _ROUNDING) / self.sums * whole)
-
-    def _sums(self, columns: int) -> Iterator[SpectralSum]:
-        """Yield the sums that make an image of so many columns of weights, or channels where there is no spectrum."""
-        return spectral_sums(*self._mixing(columns), self._spectrum)
+            yield SumTask(len(self.points), plan, partial(mix, matrix=part.after))
 
     @property
     def _items(self) -> int:
         """Point spreads of all sums."""
         return self.sums * len(self.points)
-
-    def _plan(self, wavelength: float) -> Plan:
-        """Return the plan of a wavelength, made when it is first asked for."""
-        if wavelength not in self._plans:
-            make, system = PLANS[self._method], self._system_at(wavelength)
-            self._plans[wavelength] = make(system, self.points, self._pupil_weights, self._accuracy)
-        return self._plans[wavelength]
-
-    def _system_at(self, wavelength: float) -> OpticalSystem:
-        """Return the camera's optical system at a wavelength, made when it is first asked for."""
-        if wavelength not in self._systems:
-            self._systems[wavelength] = OpticalSystem(self.camera.at_wavelength(wavelength), wavelength)
-        return self._systems[wavelength]
-
-    def _planned(self, wavelength: float, job: Job, channels: int) -> Plan:
-        """Return the plan of a wavelength, or refuse what it takes."""
-        plan = self._plan(wavelength)
-        plan.check_memory(job.workers, channels)
-        return plan
-
-    def _mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
-        """Return the wavelength of each column of the weights, and the matrix (channels, columns) to the image's."""
-        if self._spectrum is None:
-            return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
-        return self._spectrum.wavelengths, self._spectrum.matrix()
 
     def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
         """Return by what a sum is known as the same."""
@@ -430,45 +373,15 @@ class CaptureOperator:
         arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
         return {
             "camera": self.camera.to_dict(),
-            "spectrum": self._wavelength if self._spectrum is None else asdict(self._spectrum),
+            "spectrum": self._channels.light,
             "method": self._method,
             "accuracy": self._accuracy,
             "points_digest": digest(self.points, factors, *arrays),
         }
 
-    def _check_image(self, image: Any) -> NDArray[np.float32]:
-        """Return an image as (rows, columns, channels)."""
-        try:
-            pixels = np.asarray(image, np.float32)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
-        rows, columns = self.camera.shape
-        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
-            raise InputError(
-                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
-            )
-        channels = pixels.reshape(rows, columns, -1)
-        if self._spectrum is not None and channels.shape[2] != self._spectrum.channels:
-            raise InputError(f"image of shape {pixels.shape}: the spectrum has {self._spectrum.channels} channels")
-        return channels
-
     def _check(self, weights: Any) -> NDArray[np.float64]:
-        """Return weights as (n, channels)."""
-        count = len(self.points)
-        try:
-            factors = np.asarray(weights, np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
-        if factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0):
-            raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
-        if not np.isfinite(factors).all():
-            raise InputError("weights: they must be finite")
-        wavelengths = 1 if self._spectrum is None else len(self._spectrum.wavelengths)
-        if factors.ndim == 1:
-            return np.repeat(factors[:, None], wavelengths, axis=1)
-        if self._spectrum is not None and factors.shape[1] != wavelengths:
-            raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
-        return factors
+        """Return weights as (n, columns)."""
+        return self._channels.check_weights(weights, len(self.points))
 
 
 def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:

@@ -1,16 +1,15 @@
-"""What the fields of points are multiplied by on their way over a patch: pupil, curvature, microlenses, free space.
+"""The factors of fields on a patch, from pupil to detector: pupil, microlens array with curvature, free space.
 
-These are all that the field depends on beside Fourier transforms of fixed sizes (see `patch`). The numbers of the
-camera that they are made of may be floats, or Dr.Jit numbers that carry gradients, while grids and places stay as they
-are.
+These are all that the field depends on, besides Fourier transforms of fixed sizes (see `patch`). The parameters of the
+camera that they are made of may be floats, or Dr.Jit numbers with gradients, while grids and positions are fixed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -23,112 +22,115 @@ from ..optics.free_space import transfer
 from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
 from ..runtime.backend import array_module
 from ..runtime.fft import split
-from ..system.microlens_orders import axis_transmission, plane_transmission
-from ..system.microlenses import is_separable
+from ..system.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..system.sampling import fast_length
 from .grid import Grid, Placement
 from .pupil_weights import PupilWeights
 
 
-class Microlenses(Protocol):
-    """The transmission of the microlenses in the frame of their lattice: one of the two, as `is_separable` tells."""
-
-    def along(self, coordinate: Any, axis: int) -> Any:
-        """Return the factor along one axis."""
-
-    def at(self, x: Any, y: Any) -> Any:
-        """Return the transmission at some places."""
-
-
 @dataclass(frozen=True)
 class Elements:
-    """The optical elements that a field passes; numbers are floats or Dr.Jit numbers, which may carry gradients.
+    """The optical elements that a field passes, by floats or by Dr.Jit numbers, which may carry gradients.
 
-    Numbers of Dr.Jit may be there once, or once for each lane of the factor that is made of them.
-
-    Attributes
-    ----------
-    lens : MainLens or VaryingLens
-        The main lens.
-    microlenses : Microlenses
-        In the frame of the lattice.
-    wavelength : float
-        In nanometres.
-    detector_distance : float
-        In millimetres.
-    turned : float
-        Degrees by which the lattice is turned, counter-clockwise, from where its frame is.
-    growth : float
-        Factor on all distances of samples on the MLA and the detector, and on the places of patches. It follows the
-        wavelength, so that directions and points of the pupil stay where they are.
-    aberration : callable, optional
-        Returns a further path of the main lens at points x and y of its pupil in the camera frame, in millimetres.
+    There is one Dr.Jit number for each parameter, or one for each lane of the factor that is made of it.
     """
 
     lens: MainLens | VaryingLens
-    microlenses: Any
-    wavelength: Any
-    detector_distance: Any
-    turned: Any = 0.0
+    array: Sequence[ArrayFactor | VaryingArrayFactor]  # in the frame of the lattice
+    wavelength: Any  # in nanometres
+    detector_distance: Any  # in millimetres
+    turned: Any = 0.0  # degrees by which the lattice is turned, counter-clockwise, against its frame
     growth: Any = 1.0
+    """Factor on all distances of samples on the MLA and the detector, and on the positions of patches. It follows the
+    wavelength, so that directions and points of the pupil are fixed."""
     aberration: Callable[[Any, Any], Any] | None = None
+    """A further path of the main lens, in millimetres, at points x and y of its pupil in the camera frame."""
 
-    @classmethod
-    def of(cls, grid: Grid, cosine: float) -> Elements:
-        """Take those of a camera in the frame of its lattice, with microlenses up to a direction cosine."""
-        camera, wavelength = grid.camera, grid.wavelength
-        make = axis_transmission if is_separable(camera) else plane_transmission
-        return cls(grid.lens, make(camera, wavelength, cosine), wavelength, camera.detector_distance)
+
+@dataclass(frozen=True)
+class Fields:
+    """What the fields of some points are made of, whose patches have one size."""
+
+    grid: Grid
+    placement: Placement
+    positions: NDArray[np.float64]  # (n, 3), in the frame of the lattice
+    pupil_weights: PupilWeights | None
+
+    @property
+    def samples(self) -> int:
+        """Samples of all patches."""
+        return int((self.placement.samples**2).sum())
 
 
 class PatchFactors:
-    """The factors of points whose patches have one size.
+    """The factors of fields on patches of one size, in the order in which the fields pass them.
 
-    Parameters
-    ----------
-    grid, placement, positions, amplitudes, weights
-        As of `patch.PatchBatch`.
-    types : module, optional
-        Of Dr.Jit's arrays. Default: those of the active processor without gradients.
-
-    Attributes
-    ----------
-    samples, mla_samples : int
-        Across each patch on the detector, and on the MLA.
-    highest : float
-        Largest direction cosine to which microlenses may send light.
-    directions : int
-        Across the square that holds the plane waves from each pupil.
-    chief : int array (n, 2)
-        Number of the middle direction of each.
-    transfer_shape : (int, int)
-        Directions along y and x for which there is a transfer function.
+    These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on the
+    array's samples along their `axes`; and the transfer function to the detector, of the directions of all points.
     """
 
     def __init__(
         self,
-        grid: Grid,
-        placement: Placement,
-        positions: NDArray[np.float64],
+        fields: Fields,
         amplitudes: NDArray[np.float64],
-        weights: PupilWeights | None,
+        elements: Callable[[float, int], Elements] | None = None,
         types: Any = None,
     ) -> None:
-        self._grid, self._placement, self._positions = grid, placement, positions
-        self._amplitudes, self._weights = amplitudes, weights
+        """Lay out the factors of fields with some amplitudes.
+
+        `elements` makes the elements, with microlenses up to a direction cosine, for a number of lanes; by default the
+        grid's camera has them. `types` is the module of Dr.Jit's arrays, by default those without gradients.
+        """
+        self._grid, self._placement, self._positions = fields.grid, fields.placement, fields.positions
+        self._amplitudes, self._weights = amplitudes, fields.pupil_weights
         self._types = types or array_module()
-        self.separable = is_separable(grid.camera)
+        grid, placement, self._elements_of = fields.grid, fields.placement, elements or self._of_camera
         self.samples = int(placement.samples[0])
         finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
         half = 2 * grid.cosine / finest
-        # Orders that would fold back into the kept band are cut; a few more samples keep those of use.
+        # Orders that would fold back into the band are cut; a few more samples hold those of use.
         self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
-        self.highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
-        self.chief = (placement.first + placement.last) // 2
-        self.directions = int((placement.last - placement.first).max()) + 1
-        self._low = self.chief.min(0)
+        self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
+        # Each axis has a factor, the curvature, with the microlenses of its coordinate; those of both are separate.
+        self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
+        self.chief = (placement.first + placement.last) // 2  # number of the middle direction of each, (n, 2)
+        directions = int((placement.last - placement.first).max()) + 1
+        self._low, count = self.chief.min(0), len(self._positions)
         columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
-        self.transfer_shape = rows, columns
+        on_array = [(count, *[self.mla_samples] * len(axes)) for axes in self.axes]
+        self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
+
+    def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
+        """Return one point's part of each factor, or of what belongs to the factors; None where there is none."""
+        *own, transfer = parts
+        mine = [None if part is None else part[point] for part in own]
+        return [*mine, None if transfer is None else transfer[self.directions_of(point)]]
+
+    def directions_of(self, point: int) -> tuple[slice, slice]:
+        """Return which of the directions of the transfer function, along y and x, the field of one point has."""
+        x, y = (self.chief[point] - self._low).tolist()
+        return slice(y, y + self.samples), slice(x, x + self.samples)
+
+    def values(self) -> Iterator[Any]:
+        """Yield the factors as flat arrays Complex2f of Dr.Jit."""
+        pupil, power = self._pupil(self._elements(self.shapes[0]))
+        dr.schedule(power)  # with the pupil, of which it is a sum
+        yield pupil
+        scale = self._scale(self._elements(self.shapes[0][:1]), power)
+        for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
+            elements = self._elements(shape)
+            yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
+        yield self._transfer(self._elements(self.shapes[-1]))
+
+    def _of_camera(self, cosine: float, lanes: int) -> Elements:
+        """Return the elements of the grid's camera."""
+        grid = self._grid
+        array = grid.microlenses.factors(cosine)
+        return Elements(grid.lens, array, grid.wavelength, grid.camera.detector_distance)
+
+    def _elements(self, shape: tuple[int, ...]) -> Elements:
+        """Return the elements for a factor of some shape."""
+        return self._elements_of(self._highest, math.prod(shape))
 
     @property
     def _steps(self) -> list[float]:
@@ -145,16 +147,10 @@ class PatchFactors:
             numbers = self._types.Float64(np.ascontiguousarray(numbers, np.float64))
         return dr.gather(self._types.Float64, numbers, number)
 
-    def pupil(self, elements: Elements) -> tuple[Any, Any]:
-        """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it.
-
-        Returns
-        -------
-        waves : Complex2f of Dr.Jit
-        power : Float64 of Dr.Jit
-        """
+    def _pupil(self, elements: Elements) -> tuple[Any, Any]:
+        """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
         types, lens, grid, placement = self._types, elements.lens, self._grid, self._placement
-        size = self.directions
+        _, size, _ = self.shapes[0]
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
         number, row, column = split(types, index, size, size)
 
@@ -183,8 +179,8 @@ class PatchFactors:
         bright = types.Float(light.amplitude(pupil, point) * R * R / b)
         power = types.Float64(bright * bright * cover)
         if self._weights is not None:
-            place = self._in_camera(elements, *pupil)
-            passed, amplitude = self._weights.at(number, *place, lens.pupil_radius, sample)
+            in_camera = self._in_camera(elements, *pupil)
+            passed, amplitude = self._weights.at(number, *in_camera, lens.pupil_radius, sample)
             power *= types.Float64(passed)
             cover *= types.Float(amplitude)
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
@@ -209,7 +205,7 @@ class PatchFactors:
         """Turn a vector of the lattice's frame into one of the camera's."""
         return turn(x, y, self._grid.rotation + elements.turned)
 
-    def scale(self, elements: Elements, power: Any) -> Any:
+    def _scale(self, elements: Elements, power: Any) -> Any:
         """Return the factor on each field that makes its intensity the density of a fraction of the power."""
         lit = power > 0
         steps = self._constant(math.prod(self._steps))
@@ -217,17 +213,22 @@ class PatchFactors:
         scale = self._types.Float64(self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
         return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
-    def along(self, elements: Elements, axis: int, scale: Any) -> Any:
-        """Return the factor on the MLA along x (axis 0) or y, (n, samples), as Complex2f; that along y has the scale.
+    def _position(self, number: Any, sample: Any, axis: int) -> Any:
+        """Return the coordinate on the MLA of samples of some points."""
+        grid = self._grid
+        corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
+        step = float(self.samples * grid.pitch[axis] / self.mla_samples)
+        return self._each(corner, number) + self._types.Float64(sample) * self._constant(step)
 
-        The microlenses are in it if they are such a product.
+    def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
+        """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
+
+        The tilt of the chief ray is left out.
         """
         types, placement = self._types, self._placement
-        count = len(self._positions)
-        index = dr.arange(types.UInt32, count * self.mla_samples)
-        _, number, sample = split(types, index, count, self.mla_samples)
-        m = self._each(self._corner[:, axis], number)
-        m += types.Float64(sample) * self._constant(float(self._mla_pitch[axis]))
+        shape = len(self._positions), self.mla_samples
+        _, number, sample = split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
+        m = self._position(number, sample, axis)
         image, growth = self._each(placement.image[:, axis], number), elements.growth
         mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
@@ -237,40 +238,23 @@ class PatchFactors:
         spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
         curvature = spread * elements.lens.curvature(square)
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
-        waves = mu * mu * curvature + types.Float64(sample) * self._each(shift, number)
-        factor = phasor(waves)
-        if self.separable:
-            factor *= elements.microlenses.along(m * growth, axis)
-        return factor * types.Float(self._each(scale, number)) if axis else factor
+        product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, number))
+        for factor in elements.array:
+            if factor.axes == (axis,):
+                product *= factor.at(m * growth)
+        return product * types.Float(self._each(scale, number)) if axis else product
 
-    def lenses(self, elements: Elements) -> Any:
-        """Return the transmission of the microlenses, (n, samples along y, samples along x), as Complex2f."""
-        types, size = self._types, self.mla_samples
+    def _on_plane(self, elements: Elements) -> Any:
+        """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
+        types, size, (factor,) = self._types, self.mla_samples, elements.array
         number, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
-        x, y = (
-            (
-                self._each(self._corner[:, axis], number)
-                + types.Float64(index) * self._constant(float(self._mla_pitch[axis]))
-            )
-            * elements.growth
-            for axis, index in ((0, column), (1, row))
-        )
-        return elements.microlenses.at(x, y)
+        x, y = (self._position(number, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
+        return factor.at(x, y)
 
-    @property
-    def _corner(self) -> NDArray[np.float64]:
-        """Places of the first samples on the MLA, (n, 2)."""
-        return self._grid.origin + self._placement.corner * self._grid.pitch
-
-    @property
-    def _mla_pitch(self) -> NDArray[np.float64]:
-        """Distance between samples on the MLA along x and y."""
-        return self.samples * self._grid.pitch / self.mla_samples
-
-    def transfer(self, elements: Elements) -> Any:
-        """Return the transfer function from MLA to detector, of all directions of all points, as Complex2f."""
+    def _transfer(self, elements: Elements) -> Any:
+        """Return the transfer function from MLA to detector."""
         types = self._types
-        rows, columns = self.transfer_shape
+        rows, columns = self.shapes[-1]
         _, row, column = split(types, dr.arange(types.UInt32, rows * columns), rows, columns)
         sx, sy = (
             (types.Float64(index) + self._constant(float(self._low[axis] - self.samples // 2)))

@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
-from ..system.microlenses import is_separable
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .accuracy import band_for, wavefront_step
 from .grid import Band, Grid, place
+from .patch_factors import Fields
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .sharing import ZONES, find_patterns
-from .tile import Copies, Fields, Gather, Scatter, aperture_power, tile_extent
+from .tile import Copies, Gather, Scatter, aperture_power, reached
 
 _CHUNK = 64
 """Point spreads that are prepared together and added into one tile, at most."""
@@ -53,24 +53,12 @@ _JUDGED = 16
 
 @dataclass(frozen=True)
 class Cost:
-    """What a capture takes.
+    """What a capture takes."""
 
-    Attributes
-    ----------
-    points : int
-        Points whose light reaches the recorded window; 0 where none are found.
-    patterns : int
-        Point spreads that are computed for them.
-    seconds : float
-        Time, from that of a few of them on this machine now.
-    memory : float
-        Bytes at most.
-    """
-
-    points: int
-    patterns: int
-    seconds: float
-    memory: float
+    points: int  # points whose light reaches the recorded window; 0 where none are found
+    patterns: int  # point spreads that are computed for them
+    seconds: float  # time, from that of a few of them on this machine now
+    memory: float  # bytes at most
 
 
 class PatchPlan:
@@ -79,20 +67,8 @@ class PatchPlan:
     A pattern is a point spread that several points share; each has it at a place of its own, as a copy. Each chunk
     is a batch: it is added into a tile of its own, in the order of its patterns.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    points : float64 array (n, 3)
-        Points in the camera frame.
-    pupil_weights : PupilWeights, optional
-        Their power over the pupil.
-    accuracy : float
-        Allowed relative error.
-    band : Band, optional
-        How much of the diffracted light is kept. Default: what suits the allowed error of images.
-    shared : bool
-        Whether points may share patterns, if the allowed error lets them.
+    At the allowed error `accuracy` points may share patterns, unless `shared` is false; `band` is by default what suits
+    that error for images.
     """
 
     def __init__(
@@ -142,7 +118,7 @@ class PatchPlan:
         for group in np.split(order, np.flatnonzero(changes) + 1):
             first = group[0]
             across = (self._placement.last[first] - self._placement.first[first]).max() + 2
-            if not is_separable(self._grid.camera):
+            if (0, 1) in self._grid.microlenses.axes:
                 across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
             size = int(min(most, max(1, _CHUNK_BYTES // (8 * across**2))))
             chunks += [group[start : start + size] for start in range(0, len(group), size)]
@@ -221,19 +197,7 @@ class PatchPlan:
 
         Where there are gaps between the apertures, that of a few patterns stands for all.
 
-        Parameters
-        ----------
-        chunks : list of int64 arrays
-            The chunks of a sum.
-        weights : float64 array (n, channels)
-            Its weights.
-        arrived : float
-            The sum of all its samples, without the `gain`.
-
-        Returns
-        -------
-        float or None
-            None where it is not known, since weights cancel each other.
+        `arrived` is the sum of all samples, without the `gain`. None is returned where weights cancel each other.
         """
         if not chunks or weights.min() < 0:
             return None
@@ -273,18 +237,7 @@ class PatchPlan:
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return for every point the image weighted by its point spread.
 
-        Parameters
-        ----------
-        image : float32 array (rows, columns, channels)
-            Of the recorded pixels.
-        job : Job
-            Who computes, and who is told of the progress.
-        done, total : int
-            The points that are done before, and those of the whole job.
-
-        Returns
-        -------
-        float64 array (n, channels)
+        `done` points of the `total` of a job are done before.
         """
         samples = self._recorder.spread(image)
         result = np.zeros((self._count, image.shape[2]))
@@ -309,18 +262,18 @@ class PatchPlan:
         fields = self._fields(chunk)
         placement = fields.placement
         copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
-        corner, size = tile_extent(placement.corner, int(placement.samples[0]), copies)
-        return Gather(fields, copies, self._tile(samples, corner, corner + size))
+        box = reached(placement.corner, int(placement.samples[0]), copies)
+        return Gather(fields, copies, self._tile(samples, box))
 
-    def _tile(self, samples: Any, low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Cut a rectangle of the grid out of the recorded samples; beyond these it is zero."""
-        box = self._recorder.box
-        place, size = low - np.array([box.left, box.top]), high - low
-        tile = np.zeros((*samples.shape[:-2], int(size[1]), int(size[0])), np.float32)
-        low, high = np.maximum(place, 0), np.minimum(place + size, [box.columns, box.rows])
-        if (low < high).all():
-            inner = (slice(low[1] - place[1], high[1] - place[1]), slice(low[0] - place[0], high[0] - place[0]))
-            tile[(..., *inner)] = backend().to_host(samples[..., low[1] : high[1], low[0] : high[0]])
+    def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
+        """Cut a rectangle of the grid out of recorded samples, (channels, rows, columns); beyond these it is zero."""
+        own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
+        top, left = box.top - own.top, box.left - own.left
+        rows = slice(max(top, 0), min(top + box.rows, own.rows))
+        columns = slice(max(left, 0), min(left + box.columns, own.columns))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+            tile[(slice(None), *inner)] = backend().to_host(samples[:, rows, columns])
         return tile
 
     # -- cost ------------------------------------------------------------------------------------------
@@ -362,7 +315,7 @@ class PatchPlan:
             chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # as most patterns have it
             self._timed(chunk[:_FIRST], ones)  # compiles the kernels; those of one pattern are others
             _, taken = self._timed(chunk[:_FIRST], ones)
-            # What a chunk takes beside its patterns counts little where it is whole.
+            # What a chunk takes besides its patterns counts little where it is whole.
             some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
             part, taken = self._timed(some, ones)
             arrived += float(part.sums.sum(dtype=np.float64))
@@ -378,7 +331,7 @@ def _areas(samples: Any) -> Any:
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of so many patterns, evenly, each by itself."""
+    """Return a few of `count` patterns, evenly, each by itself."""
     return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 

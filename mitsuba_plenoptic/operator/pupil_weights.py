@@ -14,13 +14,7 @@ from ..errors import InputError
 
 
 def spline_parts(place: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the cubic B-splines of the four nearest knots, one apart, at places between the middle two.
-
-    Parameters
-    ----------
-    place : float, NumPy or Dr.Jit array
-        Distance from the second knot, 0 to 1.
-    """
+    """Return the cubic B-splines of the four nearest knots, one apart, at places between the middle two."""
     left = 1 - place
     return left**3 / 6, 2 / 3 - place**2 + place**3 / 2, 2 / 3 - left**2 + left**3 / 2, place**3 / 6
 
@@ -34,40 +28,22 @@ class PupilWeights:
     """Relative power over the pupil, for many points of which most have the same.
 
     The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
-
-    Attributes
-    ----------
-    table : float32 array (k, m, m)
-        Distinct weights, not negative.
-    index : int64 array (n,)
-        Which of them each point has.
-    slant : float64 array (n, 2)
-        By how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera frame.
-    sampled : bool
-        Whether the weights are those of points in the middle of the cells, between which the power changes smoothly;
-        if not, each holds for the whole of its cell.
     """
 
-    table: NDArray[np.float32]
-    index: NDArray[np.int64]
+    table: NDArray[np.float32]  # (k, m, m): distinct weights, not negative
+    index: NDArray[np.int64]  # (n,): which of them each point has
     slant: NDArray[np.float64]
+    """(n, 2): by how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera
+    frame."""
     sampled: bool = False
+    """Whether the weights are those of points in the middle of the cells, between which the power changes smoothly; if
+    not, each holds for the whole of its cell."""
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
         """Gather the weights of some points.
 
-        Parameters
-        ----------
-        weights : array (n, m, m), PupilWeights or None
-            Relative power, or booleans for what is visible; None if it is the same over all of the pupil.
-        count : int
-            The points.
-
-        Raises
-        ------
-        InputError
-            If the array has another shape, or a weight is negative or not finite.
+        They are relative power, or booleans for what is visible, (points, m, m). None is the same over all the pupil.
         """
         if weights is None:
             return None
@@ -108,21 +84,6 @@ class PupilWeights:
 
         A hard border of a cell would fold its steep spectrum back into the band of the samples. Samples wider than a
         cell are taken as wide as one.
-
-        Parameters
-        ----------
-        point : UInt32 array of Dr.Jit
-            Number of the point.
-        Px, Py : float64 arrays of Dr.Jit
-            Points of the pupil in the camera frame.
-        radius : float
-            Half the width of the square.
-        sample : float or float64 array of Dr.Jit
-            Width of the samples.
-
-        Returns
-        -------
-        power, amplitude : Float arrays of Dr.Jit
         """
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
@@ -147,13 +108,7 @@ class PupilWeights:
         return power * cosine, amplitude * dr.sqrt(cosine)
 
     def means(self, points: int) -> NDArray[np.float64]:
-        """Return the mean of each point's weights over the pupil; (n,).
-
-        Parameters
-        ----------
-        points : int
-            Across a cell, for how much of it lies in the pupil.
-        """
+        """Return the mean of each point's weights over the pupil; (n,)."""
         cells = self.table.shape[1]
         place = (np.arange(cells * points) + 0.5) / points
         near = _splines(place) if self.sampled else [(np.floor(place), 1.0)]
@@ -187,18 +142,7 @@ def _splines(place: Any) -> list[tuple[Any, Any]]:
 def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     """Return the slants of surfaces.
 
-    Parameters
-    ----------
-    normals : array (n, 3)
-        Normals in the camera frame; zero where there is no surface.
-    positions : float64 array (n, 3)
-        Points on them.
-    radius : float
-        Of the pupil.
-
-    Returns
-    -------
-    float64 array (n, 2)
+    The slant is that of power over the pupil, for normals in the camera frame; these are 0 where there is no surface.
     """
     height = (normals * positions).sum(1)
     slant = -radius * normals[:, :2] / np.where(height == 0, np.inf, height)[:, None]

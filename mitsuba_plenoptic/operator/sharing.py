@@ -25,7 +25,7 @@ from ..optics.phase import in_millimetres
 from .pupil_weights import PupilWeights
 
 ZONES = (2, 3, 4, 6, 8, 12, 16)
-"""Lenses along an axis over which patterns may be shared, beside one."""
+"""Lenses along an axis over which patterns may be shared, besides one."""
 
 _LENS_PER_WAVE = 2.5
 """Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""
@@ -45,24 +45,12 @@ _OFF_LATTICE = 0.38196601
 
 @dataclass(frozen=True)
 class Patterns:
-    """Patterns, and which point takes which.
+    """Patterns, and which point takes which."""
 
-    Attributes
-    ----------
-    positions : float64 array (patterns, 3)
-        The scene point that each is computed for.
-    slant : float64 array (patterns, 2), or None
-        Mean of the points' slants (see `PupilWeights`).
-    pattern : int array (n,)
-        For each point its pattern.
-    shift : int array (n, 2)
-        For each point the lenses, along x and y, from the pattern's place to its own.
-    """
-
-    positions: NDArray[np.float64]
-    slant: NDArray[np.float64] | None
-    pattern: NDArray[np.int64]
-    shift: NDArray[np.int64]
+    positions: NDArray[np.float64]  # (patterns, 3): the scene point that each is computed for
+    slant: NDArray[np.float64] | None  # (patterns, 2): mean of the points' slants (see `PupilWeights`)
+    pattern: NDArray[np.int64]  # (n,): for each point its pattern
+    shift: NDArray[np.int64]  # (n, 2): for each point the lenses, along x and y, from the pattern's place to its own
 
 
 def find_patterns(
@@ -75,24 +63,8 @@ def find_patterns(
 ) -> Patterns:
     """Find points that share patterns.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera in the frame of its lattice.
-    lens : MainLens
-        Its main lens.
-    positions : float64 array (n, 3)
-        Scene points in that frame.
-    pupil_weights : PupilWeights, optional
-        Power over the pupil; only those share whose power is equal but for a little slant.
-    wavelength : float
-        Wavelength in nanometres.
-    step : float
-        By how much wavefronts that count as the same may differ across a microlens, in waves; 0: nothing is shared.
-
-    Returns
-    -------
-    Patterns
+    Wavefronts count as the same if they differ by less than `step` waves across a microlens; with 0 nothing is shared.
+    Camera and positions are in the frame of the lattice. Points whose pupils pass different powers never share.
     """
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)

@@ -30,28 +30,7 @@ def with_enough_nodes(
     The count is raised in steps until images of each point, by every channel, change by no more than half of the
     error: the other half is for what is then still left.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    points : array (n, 3)
-        Scene points as of `CaptureOperator`, a few that stand for all.
-    spectrum : Spectrum
-        The wavelengths, as many as light and responses need.
-    error : float
-        Relative error (L2) of each channel's image that is allowed.
-    pupil_weights : optional
-        As of `CaptureOperator`.
-
-    Returns
-    -------
-    Spectrum
-        The same, or with nodes.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of range.
+    `points` are a few that stand for all, `error` is relative (L2) and holds for the image of each channel.
     """
     error = require_number("error", error, positive=True)
     weights = PupilWeights.of(pupil_weights, len(points))

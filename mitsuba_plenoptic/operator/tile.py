@@ -8,7 +8,7 @@ a sparse matrix, of which each row is a cell of the sum, times the cells of the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,10 +21,8 @@ from ..optics.phase import in_millimetres
 from ..runtime.backend import array_module, backend
 from ..runtime.batches import Box, Part
 from ..runtime.fft import fft2, resting_drjit
-from ..system.microlens_orders import open_fraction
-from .grid import Grid, Placement
-from .patch import PatchBatch, Workspace
-from .pupil_weights import PupilWeights
+from .patch import PatchBatch, PatchWorkspace
+from .patch_factors import Fields
 
 _FEWEST_COPIES = 3
 """Copies of a pattern, in the mean, from which on cutting it pays."""
@@ -40,30 +38,17 @@ _TOGETHER = 2**20
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Patterns of one size, and their sum, cut into cells.
+class CopyCells:
+    """Patterns of one size, and their sum, cut into cells."""
 
-    Attributes
-    ----------
-    width : int array (2,)
-        Samples of a cell along x and y.
-    count : int array (2,)
-        Cells that a pattern reaches, wherever it begins.
-    """
-
-    width: NDArray[np.int64]
-    count: NDArray[np.int64]
+    width: NDArray[np.int64]  # (2,): samples of a cell along x and y
+    count: NDArray[np.int64]  # (2,): cells that a pattern reaches, wherever it begins
 
     @classmethod
-    def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> Cells | None:
+    def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> CopyCells | None:
         """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if it does not pay.
 
-        Parameters
-        ----------
-        shifts : list of int arrays (copies, 2)
-            For each pattern, along x and y.
-        samples : int
-            Width of the patterns.
+        `shifts` has for each pattern those of its copies along x and y, (copies, 2).
         """
         every = np.concatenate([shift - shift[0] for shift in shifts])
         width = np.gcd.reduce(every, axis=0)
@@ -74,7 +59,7 @@ class Cells:
         return cls(width, count) if pays and (count * width).prod() <= _MOST_PADDING * samples**2 else None
 
     def sum(self, size: NDArray[np.int64], channels: int, patterns: int) -> CellSum:
-        """Return an empty sum of so many samples along x and y, which holds so many patterns at a time or more."""
+        """Return an empty sum of some samples along x and y, which holds at least `patterns` at a time."""
         return CellSum(self, size, channels, patterns)
 
     def cut(self, planes: Any) -> Any:
@@ -84,7 +69,7 @@ class Cells:
         return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
 
     def join(self, cells: Any, planes: int, shape: NDArray[np.int64]) -> Any:
-        """Undo `cut` of so many planes, of `shape` cells each."""
+        """Undo `cut` of a number of planes, of `shape` cells each."""
         cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
         return cells.reshape(planes, *(shape * self.width).tolist())
 
@@ -92,7 +77,7 @@ class Cells:
 class CellSum:
     """A sum of copies of patterns; they are collected, and multiplied some at a time."""
 
-    def __init__(self, cells: Cells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
+    def __init__(self, cells: CopyCells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
         self._cells, self._size, self._channels = cells, size, channels
         self._shape = size // cells.width + 1 + cells.count
         self._arrays = backend().arrays
@@ -105,14 +90,8 @@ class CellSum:
     def plane(self, pattern: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
         """Return where the intensity of a pattern is to be written, (samples along x, along y) and some beyond.
 
-        Parameters
-        ----------
-        pattern : int
-            Its number, by which it is known when the next part of it is written.
-        places : int array (copies, 2)
-            First sample of each copy along x and y.
-        weights : float32 array (copies, channels)
-            Factors on the copies.
+        `places` are the first samples of each copy along x and y. A pattern is known by its index when its next part is
+        written.
         """
         if pattern not in self._held:
             self._held[pattern] = len(self._held)
@@ -161,100 +140,76 @@ class CellSum:
 
 @dataclass(frozen=True)
 class Copies:
-    """Where and how strongly the intensity of one point spread is added: at its own place, and at copies of it.
+    """Where and how strongly the intensity of one point spread is added: at its own place, and at copies of it."""
 
-    Attributes
-    ----------
-    shifts : int array (copies, 2)
-        Samples along x and y by which each copy is moved.
-    weights : float32 array (copies, channels)
-        Factors on the intensity.
+    shifts: NDArray[np.int64]  # (copies, 2): samples along x and y by which each copy is moved
+    weights: NDArray[np.float32]  # (copies, channels): factors on the intensity
+
+
+class CopySum:
+    """A sum of the copies of patterns of one size, with their weights: by cells where these pay, else copy by copy.
+
+    `places` are the first samples of each pattern's copies along both axes of a sum of some size. Parts of `together`
+    patterns come in turns.
     """
 
-    shifts: NDArray[np.int64]
-    weights: NDArray[np.float32]
+    def __init__(
+        self,
+        copies: Sequence[Copies],
+        places: list[NDArray[np.int64]],
+        samples: int,
+        size: NDArray[np.int64],
+        together: int,
+    ) -> None:
+        self._places, self._weights, self._together, self._last = places, [own.weights for own in copies], together, 0
+        channels, self._arrays = self._weights[0].shape[1], backend().arrays
+        # Of the distances between copies only their common divisors matter, along the axes of the places.
+        cells = CopyCells.of([place - place[0] for place in places], samples)
+        self._cells = None if cells is None else cells.sum(size, channels, together)
+        self._sums: Any = None if self._cells else self._arrays.zeros((channels, *size.tolist()), np.float32)
+
+    def add(self, pattern: int, part: tuple[slice, slice], intensity: Any, work: Any = None) -> None:
+        """Add the copies of a part of a pattern; `work` is memory of the size of the part."""
+        if self._cells is not None:
+            if pattern // self._together != self._last and self._cells.free < self._together:
+                self._cells.add()
+            self._last = pattern // self._together
+            self._cells.plane(pattern, self._places[pattern], self._weights[pattern])[part] = intensity
+            return
+        for place, weights in zip(self._places[pattern].tolist(), self._weights[pattern], strict=True):
+            window = tuple(slice(first + own.start, first + own.stop) for first, own in zip(place, part, strict=True))
+            for channel in np.flatnonzero(weights).tolist():
+                target, weight = self._sums[(channel, *window)], weights[channel]
+                target += intensity if weight == 1 else self._arrays.multiply(intensity, weight, out=work)
+
+    def total(self) -> Any:
+        """Return the sum, (channels, ...)."""
+        return self._sums if self._cells is None else self._cells.total()
 
 
-class Tile:
-    """The part of the grid that the point spreads of one batch reach.
-
-    Parameters
-    ----------
-    batch : PatchBatch
-        Whose patches it covers.
-    copies : list of Copies
-        For each point of the batch.
-    """
+class PatchTile:
+    """The part of the grid that the point spreads of one batch reach."""
 
     def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
         self._batch, self._copies = batch, copies
-        self.corner, self.size = tile_extent(batch.corner, batch.samples, copies)
-        self._places = [corner + copy.shifts - self.corner for corner, copy in zip(batch.corner, copies, strict=True)]
+        self.box = reached(batch.corner, batch.samples, copies)
+        low = np.array([self.box.left, self.box.top])
+        self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
         self._arrays = backend().arrays
         self._block = min(batch.sizes.block, batch.samples**2)
         self._scratch = self._arrays.empty((2, self._block), np.float32)
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
     def sum(self) -> NDArray[np.float32]:
-        """Add the weighted intensities of all copies.
-
-        Returns
-        -------
-        float32 array (channels, rows, columns)
-        """
-        cells = Cells.of([copy.shifts for copy in self._copies], self._batch.samples)
-        sums = self._sum_one_by_one() if cells is None else self._sum_together(cells)
-        return sums.transpose(0, 2, 1)
-
-    def _sum_one_by_one(self) -> Any:
-        """Add copy by copy, (channels, samples along x, along y)."""
-        sums = self._arrays.zeros((self._channels, int(self.size[0]), int(self.size[1])), np.float32)
-        targets = [
-            [
-                (int(place[0]), int(place[1]), int(channel), weights[channel])
-                for place, weights in zip(places, copy.weights, strict=True)
-                for channel in np.flatnonzero(weights)
-            ]
-            for places, copy in zip(self._places, self._copies, strict=True)
-        ]
+        """Add the weighted intensities of all copies; (channels, rows, columns)."""
+        size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
+        sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
         for point, along_x, along_y, intensity, weighted in self._intensities():
-            for x, y, channel, weight in targets[point]:
-                target = sums[channel, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
-                if weight == 1:
-                    target += intensity
-                else:
-                    target += self._arrays.multiply(intensity, weight, out=weighted)
-        return sums
-
-    def _sum_together(self, cells: Cells) -> Any:
-        """Add by cells, (channels, samples along x, along y)."""
-        sums, last = cells.sum(self.size, self._channels, self._batch.together), 0
-        for point, along_x, along_y, intensity, _ in self._intensities():
-            # Those that are transformed together come in turns.
-            if point // self._batch.together != last and sums.free < self._batch.together:
-                sums.add()
-            last = point // self._batch.together
-            plane = sums.plane(point, self._places[point], self._copies[point].weights)
-            plane[along_x, along_y] = intensity
-        return sums.total()
-
-    @property
-    def _channels(self) -> int:
-        return int(self._copies[0].weights.shape[1])
+            sums.add(point, (along_x, along_y), intensity, weighted)
+        return sums.total().transpose(0, 2, 1)
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-        """Multiply the intensity of every copy with the samples of the tile, and sum the products.
-
-        Parameters
-        ----------
-        samples : float32 array (channels, rows, columns)
-            As large as the tile.
-
-        Returns
-        -------
-        list of float64 arrays (copies, channels)
-            For each point.
-        """
+        """Multiply each copy's intensity with the samples of the tile, and sum the products, (copies, channels)."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         products = [np.zeros((len(places), len(turned))) for places in self._places]
         for point, along_x, along_y, intensity, _ in self._intensities():
@@ -268,7 +223,7 @@ class Tile:
     def _intensities(self) -> Iterator[tuple[int, slice, slice, Any, Any]]:
         """Yield the intensities of all points in parts, (along x, along y), and as much memory for work."""
         batch, arrays = self._batch, self._arrays
-        work = Workspace(batch)
+        work = PatchWorkspace(batch)
         for first in range(0, len(self._copies), batch.together):
             stop = min(len(self._copies), first + batch.together)
             for point, along_y, field in batch.to_detector(first, stop, work):
@@ -283,32 +238,10 @@ class Tile:
                     yield point, slice(start, end), along_y, intensity, weighted
 
 
-def tile_extent(
-    corner: NDArray[np.int64], samples: int, copies: list[Copies]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first sample and size, along x and y, of what square patches and their copies reach."""
-    corners = [place + copy.shifts for place, copy in zip(corner, copies, strict=True)]
-    low = np.min([place.min(0) for place in corners], axis=0)
-    return low, np.max([place.max(0) for place in corners], axis=0) + samples - low
-
-
-@dataclass(frozen=True)
-class Fields:
-    """What the fields of a batch are made of; attributes as of `PatchBatch`."""
-
-    grid: Grid
-    placement: Placement
-    positions: NDArray[np.float64]
-    pupil_weights: PupilWeights | None
-
-    @property
-    def samples(self) -> int:
-        """Samples of all patches."""
-        return int((self.placement.samples**2).sum())
-
-    def make(self, amplitudes: NDArray[np.float64]) -> PatchBatch:
-        """Make them, each times a factor."""
-        return PatchBatch(self.grid, self.placement, self.positions, amplitudes, self.pupil_weights)
+def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
+    """Return what square patches and their copies reach of a grid that is finer than they are."""
+    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
+    return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
 
 @dataclass(frozen=True)
@@ -326,13 +259,12 @@ class Scatter:
 
     def prepare(self) -> Callable[[], Part]:
         """Make the fields, and return the function that adds their intensities."""
-        return partial(_sum, self.fields.make(self.amplitudes), self.copies)
+        return partial(_sum, PatchBatch(self.fields, self.amplitudes), self.copies)
 
 
 def _sum(batch: PatchBatch, copies: list[Copies]) -> Part:
-    tile = Tile(batch, copies)
-    sums = tile.sum()
-    return Part(Box(int(tile.corner[0]), int(tile.corner[1]), sums.shape[2], sums.shape[1]), sums)
+    tile = PatchTile(batch, copies)
+    return Part(tile.box, tile.sum())
 
 
 @dataclass(frozen=True)
@@ -350,11 +282,11 @@ class Gather:
 
     def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
         """Make the fields, and return the function that multiplies their intensities with the tile."""
-        return partial(_products, self.fields.make(np.ones(len(self.copies))), self.copies, self.tile)
+        return partial(_products, PatchBatch(self.fields, np.ones(len(self.copies))), self.copies, self.tile)
 
 
 def _products(batch: PatchBatch, copies: list[Copies], tile: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-    return Tile(batch, copies).products(tile)
+    return PatchTile(batch, copies).products(tile)
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:
@@ -362,7 +294,7 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
     """
-    batch, grid = fields.make(np.ones(len(fields.positions))), fields.grid
+    batch, grid = PatchBatch(fields, np.ones(len(fields.positions))), fields.grid
     arrays, types = batch.libraries.arrays, array_module()
     count, directions = batch.mla_samples, batch.pupil.shape[1]
     pitch = batch.samples * grid.pitch / count
@@ -376,7 +308,7 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
             intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
         x0, y0 = grid.origin + batch.corner[point] * grid.pitch
         x, y = types.Float64(x0 + column * pitch[0]), types.Float64(y0 + row * pitch[1])
-        passed = batch.libraries.from_drjit(open_fraction(grid.camera, grid.wavelength, cosine, x, y))
+        passed = batch.libraries.from_drjit(grid.microlenses.open_fraction(cosine, x, y))
         passed = intensity * passed.reshape(count, count)
         result[point] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
     return result

@@ -17,13 +17,6 @@ def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_si
     r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, of the weight of a point what depends on the camera.
 
     The rest is its radiance times the solid angle :math:`A_c / b^2` that it stands for.
-
-    Parameters
-    ----------
-    lattice : Lattice
-        The microlens array.
-    pupil_radius, detector_distance, pixel_size : float or Dr.Jit array
-        In millimetres.
     """
     pupil = math.pi * pupil_radius**2
     return pupil * detector_distance**2 / (lattice.lens_area * pixel_size**2)
@@ -35,29 +28,10 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
 
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `brightness` with the part of the pupil that is open to each of some points, (n,).
-
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    points : float64 array (n, 3)
-        Scene points in the camera frame.
-    """
+    """Return `brightness` with the part of the pupil that is open to each of some points, (n,)."""
     return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
 
 
 def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
-    r"""Return what all pixels together record of a small area of radiance 1: `brightness` times :math:`A_c / b^2`.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    lens : MainLens
-        Its main lens.
-    area : float
-        The area :math:`A_c` of its image on the array, in square millimetres; in the Fourier arrangement that of its
-        native image, which the tube lens forms at b.
-    """
+    r"""Return what all pixels together record of a small area of radiance 1: `brightness` times :math:`A_c / b^2`."""
     return area / lens.pupil_distance**2 * brightness_of(camera, lens)

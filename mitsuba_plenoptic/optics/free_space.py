@@ -41,14 +41,7 @@ class StepGuard:
     Some 32 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
     not hold their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
 
-    Parameters
-    ----------
-    field : complex64 array (rows, columns)
-        The field before the step.
-    pitch : float
-        Distance between samples in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
+    `pitch` is the distance between samples in millimetres.
     """
 
     def __init__(self, field: Field, pitch: float, wavelength: float) -> None:
@@ -80,18 +73,12 @@ class StepGuard:
             self._evanescent = fraction(weighted(weight, waves * lost), weighted(weight, waves))
 
     def see_result(self, field: Field) -> None:
-        """Look at the field after the step, and judge it all.
-
-        Raises
-        ------
-        PhysicsError
-            If a guard's bound is passed.
-        """
+        """Look at the field after the step, and judge it all."""
         after, rim = self._of_field(field)
         with guards.watch():
             guards.judge(guards.EVANESCENT, self._evanescent)
             guards.judge(guards.UNDERSAMPLED, self._band_edge)
-            # where few rows do not tell, nothing is known about the field before
+            # where few rows do not represent the field, nothing is known about it before the step
             guards.judge_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
     def _of_field(self, field: Field) -> tuple[float, float]:
@@ -105,7 +92,7 @@ class StepGuard:
 
 
 def _some_rows(field: Field) -> Field:
-    """Return a view of the rows of a field from which a fraction of its power is told."""
+    """Return a view of the rows of a field from which a fraction of its power is estimated."""
     return field[:: _row_step(field)]
 
 
@@ -126,31 +113,9 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
-    Parameters
-    ----------
-    field : complex array (rows, columns)
-        Samples of the field, taken as ``complex64``.
-    pitch : float
-        Distance between samples, along both axes, in millimetres.
-    distance : float
-        Distance to the new plane in millimetres; negative to go back.
-    wavelength : float
-        Wavelength in nanometres.
-    overwrite : bool
-        Whether the memory of `field` may be used for the work.
-
-    Returns
-    -------
-    complex64 array (rows, columns)
-        The field in the new plane, without the carrier :math:`\exp(i k d)`; where `field` is: with a CUDA variant a
-        CuPy array never leaves the device.
-
-    Raises
-    ------
-    InputError
-        If the field is not a two-dimensional finite array, or a number is out of range.
-    PhysicsError
-        If the field is under-sampled, or leaves its window (see `guards`, which warn long before that).
+    Lengths are in millimetres. The result is without the carrier :math:`\exp(i k d)` and where `field` is; with
+    `overwrite` the memory of the field is used. A field that is under-sampled or leaves its window raises a
+    PhysicsError (see `guards`).
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
@@ -183,24 +148,8 @@ def advance(
 ) -> Field:
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
-    Parameters
-    ----------
-    spectrum : complex64 array (rows, columns)
-        Zero frequency first.
-    pitch : float or (float, float)
-        Sampling distance of the field, or those down and across, in millimetres.
-    distance : float
-        Distance to the new plane in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
-    shift : (float, float)
-        How far down and across the new plane's samples lie from the old one's, in millimetres.
-    part : (int, int), optional
-        If the array holds some rows of the spectrum only: the number of the first, and how many there are in all.
-
-    Returns
-    -------
-    complex64 array (rows, columns)
+    The spectrum has zero frequency first. `shift` is how far down and across the new samples lie from the old ones, in
+    millimetres; of some rows of a spectrum `part` is the first one and how many there are in all.
     """
     packed = array_module().UInt64(as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
@@ -228,23 +177,7 @@ def _advance(
 
 
 def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Any:
-    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
-
-    Parameters
-    ----------
-    sx, sy : float64 arrays of Dr.Jit
-        Direction cosines along x and y.
-    distance : float or Dr.Jit number
-        Distance to the new plane in millimetres.
-    wavelength : float or Dr.Jit number
-        Wavelength in nanometres.
-    shift : (float, float)
-        How far down and across the new plane's samples lie from the old one's, in millimetres.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit
-    """
+    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves."""
     types = array_types(sx)
 
     def in_waves(length: Any) -> Any:

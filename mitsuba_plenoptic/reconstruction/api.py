@@ -71,8 +71,7 @@ def _require_same_light(white: Capture, capture: Capture, channels: int) -> None
     if not np.array_equal(theirs, own):
         raise InputError(
             f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
-            "it must be of "
-            "the same wavelengths"
+            "it must be of the same wavelengths"
         )
 
 

@@ -1,25 +1,40 @@
 r"""The microlens array, cut off at a highest direction: the sum of the orders into which it splits a plane wave.
 
-The array is periodic. Where it is a product of a function of x and one of y, its orders are :math:`\lambda / D_2` apart
-in direction cosine along each axis:
+The transmission of an array is a product of factors. A separable one has two: a function of x and one of y. Every other
+array has a single factor, a function of both. Each factor is periodic in the frame of the lattice, and so a sum of
+orders. Along an axis of pitch :math:`D_2` these are :math:`\lambda / D_2` apart in direction cosine:
 
 .. math:: t(x) = \sum_q c_q \, e^{2 \pi i q x / D_2}, \qquad
           c_q = \frac{1}{D_2} \int_\mathrm{lens} e^{-i \pi (x - c)^2 / \lambda f_2} \, e^{-2 \pi i q x / D_2} dx,
 
-a Fresnel integral (Goodman, "Introduction to Fourier Optics", section 4.2.2, for the integrals). Every other array has,
-in its own frame, a rectangular period of a few lenses (three focal lengths repeat every third lens), and its orders are
+a Fresnel integral (Goodman, "Introduction to Fourier Optics", section 4.2.2, for the integrals). A factor of both
+coordinates has a rectangular period of a few lenses (three focal lengths repeat every third lens), and its orders are
 the two-dimensional Fourier transform of fine samples of that period.
 
 Samples of t itself would fold its steep orders, which come from the edges of the lenses, back into the band of a grid;
 the sum over the orders that the grid holds does not.
+
+In units of its lattice a factor is a function of the position, of :math:`\kappa = D_2^2 / \lambda f_2` along each axis
+and for each type of lens, and of the apertures' widths over the pitches, :math:`\beta`. All derivatives by parameters
+of the array follow by the chain rule from those by these three, which are sums of orders, too:
+
+- the position u: :math:`2 \pi i q \, c_q`;
+- :math:`\kappa`: the orders of :math:`-i \pi v^2 t`, v the offset from the lens's centre;
+- :math:`\beta`: an edge that moves is a line of light. In one dimension it is two points, whose orders are plane
+  waves. In two, by parts, no such line is left: with the aperture :math:`\chi(v / \beta)` and the phase
+  :math:`\varphi`, :math:`\beta \, \partial_\beta \chi \varphi` is
+  :math:`\chi \varphi + \chi v \, \partial_v \varphi - \partial_v (v \chi \varphi)`.
+
+Apertures that fill their cells can only shrink; their derivative is the one-sided one.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
-from typing import Any
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -27,7 +42,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lattice import turn
+from ..lattice import Lattice, turn
 from ..optics.phase import in_millimetres
 from ..runtime.backend import array_module, backend_of
 from ..runtime.fft import Field, array_types, as_field, pack, split, unpack, worker_count
@@ -38,47 +53,116 @@ _FLAT = 1e4
 """Focal length, in millimetres, of a lens that is a mere hole."""
 
 _TABLE_LENGTH = 2**14
+"""Samples of the table of a factor of one coordinate, at least."""
+
+_PER_ORDER = 64, 40
+"""Samples of a table across one wave of its highest order, between which it is interpolated: of factors of one
+coordinate, and of two."""
 
 _FINE = 2048
 """Samples across a pitch of which the orders of a period are made: its edges are known that finely."""
 
 _PER_WAVE = 8
-"""Fine samples across the finest wave that is kept, at least, so that none folds."""
+"""Fine samples across the finest wave that is retained, at least, so that none folds."""
 
 _FINE_BYTES = 16
 """Memory that a fine sample takes while the orders are made."""
 
-_PER_ORDER = 40
-"""Samples of a period's table across one wave of its highest order, between which it is interpolated."""
+_RETAINED = 16, 2
+"""Largest directions for which an array retains its factors, of one coordinate and of two, which take MiB. Patches of
+different sizes ask for different directions, and those of one size follow each other."""
 
 
-def axis_orders(camera: PlenopticCamera, wavelength: float, count: int, axis: int) -> NDArray[np.complex128]:
-    """Return the amplitudes of the orders -count ... count along one axis, in which an edge of a cell lies at 0.
+class Parameter(NamedTuple):
+    """A parameter that a factor is differentiated by: position in periods, Fresnel number or relative width."""
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera, whose transmission is separable.
-    wavelength : float
-        Wavelength in nanometres.
-    count : int
-        Highest order.
-    axis : int
-        0: x, 1: y.
+    name: Literal["position", "fresnel", "width"]
+    axis: int
+    lens_type: int = 0
 
-    Returns
-    -------
-    complex128 array (2 count + 1,)
+
+class ArrayFactor(ABC):
+    """A factor of the transmission: a function of one coordinate of the array, or of both, as a sum of orders.
+
+    `axes` are those of its coordinates (0: x, 1: y), `periods` the lengths after which it repeats along them.
     """
-    return axis_order_derivatives(camera, wavelength, count, axis)[0]
+
+    _precision: type = np.complex64  # of the transforms that make its tables
+
+    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: tuple[int, ...]) -> None:
+        lattice, types = camera.lattice, len(camera.mla_focal_lengths)
+        self._camera, self.axes, self._shape = camera, axes, shape
+        self.periods = [lattice.period(types)[axis] for axis in axes]
+        self._tables: dict[Parameter | None, Any] = {}
+
+    @abstractmethod
+    def orders(self, parameter: Parameter | None = None) -> NDArray[Any]:
+        """Return the amplitudes of the orders, or their derivatives; y along rows, from the most negative order on."""
+
+    def at(self, *coordinates: Any, parameter: Parameter | None = None) -> Any:
+        """Return the factor, or its derivative, at float64 coordinates of Dr.Jit along its axes, as Complex2f."""
+        types, camera = array_types(coordinates[0]), self._camera
+        if parameter not in self._tables:
+            self._tables[parameter] = self._table(self.orders(parameter))
+        table = types.UInt64(self._tables[parameter])
+        places = tuple(place - camera.mla_offset[axis] for place, axis in zip(coordinates, self.axes, strict=True))
+        if len(places) == 2:
+            places = turn(*places, -camera.mla_rotation)
+        nodes = [_node(*each) for each in zip(places, self.periods, self._shape[::-1], strict=True)]
+        corners: list[Any] = [0]
+        for (node, _), count in zip(nodes[::-1], self._shape, strict=True):
+            row_length = dr.opaque(types.UInt32, count + 1)
+            corners = [corner * row_length + node + step for corner in corners for step in (0, 1)]
+        values = [unpack(dr.gather(types.UInt64, table, corner)) for corner in corners]
+        for _, part in nodes:
+            values = [
+                types.Complex2f(dr.lerp(low.real, high.real, part), dr.lerp(low.imag, high.imag, part))
+                for low, high in zip(values[::2], values[1::2], strict=True)
+            ]
+        return values[0]
+
+    def _table(self, amplitudes: NDArray[Any]) -> Any:
+        """Return one period of a sum of orders, with its first samples again at the end, as 64-bit words."""
+        spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
+        spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
+        table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
+        padded = np.pad(table.astype(np.complex64, copy=False), [(0, 1)] * table.ndim, mode="wrap")
+        return array_module().UInt64(np.ascontiguousarray(padded).reshape(-1).view(np.uint64))
+
+    def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
+        """Differentiate a sum of orders by the position along an axis, in periods."""
+        rows_first = self.axes[::-1].index(axis)
+        order = np.indices(orders.shape, sparse=True)[rows_first] - orders.shape[rows_first] // 2
+        return np.asarray(2j * math.pi * order * orders)
 
 
-def axis_order_derivatives(
+class AxisFactor(ArrayFactor):
+    """The factor of a separable array along one axis, of the orders up to a direction cosine."""
+
+    _precision: type = np.complex128
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, axis: int) -> None:
+        highest = cosine / in_millimetres(wavelength)
+        samples = _PER_ORDER[0] * max(highest * max(camera.mla_pitches), 1)
+        super().__init__(camera, (axis,), (max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(samples))),))
+        self._orders = axis_orders(camera, wavelength, int(highest * camera.mla_pitches[axis]), axis)
+
+    def orders(self, parameter: Parameter | None = None) -> NDArray[Any]:
+        """Return the amplitudes of the orders, or their derivatives."""
+        plain, by_fresnel, by_width = self._orders
+        if parameter is None:
+            return plain
+        return {"position": self._by_position(plain, parameter.axis), "fresnel": by_fresnel, "width": by_width}[
+            parameter.name
+        ]
+
+
+def axis_orders(
     camera: PlenopticCamera, wavelength: float, count: int, axis: int
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
-    r"""Return the amplitudes of `axis_orders`, and their derivatives by two numbers that they depend on.
+    """Return the orders -count ... count of a separable array along an axis (0: x, 1: y), with an edge of a cell at 0.
 
-    These are :math:`\lambda f_2 / D_2^2`, and the width of the aperture over the pitch.
+    Their derivatives by the Fresnel number and by the width of the aperture over the pitch follow them.
     """
     pitch = camera.mla_pitches[axis]
     width = camera.lattice.aperture_widths[axis] / pitch
@@ -90,183 +174,174 @@ def axis_order_derivatives(
     integral = (cosines[1] - cosines[0]) - 1j * (sines[1] - sines[0])
     centred = integral / scale * np.exp(1j * math.pi * area * q.astype(float) ** 2)
     # The integrand e at the edges, and its moments by parts: x e = i (area / 2 pi) e' - area q e.
-    edges = [
+    low, high = (
         np.exp(-1j * math.pi * (side * width / 2) ** 2 / area - 1j * math.pi * q * side * width) for side in (-1, 1)
-    ]
+    )
     part = 1j * area / (2 * math.pi)
-    first = part * (edges[1] - edges[0]) - shift * centred
-    second = part * ((edges[1] + edges[0]) * width / 2 - centred) - shift * first
+    first = part * (high - low) - shift * centred
+    second = part * ((high + low) * width / 2 - centred) - shift * first
     sign = np.where(q % 2, -1, 1)
-    return centred * sign, 1j * math.pi / area**2 * second * sign, (edges[1] + edges[0]) / 2 * sign
+    return centred * sign, -1j * math.pi * second * sign, (high + low) / 2 * sign
 
 
-class AxisTransmission:
-    """A separable transmission along its axes, of the orders up to a direction cosine.
+class PlaneFactor(ArrayFactor):
+    """The only factor of an array that is not separable, of the orders up to a direction cosine.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    cosine : float
-        Largest direction cosine, relative to that of the incident light, that is kept.
+    They are made of `fine` samples across the smaller pitch, at least.
     """
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float) -> None:
-        highest = cosine / in_millimetres(wavelength)
-        self._length = max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(64 * max(highest * max(camera.mla_pitches), 1))))
-        self._pitches, self._offset = camera.mla_pitches, camera.mla_offset
-        counts = [int(highest * pitch) for pitch in camera.mla_pitches]
-        self._words = [self.table(axis_orders(camera, wavelength, counts[axis], axis)) for axis in (0, 1)]
+    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = _FINE) -> None:
+        sides = camera.lattice.period(len(camera.mla_focal_lengths))
+        self._wavelength, self._cosine, self._fine = wavelength, cosine, fine
+        self._counts = [int(cosine / in_millimetres(wavelength) * side) for side in sides[::-1]]
+        super().__init__(camera, (0, 1), tuple(fast_length(_PER_ORDER[1] * max(count, 1)) for count in self._counts))
+        self._moments: dict[tuple[int, int, int | None], NDArray[np.complex64]] = {}
 
-    def table(self, amplitudes: NDArray[np.complex128]) -> Any:
-        """Return a table over the pitch of a sum of orders, those from the most negative on."""
-        count = len(amplitudes) // 2
-        spectrum = np.zeros(self._length, np.complex128)
-        spectrum[np.arange(-count, count + 1)] = amplitudes
-        table = (np.fft.ifft(spectrum) * self._length).astype(np.complex64)
-        return words(np.append(table, table[0]))
+    def orders(self, parameter: Parameter | None = None) -> NDArray[Any]:
+        """Return the amplitudes of the orders, or their derivatives."""
+        plain = self._moment(0, 0, None)
+        if parameter is None:
+            return plain
+        name, axis, lens_type = parameter
+        if name == "position":
+            return self._by_position(plain, axis)
+        if name == "fresnel":
+            return -1j * math.pi * self._moment(axis, 2, lens_type)
+        camera, pitch = self._camera, self._camera.mla_pitches[axis]
+        result = plain - self._by_position(self._moment(axis, 1, None), axis) / (self.periods[axis] / pitch)
+        for each, length in enumerate(camera.mla_focal_lengths):
+            fresnel = pitch**2 / (in_millimetres(self._wavelength) * length)
+            result = result - 2j * math.pi * fresnel * self._moment(axis, 2, each)
+        return result / (camera.lattice.aperture_widths[axis] / pitch)
 
-    def along(self, coordinate: Any, axis: int) -> Any:
-        """Return the factor along one axis (0: x, 1: y) at float64 coordinates of Dr.Jit, as Complex2f."""
-        return self.look(self._words[axis], coordinate, axis)
+    def _moment(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
+        """Return the orders of the transmission times a power of the offset in pitches, of one type of lens or all."""
+        key = axis, power, lens_type
+        if key not in self._moments:
+            self._moments[key] = self._transformed(*key)
+        return self._moments[key]
 
-    def look(self, table: Any, coordinate: Any, axis: int) -> Any:
-        """Return what a `table` has at some coordinates along an axis, as Complex2f."""
-        node, part = _node(coordinate - self._offset[axis], self._pitches[axis], self._length)
-        types = array_types(coordinate)
-        low, high = (unpack(dr.gather(types.UInt64, types.UInt64(table), node + step)) for step in (0, 1))
-        return types.Complex2f(dr.lerp(low.real, high.real, part), dr.lerp(low.imag, high.imag, part))
-
-
-def plane_orders(
-    camera: PlenopticCamera,
-    wavelength: float,
-    cosine: float,
-    fine: int = _FINE,
-    factor: Callable[[Any, Any, Any], Any] | None = None,
-) -> NDArray[np.complex64]:
-    """Return the amplitudes of the orders of any array, in its own frame and without its offset.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    cosine : float
-        Largest direction cosine, relative to that of the incident light, that is kept.
-    fine : int
-        Samples across the smaller pitch of which they are made, at least.
-    factor : callable, optional
-        What the transmission is multiplied by, from the offset from a lens's centre and the type of the lens.
-
-    Returns
-    -------
-    complex64 array (2 rows + 1, 2 columns + 1)
-        Those along y in rows, from the most negative on; zero beyond `cosine`.
-
-    Raises
-    ------
-    InputError
-        If they would take too much memory.
-    """
-    sides = camera.lattice.period(len(camera.mla_focal_lengths))
-    highest = cosine / in_millimetres(wavelength)
-    counts = [int(highest * side) for side in sides[::-1]]
-    pitch = min(camera.mla_pitches)
-    fine = max(fine, math.ceil(_PER_WAVE * highest * pitch))
-    table = math.prod(side * highest * _PER_ORDER for side in sides)
-    check_memory(
-        _FINE_BYTES * math.prod(side / pitch * fine for side in sides) + 16 * table,
-        f"microlens array of pitch {camera.mla_pitch:g} with {counts[1]} x {counts[0]} orders",
-    )
-    shape = [fast_length(side / pitch * fine, 2) for side in sides[::-1]]
-    spectrum = scipy.fft.fft2(
-        _period_samples(camera, wavelength, shape, factor), norm="forward", overwrite_x=True, workers=worker_count()
-    )
-    order = [np.arange(-count, count + 1) for count in counts]
-    # Fine samples lie half a step within the period.
-    waves = order[0][:, None] / (2 * shape[0]) + order[1] / (2 * shape[1])
-    held = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * in_millimetres(wavelength) <= cosine
-    return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
-
-
-def _period_samples(
-    camera: PlenopticCamera, wavelength: float, shape: list[int], factor: Callable[[Any, Any, Any], Any] | None
-) -> Field:
-    """Return the transmission at fine samples of one period, in the middles of equal rectangles."""
-    types = array_module()
-    sides = camera.lattice.period(len(camera.mla_focal_lengths))
-    index = dr.arange(types.UInt32, shape[0] * shape[1])
-    _, row, column = split(types, index, *shape)
-    x, y = (
-        (types.Float64(place) + 0.5) * (side / count)
-        for place, side, count in zip((column, row), sides, shape[::-1], strict=True)
-    )
-    centred = camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0))
-    samples = transmission(centred, wavelength, x, y)
-    packed = pack(samples if factor is None else samples * types.Float(factor(*from_centre(centred, x, y))))
-    return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))
-
-
-class PlaneTransmission:
-    """The transmission of any array in its plane, of the orders up to a direction cosine.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    cosine : float
-        Largest direction cosine, relative to that of the incident light, that is kept.
-    """
-
-    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float) -> None:
-        amplitudes = plane_orders(camera, wavelength, cosine)
-        self._shape = tuple(fast_length(_PER_ORDER * max(size // 2, 1)) for size in amplitudes.shape)
-        self._words = self.table(amplitudes)
-        self._period = camera.lattice.period(len(camera.mla_focal_lengths))
-        self._rotation, self._offset = camera.mla_rotation, camera.mla_offset
-
-    def table(self, amplitudes: NDArray[np.complex64]) -> Any:
-        """Return a table over the period of a sum of orders, laid out as by `plane_orders`."""
-        spectrum = np.zeros(self._shape, np.complex64)
-        spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
-        table = scipy.fft.ifft2(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
-        return words(np.pad(table, ((0, 1), (0, 1)), mode="wrap"))
-
-    def at(self, x: Any, y: Any) -> Any:
-        """Return the transmission at float64 places of Dr.Jit in the camera's frame, as Complex2f."""
-        return self.look(self._words, x, y)
-
-    def look(self, table: Any, x: Any, y: Any) -> Any:
-        """Return what a `table` has at some places, as Complex2f."""
-        types = array_types(x)
-        x, y = turn(x - self._offset[0], y - self._offset[1], -self._rotation)
-        (column, across), (row, down) = (
-            _node(place, side, count)
-            for place, side, count in zip((x, y), self._period, self._shape[::-1], strict=True)
+    def _transformed(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
+        """Transform fine samples of a period; orders beyond the largest direction are zero."""
+        camera, sides, wave = self._camera, self.periods, in_millimetres(self._wavelength)
+        highest, pitch = self._cosine / wave, min(camera.mla_pitches)
+        fine = max(self._fine, math.ceil(_PER_WAVE * highest * pitch))
+        table = math.prod(side * highest * _PER_ORDER[1] for side in sides)
+        check_memory(
+            _FINE_BYTES * math.prod(side / pitch * fine for side in sides) + 16 * table,
+            f"microlens array of pitch {camera.mla_pitch:g} with {self._counts[1]} x {self._counts[0]} orders",
         )
-        width = dr.opaque(types.UInt32, self._shape[1] + 1)
-        below = row * width + column
-        corners = [
-            unpack(dr.gather(types.UInt64, types.UInt64(table), line + step))
-            for line in (below, below + width)
-            for step in (0, 1)
-        ]
-        real, imaginary = (
-            dr.lerp(dr.lerp(*pairs[:2], across), dr.lerp(*pairs[2:], across), down)
-            for pairs in ([corner.real for corner in corners], [corner.imag for corner in corners])
+        shape = [fast_length(side / pitch * fine, 2) for side in sides[::-1]]
+        samples = self._samples(shape, axis, power, lens_type)
+        spectrum = scipy.fft.fft2(samples, norm="forward", overwrite_x=True, workers=worker_count())
+        order = [np.arange(-count, count + 1) for count in self._counts]
+        # Fine samples lie half a step within the period.
+        waves = order[0][:, None] / (2 * shape[0]) + order[1] / (2 * shape[1])
+        held = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
+        return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
+
+    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
+        """Return fine samples of one period, in the middles of equal rectangles."""
+        types = array_module()
+        _, row, column = split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
+        x, y = (
+            (types.Float64(place) + 0.5) * (side / count)
+            for place, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
         )
-        return types.Complex2f(real, imaginary)
+        centred = self._camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0))
+        samples = transmission(centred, self._wavelength, x, y)
+        if power:
+            *offset, which = from_centre(centred, x, y)
+            factor = types.Float((offset[axis] / centred.mla_pitches[axis]) ** power)
+            samples *= factor if lens_type is None else dr.select(which == lens_type, factor, 0)
+        packed = pack(samples)
+        return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))
 
 
-def words(table: NDArray[np.complex64]) -> Any:
-    """Return a table as a Dr.Jit array of 64-bit words, on the active processor."""
-    return array_module().UInt64(np.ascontiguousarray(table).reshape(-1).view(np.uint64))
+class MicrolensArray:
+    """The transmission of a camera's microlenses at one wavelength, cut off at largest directions.
+
+    `axes` are those of each factor. The factors that were asked for last are retained, as those of an array that is not
+    separable take long to make.
+    """
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+        self._camera, self._wavelength = camera, wavelength
+        self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}
+        self.axes: list[tuple[int, ...]] = [(0,), (1,)] if is_separable(camera) else [(0, 1)]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _received, (self._camera, self._wavelength)
+
+    def factors(self, cosine: float) -> list[ArrayFactor]:
+        """Return the factors, on the active processor, of directions up to a cosine relative to the incident light."""
+        key = array_module(), cosine
+        if key not in self._factors:
+            if len(self._factors) == _RETAINED[len(self.axes[0]) - 1]:
+                del self._factors[next(iter(self._factors))]
+            limits = self._camera, self._wavelength, cosine
+            self._factors[key] = [
+                PlaneFactor(*limits) if len(axes) == 2 else AxisFactor(*limits, axes[0]) for axes in self.axes
+            ]
+        return self._factors[key]
+
+    def open_fraction(self, cosine: float, x: Any, y: Any) -> Any:
+        """Return 1 within apertures and 0 between them, at positions in millimetres, without steeper directions.
+
+        The integral of a product with it is exact where the other factor has no such directions, such as an intensity.
+        """
+        product: Any = 1
+        for factor in self._holes.factors(cosine):
+            product = factor.at(*((x, y)[axis] for axis in factor.axes)) * product
+        return product.real
+
+    @functools.cached_property
+    def _holes(self) -> MicrolensArray:
+        return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT), self._wavelength)
+
+
+@functools.lru_cache(maxsize=1)
+def _received(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
+    """Return the array of a batch from another process: batches come one by one, and most ask for the one before."""
+    return MicrolensArray(camera, wavelength)
+
+
+@dataclass(frozen=True)
+class VaryingArrayFactor:
+    """A factor of an upright array whose parameters are Dr.Jit numbers with gradients, to first order in these."""
+
+    factor: ArrayFactor
+    lattice: Lattice
+    focal_lengths: list[Any]  # of each type of lens
+    wavelength: Any
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """The axes of its coordinates."""
+        return self.factor.axes
+
+    def at(self, *coordinates: Any) -> Any:
+        """Return the factor at float64 coordinates of Dr.Jit along its axes, as Complex2f."""
+        numbers: dict[Parameter, Any] = {}
+        for axis, place, period in zip(self.axes, coordinates, self._periods, strict=True):
+            pitch = self.lattice.pitches[axis]
+            numbers[Parameter("position", axis)] = (place - self.lattice.offset[axis]) / period
+            numbers[Parameter("width", axis)] = self.lattice.aperture_widths[axis] / pitch
+            for lens_type, length in enumerate(self.focal_lengths):
+                area = in_millimetres(self.wavelength) * length
+                numbers[Parameter("fresnel", axis, lens_type)] = pitch * pitch / area
+        places = [dr.detach(place) for place in coordinates]
+        value = self.factor.at(*places)
+        for parameter, number in numbers.items():
+            if dr.grad_enabled(number):
+                change = array_types(value.real).Float(number - dr.detach(number))
+                value = value + self.factor.at(*places, parameter=parameter) * change
+        return value
+
+    @property
+    def _periods(self) -> list[Any]:
+        periods = self.lattice.period(len(self.focal_lengths))
+        return [periods[axis] for axis in self.axes]
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
@@ -276,45 +351,3 @@ def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)
     node = dr.minimum(types.UInt32(scaled), dr.opaque(types.UInt32, count - 1))
     return node, types.Float(scaled - types.Float64(node))
-
-
-def axis_transmission(camera: PlenopticCamera, wavelength: float, cosine: float) -> AxisTransmission:
-    """Return a separable transmission on the active processor; the last few are kept."""
-    return _kept(AxisTransmission, array_module(), camera, wavelength, cosine)
-
-
-def plane_transmission(camera: PlenopticCamera, wavelength: float, cosine: float) -> PlaneTransmission:
-    """Return the transmission of any array on the active processor; the last few are kept."""
-    return _kept(PlaneTransmission, array_module(), camera, wavelength, cosine)
-
-
-def open_fraction(camera: PlenopticCamera, wavelength: float, cosine: float, x: Any, y: Any) -> Any:
-    """Return 1 within the microlenses' apertures and 0 between them, without directions beyond a cosine.
-
-    The integral of a product with it is exact where the other factor has no such directions, an intensity for one.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    cosine : float
-        Largest direction cosine that is kept.
-    x, y : float64 arrays of Dr.Jit
-        Places in the camera's frame, in millimetres.
-
-    Returns
-    -------
-    Float array of Dr.Jit
-    """
-    flat = camera.replace(mla_focal_length=_FLAT)
-    if is_separable(flat):
-        axes = axis_transmission(flat, wavelength, cosine)
-        return (axes.along(x, 0) * axes.along(y, 1)).real
-    return plane_transmission(flat, wavelength, cosine).at(x, y).real
-
-
-@functools.lru_cache(maxsize=8)
-def _kept(transmission_type: Any, types: Any, camera: PlenopticCamera, wavelength: float, cosine: float) -> Any:
-    return transmission_type(camera, wavelength, cosine)

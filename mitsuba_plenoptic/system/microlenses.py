@@ -20,13 +20,13 @@ from ..optics.phase import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
 
 _HARD_EDGES = 1.4
-"""Directions that are kept of light from apertures with a dark surround, over those where phases join."""
+"""Directions that are retained of light from apertures with a dark surround, over those where phases join."""
 
 _JOINED = 1 / 2
-"""Orders to keep where the phases of neighbouring lenses join, over those of apertures with a dark surround."""
+"""Orders to retain where the phases of neighbouring lenses join, over those of apertures with a dark surround."""
 
 _STEEPEST = 0.7
-"""Largest direction cosine that is kept for the diffraction of an aperture: scalar thin elements end there."""
+"""Largest direction cosine that is retained for the diffraction of an aperture: scalar thin elements end there."""
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
@@ -42,21 +42,7 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 
 
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
-    """Return the transmission of the microlenses, with all of its orders.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    x, y : float64 arrays of Dr.Jit
-        Places in the camera's frame, in millimetres.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit
-    """
+    """Return the transmission, with all of its orders, at float64 Dr.Jit positions in millimetres, as Complex2f."""
     dx, dy, which = from_centre(camera, x, y)
     types = array_types(x)
     focal_length = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), which)
@@ -65,7 +51,7 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
 
 
 def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """Return the offset of places, float64 arrays of Dr.Jit, from their lenses' centres, and the types of these."""
+    """Return the offsets of positions, float64 arrays of Dr.Jit, from their lenses' centres, and the lenses' types."""
     types, lattice = array_types(x), camera.lattice
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
@@ -76,23 +62,7 @@ def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]
 def transmission_along(
     camera: PlenopticCamera, wavelength: float, coordinate: NDArray[np.float64], axis: int
 ) -> NDArray[np.complex64]:
-    """Return the factor of a separable transmission along one axis (0: x, 1: y), with all of its orders.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; `is_separable` holds.
-    wavelength : float
-        Wavelength in nanometres.
-    coordinate : float64 array
-        Coordinates along the axis, in millimetres.
-    axis : int
-        The axis.
-
-    Returns
-    -------
-    complex64 array
-    """
+    """Return the factor of a separable transmission along one axis (0: x, 1: y), with all of its orders."""
     lattice = camera.lattice
     offset = coordinate - lattice.axis_centre(lattice.axis_cell(coordinate, axis), axis)
     phase = phasor(parabola(offset * offset, camera.mla_focal_length, wavelength))
@@ -120,15 +90,6 @@ def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> fl
     The minima of an aperture of width w lie at multiples of :math:`\lambda / w`, and beyond the m-th of them
     :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1). The
     joints of lenses without gaps scatter less than the edges of apertures: half of the orders counts for them.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    orders : float
-        Multiple of :math:`\lambda / w`.
     """
     lattice = camera.lattice
     cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)

@@ -14,6 +14,8 @@ from ..lenses.base import MainLens, PointLight
 from ..lenses.factory import main_lens
 from ..lenses.wave_cameras import require_ideal
 from ..prescription.glass import LINE_D
+from .microlens_orders import MicrolensArray
+from .microlenses import upright
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,17 @@ class OpticalSystem:
     def lattice(self) -> Lattice:
         """The microlens lattice."""
         return self.camera.lattice
+
+    @cached_property
+    def microlenses(self) -> MicrolensArray:
+        """The transmission of the microlenses, in the frame of the camera."""
+        return MicrolensArray(self.camera, self.wavelength)
+
+    @cached_property
+    def upright_microlenses(self) -> MicrolensArray:
+        """The transmission of the microlenses, in the frame that is turned with their lattice about the axis."""
+        turned = self.camera.mla_rotation != 0
+        return MicrolensArray(upright(self.camera), self.wavelength) if turned else self.microlenses
 
     @cached_property
     def lens(self) -> MainLens:

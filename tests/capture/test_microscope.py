@@ -186,7 +186,7 @@ def test_what_does_not_know_objectives_says_so():
     points = [(0.0, 0.0, 0.0)]
     with pytest.raises(InputError, match="method = patch: arrangement = fourier"):
         CaptureOperator(fourier_camera(), points, wavelength=WAVELENGTH)
-    with pytest.raises(InputError, match="derivatives by waves are found for thin main lenses and prescriptions only"):
+    with pytest.raises(InputError, match="derivatives of wave captures are found for thin main lenses"):
         CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH).gradient([1.0], np.ones((135, 135)))
     with pytest.raises(InputError, match=r"position = \(0, 0, -10\): .* g more than -10: before the objective"):
         CaptureOperator(camera_with(AIR), [(0.0, 0.0, -10.0)], wavelength=WAVELENGTH)

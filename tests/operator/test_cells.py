@@ -5,7 +5,7 @@ import pytest
 from wave_cases import in_every_lens, small_camera
 
 from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.operator.tile import Cells
+from mitsuba_plenoptic.operator.tile import CopyCells
 
 
 @pytest.mark.parametrize("step", [(12, 12), (9, 14), (16, 0)])
@@ -19,7 +19,7 @@ def test_sums_are_those_of_copies_one_by_one(step, held):
     patterns = rng.random((7, samples, samples), np.float32)
     size = np.max([place.max(0) for place in places], axis=0) + samples
     expected = np.zeros((2, *size))
-    cells = Cells.of(shifts, samples)
+    cells = CopyCells.of(shifts, samples)
     total = cells.sum(size, 2, held)
     for number, (place, weight, pattern) in enumerate(zip(places, weights, patterns, strict=True)):
         for (x, y), factors in zip(place, weight, strict=True):
@@ -41,7 +41,7 @@ def test_sums_are_those_of_copies_one_by_one(step, held):
     ],
 )
 def test_copies_are_added_one_by_one_where_cells_do_not_pay(shifts, samples):
-    assert Cells.of([np.array(some) for some in shifts], samples) is None
+    assert CopyCells.of([np.array(some) for some in shifts], samples) is None
 
 
 @pytest.mark.parametrize("lattice", ["square", "hexagonal"])
@@ -51,10 +51,10 @@ def test_captures_are_the_same_either_way(monkeypatch, lattice):
     points = in_every_lens(camera, 5, 225.0)
     weights = np.random.default_rng(2).random((len(points), 2))
     used = []
-    choose = Cells.of
-    monkeypatch.setattr(Cells, "of", lambda *given: used.append(choose(*given)) or used[-1])
+    choose = CopyCells.of
+    monkeypatch.setattr(CopyCells, "of", lambda *given: used.append(choose(*given)) or used[-1])
     by_cells = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.1).forward(weights)
     assert any(used), "no copies were added by cells"
-    monkeypatch.setattr(Cells, "of", lambda *given: None)
+    monkeypatch.setattr(CopyCells, "of", lambda *given: None)
     one_by_one = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.1).forward(weights)
     assert np.linalg.norm(by_cells - one_by_one) <= 2e-6 * np.linalg.norm(one_by_one)

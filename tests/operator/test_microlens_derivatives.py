@@ -7,9 +7,7 @@ from wave_cases import WAVELENGTH, small_camera
 
 from mitsuba_plenoptic.lattice import make_lattice
 from mitsuba_plenoptic.runtime.backend import array_module
-from mitsuba_plenoptic.system.microlens_derivatives import VaryingMicrolenses
-from mitsuba_plenoptic.system.microlens_orders import axis_orders, plane_orders
-from mitsuba_plenoptic.system.microlenses import is_separable
+from mitsuba_plenoptic.system.microlens_orders import MicrolensArray, VaryingArrayFactor
 
 COSINE = 0.16
 
@@ -36,35 +34,28 @@ def test_tables_of_derivatives_against_differences_of_orders(name, change):
         fill=numbers["mla_fill"],
     )
     wavelength = types.Float64(WAVELENGTH)
-    varying = VaryingMicrolenses(camera, WAVELENGTH, COSINE, lattice, [numbers["mla_focal_length"]], wavelength)
-    x, y = (np.random.default_rng(3).uniform(-0.1, 0.1, (2, 500))).tolist()
-    if is_separable(camera):
-        found = varying.along(types.Float64(x), 0)
-    else:
-        found = varying.at(types.Float64(x), types.Float64(y))
+    factor = MicrolensArray(camera, WAVELENGTH).factors(COSINE)[0]
+    varying = VaryingArrayFactor(factor, lattice, [numbers["mla_focal_length"]], wavelength)
+    places = np.random.default_rng(3).uniform(-0.1, 0.1, (2, 500))[: len(varying.axes)]
+    found = varying.at(*(types.Float64(place) for place in places))
     dr.set_grad(number, 1.0)
     dr.forward_to(found)
     derivative = dr.grad(found)
     derivative = derivative.real.numpy() + 1j * derivative.imag.numpy()
-    expected = _difference(camera, key, value, step, x, y)
+    expected = _difference(camera, key, value, step, places)
     assert np.linalg.norm(derivative - expected) < 0.015 * np.linalg.norm(expected)
 
 
-def _difference(camera, key, value, step, x, y):
+def _difference(camera, key, value, step, places):
     """Return the central difference of the sum of orders, at places."""
     sums = []
     for side in (1, -1):
         changed = camera.replace(**{key: value * (1 + side * step), "detector_distance": 0.512})
-        if is_separable(camera):
-            count = int(COSINE / (WAVELENGTH * 1e-6) * 0.064)
-            orders = axis_orders(changed, WAVELENGTH, count, 0)
-            q = np.arange(-count, count + 1)
-            sums.append(np.exp(2j * np.pi * np.outer(x, q) / 0.064) @ orders)
-        else:
-            orders = plane_orders(changed, WAVELENGTH, COSINE)
-            width, height = camera.lattice.period()
-            rows, columns = (np.arange(-(size // 2), size // 2 + 1) for size in orders.shape)
-            across = np.exp(2j * np.pi * np.outer(x, columns) / width)
-            down = np.exp(2j * np.pi * np.outer(y, rows) / height)
-            sums.append(np.einsum("pr,rc,pc->p", down, orders, across))
+        factor = MicrolensArray(changed, WAVELENGTH).factors(COSINE)[0]
+        orders = factor.orders()
+        waves = [
+            np.exp(2j * np.pi * np.outer(place, np.arange(-(size // 2), size // 2 + 1)) / period)
+            for place, size, period in zip(places, orders.shape[::-1], factor.periods, strict=True)
+        ]
+        sums.append(np.einsum("pc,c->p" if len(places) == 1 else "pc,pr,rc->p", *waves, orders))
     return (sums[0] - sums[1]) / (2 * step * value)

@@ -219,7 +219,7 @@ def test_equal_wavelengths_share_their_point_spreads(monkeypatch):
     planned = []
 
     def plan(*arguments):
-        planned.append(arguments[3])
+        planned.append(arguments[0].wavelength)
         return PatchPlan(*arguments)
 
     PatchPlan = PLANS["patch"]

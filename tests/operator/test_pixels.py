@@ -6,7 +6,8 @@ from scipy.special import erf
 from wave_cases import error
 
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.operator.recorder import PixelIntegrals, TurnedSamples
+from mitsuba_plenoptic.operator.pixels import PixelIntegrals
+from mitsuba_plenoptic.operator.turned_samples import TurnedSamples
 
 PITCH = (1.7e-3, 1.6e-3)
 SAMPLES = (120, 130)
@@ -17,7 +18,7 @@ def test_pixel_integrals_of_a_gaussian():
     pixel, width = 3.1e-3, 8e-3
     y, x = (-0.1 + step * np.arange(count) for step, count in zip(PITCH[::-1], SAMPLES, strict=True))
     samples = np.exp(-(y[:, None] ** 2 + (x - 0.01) ** 2) / width**2).astype(np.float32)
-    image = PixelIntegrals(SAMPLES, PITCH, (-0.1, -0.1), pixel, (-0.06, -0.05), (30, 40)).forward(samples)
+    image = PixelIntegrals.of(SAMPLES, PITCH, (-0.1, -0.1), pixel, (-0.06, -0.05), (30, 40)).forward(samples)
     across, down = -0.06 + pixel * np.arange(41), -0.05 + pixel * np.arange(31)
     along_x, along_y = (np.diff(erf(v / width)) * np.sqrt(np.pi) / 2 * width for v in (across - 0.01, down))
     assert error(image, along_y[:, None] * along_x) < 1e-4
@@ -40,9 +41,9 @@ def test_samples_of_a_turned_grid():
 @pytest.mark.parametrize(
     "linear",
     [
-        PixelIntegrals(SAMPLES, PITCH, (-0.1, -0.1), 3.1e-3, (-0.06, -0.05), (30, 40)),
+        PixelIntegrals.of(SAMPLES, PITCH, (-0.1, -0.1), 3.1e-3, (-0.06, -0.05), (30, 40)),
         # Pixels and new samples reach beyond the samples.
-        PixelIntegrals(SAMPLES, PITCH, (-0.1, -0.1), 3.1e-3, (-0.12, -0.11), (30, 40)),
+        PixelIntegrals.of(SAMPLES, PITCH, (-0.1, -0.1), 3.1e-3, (-0.12, -0.11), (30, 40)),
         TurnedSamples(SAMPLES, PITCH, (-0.1, -0.1), 33.0, 1.3e-3, (-0.05, -0.04), (30, 40)),
         TurnedSamples(SAMPLES, PITCH, (-0.1, -0.1), -90.0, 7e-3, (-0.15, -0.1), (30, 40)),
     ],

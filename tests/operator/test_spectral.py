@@ -6,7 +6,7 @@ import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.capture import colour
-from mitsuba_plenoptic.operator.mixing import SpectralSum, spectral_sums
+from mitsuba_plenoptic.operator.mixing import SpectralSum, WeightChannels
 from mitsuba_plenoptic.operator.spectral import with_enough_nodes
 
 CAMERA = PlenopticCamera(
@@ -60,7 +60,7 @@ def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
     counts = {}
     for name, weights in (("same", same), ("smooth", smooth), ("rough", rough)):
         whole = np.sqrt(np.square(weights @ responses.T).sum(0))
-        for part in spectral_sums(spectrum.wavelengths, spectrum.matrix(), spectrum):
+        for part in WeightChannels(None, spectrum).parts(len(spectrum.wavelengths)):
             made = part.reduced(weights, 1e-3 * whole)
             error = (weights @ made.before) @ made.after.T - (weights @ part.before) @ part.after.T
             assert np.all(np.sqrt(np.square(error).sum(0)) <= 1.01e-3 * whole)

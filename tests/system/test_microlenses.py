@@ -1,5 +1,7 @@
 """The transmission of microlens arrays: its orders, their sum, and the array's own images."""
 
+import pickle
+
 import numpy as np
 import pytest
 from drjit.llvm import Float64
@@ -8,7 +10,7 @@ from wave_cases import LATTICES, WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic.lattice import turn
 from mitsuba_plenoptic.optics.free_space import propagate
-from mitsuba_plenoptic.system.microlens_orders import AxisTransmission, PlaneTransmission, axis_orders, plane_orders
+from mitsuba_plenoptic.system.microlens_orders import AxisFactor, MicrolensArray, PlaneFactor, axis_orders
 from mitsuba_plenoptic.system.microlenses import transmission, transmission_along, upright
 
 SMALL = small_camera()
@@ -68,9 +70,9 @@ def test_orders_of_the_lens_array():
     t = np.exp(-1j * np.pi * (x - SMALL.mla_pitch / 2) ** 2 / (WAVELENGTH * 1e-6 * SMALL.mla_focal_length))
     q = np.arange(-20, 21)
     expected = [np.mean(t * np.exp(-2j * np.pi * k * x / SMALL.mla_pitch)) for k in q]
-    assert np.allclose(axis_orders(SMALL, WAVELENGTH, 20, 0), expected, atol=1e-8)
+    assert np.allclose(axis_orders(SMALL, WAVELENGTH, 20, 0)[0], expected, atol=1e-8)
     # All of the light is in some order.
-    assert np.sum(np.abs(axis_orders(SMALL, WAVELENGTH, 3000, 0)) ** 2) == pytest.approx(1, abs=1e-4)
+    assert np.sum(np.abs(axis_orders(SMALL, WAVELENGTH, 3000, 0)[0]) ** 2) == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore:.*outer eighth of its window:mitsuba_plenoptic.PhysicsWarning")  # it is periodic
@@ -81,7 +83,7 @@ def test_self_imaging_of_a_bare_lens_array(part):
     periods, per_period = 6, 96
     highest = 0.3
     x = np.arange(periods * per_period) * pitch / per_period
-    t = to_numpy(AxisTransmission(SMALL, WAVELENGTH, highest).along(Float64(x), 0))
+    t = to_numpy(AxisFactor(SMALL, WAVELENGTH, highest, 0).at(Float64(x)))
     distance = part * 2 * pitch**2 / lam
     field = propagate(t[None, :] * t[:, None], pitch / per_period, distance, WAVELENGTH)
 
@@ -99,15 +101,15 @@ def test_self_imaging_of_a_bare_lens_array(part):
 @pytest.mark.parametrize("pitch", [0.064, (0.064, 0.05)])
 def test_orders_of_a_separable_array_are_those_of_two_axes(pitch):
     camera = SMALL.replace(mla_pitch=pitch)
-    plane = plane_orders(camera, WAVELENGTH, 0.2)
-    down, along = (axis_orders(camera, WAVELENGTH, plane.shape[1 - axis] // 2, axis) for axis in (1, 0))
+    plane = PlaneFactor(camera, WAVELENGTH, 0.2).orders()
+    down, along = (axis_orders(camera, WAVELENGTH, plane.shape[1 - axis] // 2, axis)[0] for axis in (1, 0))
     assert np.allclose(plane, np.outer(down, along) * (plane != 0), atol=1e-6)
 
 
 def test_orders_of_holes_are_airy_patterns():
     """Lenses of hardly any power on a hexagonal lattice, whose reciprocal lattice is hexagonal, too."""
     camera = SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.9, mla_focal_length=1e6)
-    found = plane_orders(camera, WAVELENGTH, 0.2)
+    found = PlaneFactor(camera, WAVELENGTH, 0.2).orders()
     q = [np.arange(size) - size // 2 for size in found.shape]
     width, height = camera.lattice.period()
     argument = np.pi * 0.9 * camera.mla_pitch * np.hypot(q[1] / width, q[0][:, None] / height)
@@ -123,8 +125,8 @@ def test_orders_of_holes_are_airy_patterns():
 @lattices
 def test_orders_are_converged_and_hold_the_light(lattice):
     camera = SMALL.replace(**lattice)
-    found = plane_orders(camera, WAVELENGTH, 0.35)
-    assert error(found, plane_orders(camera, WAVELENGTH, 0.35, fine=1234)) < 3e-3
+    found = PlaneFactor(camera, WAVELENGTH, 0.35).orders()
+    assert error(found, PlaneFactor(camera, WAVELENGTH, 0.35, fine=1234).orders()) < 3e-3
     open_part = camera.lattice.lens_area / camera.lattice.cell_area
     # What is missing goes farther: of an edge's light a part that falls with the inverse of the angle.
     assert 0.985 * open_part < (np.abs(found) ** 2).sum() < 1.001 * open_part
@@ -134,8 +136,8 @@ def test_orders_are_converged_and_hold_the_light(lattice):
 def test_transmission_is_the_sum_of_its_orders(lattice):
     camera = SMALL.replace(**lattice)
     x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500))
-    found = to_numpy(PlaneTransmission(camera, WAVELENGTH, 0.2).at(Float64(x), Float64(y)))
-    amplitudes = plane_orders(camera, WAVELENGTH, 0.2)
+    found = to_numpy(PlaneFactor(camera, WAVELENGTH, 0.2).at(Float64(x), Float64(y)))
+    amplitudes = PlaneFactor(camera, WAVELENGTH, 0.2).orders()
     x, y = turn(x - camera.mla_offset[0], y - camera.mla_offset[1], -camera.mla_rotation)
     sides = camera.lattice.period(len(camera.mla_focal_lengths))
     along_x, along_y = (
@@ -144,3 +146,36 @@ def test_transmission_is_the_sum_of_its_orders(lattice):
     )
     expected = np.einsum("kj,ji,ki->k", along_y, amplitudes, along_x)
     assert error(found, expected) < 1e-3
+
+
+def test_the_factors_of_a_separable_array_multiply_to_the_one_of_its_plane():
+    camera = SMALL.replace(mla_pitch=(0.064, 0.05), mla_offset=(0.01, -0.02))
+    x, y = (Float64(axis) for axis in np.random.default_rng(0).uniform(-1, 1, (2, 500)))
+    along_x, along_y = MicrolensArray(camera, WAVELENGTH).factors(0.4)
+    assert (along_x.axes, along_y.axes) == ((0,), (1,))
+    plane = PlaneFactor(camera, WAVELENGTH, 0.4)
+    # The plane lacks the orders that are steep along both axes.
+    assert error(to_numpy(along_x.at(x) * along_y.at(y)), to_numpy(plane.at(x, y))) < 0.1
+
+
+def test_an_array_retains_its_last_factors():
+    array = MicrolensArray(SMALL.replace(mla_fill=0.8), WAVELENGTH)
+    first = array.factors(0.2)
+    assert array.factors(0.2) is first
+    for cosine in np.linspace(0.05, 0.1, 16):
+        array.factors(cosine)
+    assert array.factors(0.2) is not first
+
+
+def test_gaps_are_closed_and_apertures_open():
+    array = MicrolensArray(SMALL.replace(mla_fill=0.8), WAVELENGTH)
+    found = array.open_fraction(0.3, Float64([0.0, 0.032]), Float64(0.032))
+    assert np.allclose(found, [0, 1], atol=0.1)
+
+
+def test_an_array_from_another_process_is_the_same_and_made_once():
+    array = MicrolensArray(SMALL, WAVELENGTH)
+    (sent, again), x = (pickle.loads(pickle.dumps(array)) for _ in range(2)), Float64(0.013, 0.4)
+    assert sent is again
+    found, expected = (to_numpy(some.factors(0.2)[0].at(x)) for some in (sent, array))
+    assert (found == expected).all()

@@ -59,7 +59,7 @@ def test_sums_share_the_system_of_their_own_camera_only():
     first, second = (
         CaptureOperator(REAL, [point], wavelength=WAVELENGTH, system=system) for point in POINTS[:1].repeat(2, 0)
     )
-    assert first._system_at(WAVELENGTH) is second._system_at(WAVELENGTH)
+    assert first._plans.system_at(WAVELENGTH) is second._plans.system_at(WAVELENGTH)
     for camera, wavelength in ((THIN, WAVELENGTH), (REAL, 633.0)):
         with pytest.raises(InputError, match="bound to another camera"):
             CaptureOperator(camera, POINTS, wavelength=wavelength, system=system)

@@ -2,10 +2,12 @@
 
 from .differentials import Differentials
 from .numbers import NUMBERS, WAVELENGTH, brightness_slopes, check_changes, check_names, light_slopes, values_of
+from .plan import DerivativePlan
 
 __all__ = [
     "NUMBERS",
     "WAVELENGTH",
+    "DerivativePlan",
     "Differentials",
     "brightness_slopes",
     "check_changes",

@@ -24,27 +24,12 @@ _BLOCK = 2**14
 
 
 def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
-    """Return what the change of coefficients adds to the path at points of the pupil: zero, with gradients.
-
-    Parameters
-    ----------
-    coefficients : Dr.Jit array
-        All of them, in waves of 633 nm, which carry gradients.
-    radius : float
-        Of the pupil, in millimetres.
-    x, y : Dr.Jit arrays
-        Points of the pupil, which are held.
-
-    Returns
-    -------
-    Dr.Jit array
-        In millimetres.
-    """
+    """Return what the change of coefficients adds to the path at points of the pupil: zero, with gradients."""
     return dr.custom(_VaryingPath, coefficients, radius, dr.detach(x), dr.detach(y))
 
 
 class _VaryingPath(dr.CustomOp):
-    """A sum of Zernike polynomials with coefficients that are zero but for their changes."""
+    """A sum of Zernike polynomials with coefficients that are zero except for their changes."""
 
     def eval(self, coefficients: Any, radius: float, x: Any, y: Any) -> Any:
         self._count, self._radius, self._points = len(coefficients), radius, (x, y)

@@ -1,16 +1,22 @@
-"""Memory that the fields of many points use one after another."""
+"""The field of one point on its way from the pupil to the detector, and how its intensity changes with its factors.
+
+A field is multiplied by the pupil, by the factors on the microlens array, and by the transfer function of free space;
+in between there are Fourier transforms. Where all factors on the array are along one axis, the field passes it in two
+stages, axis by axis, else in one. A Jacobian-vector product (jvp) is the same chain for changes of the factors, and a
+vector-Jacobian product (vjp) goes back through it.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from ...runtime.fft import Field, fft
+from ...runtime.fft import Field
+from ..patch import forward_along, inverse_along
 
 
 class Memory:
@@ -46,14 +52,12 @@ class Memory:
 
     def product(self, one: Field, other: Field) -> Field:
         """Return the product of two arrays."""
-        shape = np.broadcast_shapes(one.shape, other.shape)
-        return self.arrays.multiply(one, other, out=self.take(shape))
+        return self.arrays.multiply(one, other, out=self.take(np.broadcast_shapes(one.shape, other.shape)))
 
-    def back(self, factor: Field, field: Field) -> Field:
-        """Return the product of the conjugate of the one and the other."""
-        shape = np.broadcast_shapes(factor.shape, field.shape)
+    def conjugate_product(self, factor: Field, field: Field) -> Field:
+        """Return the product of the conjugate of an array and a field of the same shape."""
         conjugate = self.arrays.conj(factor, out=self.take(factor.shape))
-        return self.arrays.multiply(conjugate, field, out=conjugate if factor.shape == shape else self.take(shape))
+        return self.arrays.multiply(conjugate, field, out=conjugate)
 
     def widened(self, field: Field, length: int, axis: int) -> Field:
         """Return a field with zeros behind it along an axis."""
@@ -67,275 +71,164 @@ class Memory:
 
 
 _BLOCK = 2**16
-"""Samples of the field on the detector that are multiplied and transformed at a time: they stay in a core's cache."""
+"""Samples of the field on the detector that are multiplied and transformed at a time: a core's cache holds them."""
+
+Parts = Sequence[Field | None]
+"""For each factor of a field a change or a cotangent, None where there is none."""
+
+_Factor = tuple[tuple[int, ...], Field]
+"""Axes of the camera, and the factor as fields are multiplied by it."""
 
 
-@dataclass(frozen=True)
-class Factors:
-    """What a field is multiplied by.
+class FieldChain:
+    """A field from the pupil to the detector, with what it has been in between.
 
-    Attributes
-    ----------
-    pupil : complex64 array (directions, directions)
-        Plane waves from the pupil.
-    along_x, along_y : complex64 arrays (m,)
-        Factors on the MLA along its axes.
-    lenses : complex64 array (m, m), or None
-        A further factor on the MLA.
-    transfer : complex64 array (n, n)
-        From the MLA to the detector.
+    `factors` are those of `PatchFactors` for one point, `axes` the axes of those of the array. The `field` on the
+    detector has `finer` (1 or 2) times the samples of the patch along each axis. All of it lies in `memory`, and is
+    lost when this restarts. `returning` is the conjugate of the transfer function, which vector-Jacobian products take.
     """
 
-    pupil: Field
-    along_x: Field
-    along_y: Field
-    lenses: Field | None
-    transfer: Field
-
-    @property
-    def parts(self) -> list[Field | None]:
-        """All of them."""
-        return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
-
-
-@dataclass(frozen=True)
-class Changes:
-    """Changes of the factors, or cotangents of them; attributes as of `Factors`, None for what does not change."""
-
-    pupil: Field | None = None
-    along_x: Field | None = None
-    along_y: Field | None = None
-    lenses: Field | None = None
-    transfer: Field | None = None
-
-    @property
-    def parts(self) -> list[Field | None]:
-        """All of them."""
-        return [self.pupil, self.along_x, self.along_y, self.lenses, self.transfer]
-
-
-class _Passage(Protocol):
-    """From the pupil through the MLA to the spectrum that goes to the detector, and back."""
-
-    spectrum: Field
-
-    def behind(self, change: Changes) -> Field | None:
-        """Return the change behind the MLA, None where nothing changes there."""
-
-    def to_spectrum(self, behind: Field) -> Field:
-        """Take a field from behind the MLA to its spectrum."""
-
-    def from_spectrum(self, spectrum: Field) -> Field:
-        """Take a cotangent of the spectrum to behind the MLA."""
-
-    def back(self, behind: Field) -> tuple[Field, Field, Field, Field | None]:
-        """Return the cotangents of pupil, along_x, along_y and lenses from that behind the MLA; both are used up."""
-
-
-class Way:
-    """The way of a field from the pupil to the detector, with what it has been in between.
-
-    Parameters
-    ----------
-    factors : Factors
-        What it is multiplied by.
-    finer : {1, 2}
-        How many samples of the field on the detector there are for one of the patch, along each axis.
-    memory : Memory
-        Where it lies: it is lost when this restarts.
-    returning : complex64 array (n, n), optional
-        The conjugate of the transfer function, for the ways back.
-
-    Attributes
-    ----------
-    field : complex64 array (finer n, finer n)
-        On the detector.
-    """
-
-    def __init__(self, factors: Factors, finer: int, memory: Memory, returning: Field | None = None) -> None:
-        self._transfer, self._returning, self._finer = factors.transfer, returning, finer
-        self._memory, self._arrays = memory, memory.arrays
-        self._passage: _Passage = (_Product if factors.lenses is None else _Plane)(factors, memory)
-        self.field = self._to_detector(memory.product(self._passage.spectrum, factors.transfer))
+    def __init__(
+        self,
+        factors: Sequence[Field],
+        axes: Sequence[tuple[int, ...]],
+        finer: int,
+        memory: Memory,
+        returning: Field | None = None,
+    ) -> None:
+        pupil, *lenses, self._transfer = factors
+        self._finer, self._returning, self._memory, self._arrays = finer, returning, memory, memory.arrays
+        self._directions, self._samples = len(pupil), len(self._transfer)
+        # Fields have x along the last axis.
+        upright = [lens[:, None] if own == (1,) else lens for own, lens in zip(axes, lenses, strict=True)]
+        named: list[_Factor] = list(zip(axes, upright, strict=True))
+        self._stages = [((1, 0), named)] if len(named) > 2 else [((1,), named[:1]), ((0,), named[1:])]
+        self._size, self._spectrum = len(lenses[0]), pupil
+        self._before: list[Field] = []
+        for along, stage in self._stages:
+            self._before.append(self._inverse(self._spectrum, self._size, along))
+            self._spectrum = _forward(self._product(self._before[-1], stage), self._samples, along)
+        self.field = self._to_detector(memory.product(self._spectrum, self._transfer))
 
     @property
     def intensity(self) -> Any:
         """The square of the field, float32."""
         return self.field.real**2 + self.field.imag**2
 
-    def tangent(self, change: Changes) -> Any:
+    def jvp(self, changes: Parts) -> Any:
         """Return the change of the intensity with changes of the factors, None where it does not change."""
-        behind = self._passage.behind(change)
+        moved, product = self._moved(changes), self._memory.product
         spectrum = _total(
-            None if behind is None else self._memory.product(self._passage.to_spectrum(behind), self._transfer),
-            None if change.transfer is None else self._memory.product(self._passage.spectrum, change.transfer),
+            None if moved is None else product(moved, self._transfer),
+            None if changes[-1] is None else product(self._spectrum, changes[-1]),
         )
-        return None if spectrum is None else self._intensity_change(self._to_detector(spectrum))
+        return None if spectrum is None else self._intensity_change(spectrum)
 
-    def _intensity_change(self, change: Field) -> Any:
-        """Return the change of the intensity with one of the field."""
-        return 2 * (self.field.real * change.real + self.field.imag * change.imag)
-
-    def moved(self, change: Changes) -> Field:
-        """Return the change of the spectrum that goes to the detector, as `products` takes it; zero for none."""
+    def spectrum_jvp(self, changes: Parts) -> Field:
+        """Return the change of the spectrum that goes to the detector with changes of all factors before free space."""
         result = self._memory.take(self._transfer.shape)
         with self._memory.lent():
-            behind = self._passage.behind(change)
-            result[...] = 0 if behind is None else self._passage.to_spectrum(behind)
+            moved = self._moved(changes)
+            result[...] = 0 if moved is None else moved
         return result
 
-    def slope(self, moved: Field) -> Any:
-        """Return the change of the intensity with a change `moved` of the spectrum."""
+    def jvp_of_spectrum(self, change: Field) -> Any:
+        """Return the change of the intensity with one of the spectrum that goes to the detector."""
         with self._memory.lent():
-            return self._intensity_change(self._to_detector(self._memory.product(moved, self._transfer)))
+            return self._intensity_change(self._memory.product(change, self._transfer))
 
-    def back(self, gradient: Any, transfer: bool = True) -> Changes:
-        """Return the cotangents of the factors from half the gradient with respect to the intensity.
+    def vjp(self, gradient: Any, varies: Sequence[bool]) -> Parts:
+        """Return the cotangents of the factors that vary, from half the gradient with respect to the intensity.
 
-        That of the transfer function is left out unless it is asked for.
+        The fields in between are used up.
         """
-        spectrum = self._from_detector(gradient)
-        own = self._memory.back(self._passage.spectrum, spectrum) if transfer else None
-        behind = self._passage.from_spectrum(self._before_space(spectrum))
-        return Changes(*self._passage.back(behind), own)
+        memory, arrays, spectrum = self._memory, self._arrays, self._from_detector(gradient)
+        parts: list[Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
+        field, wanted = self._before_space(spectrum), list(varies[1:-1])
+        for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
+            field = self._inverse(field, self._size, axes)
+            product = arrays.multiply(arrays.conj(before, out=before), field, out=before)
+            for which in reversed(range(len(factors))):
+                parts.append(self._cotangent(product, factors, which) if wanted.pop() else None)
+            for _, factor in factors:
+                field *= arrays.conj(factor, out=memory.take(factor.shape))
+            field = _forward(field, self._directions, axes)
+        return [field if varies[0] else None, *parts[::-1]]
 
-    def products(self, gradient: Any, moved: list[Field]) -> list[float]:
-        """Multiply half the gradient with respect to the intensity with changes `moved` of the spectrum."""
+    def products(self, gradient: Any, changes: list[Field]) -> list[float]:
+        """Multiply half the gradient with respect to the intensity with changes of the spectrum."""
         spectrum = self._before_space(self._from_detector(gradient))
-        return [float(self._arrays.vdot(spectrum, change).real) for change in moved]
+        return [float(self._arrays.vdot(spectrum, change).real) for change in changes]
+
+    def _moved(self, changes: Parts) -> Field | None:
+        """Return the change of the spectrum with changes of all factors before free space."""
+        moved, own = changes[0], list(changes[1:-1])
+        for (axes, factors), before in zip(self._stages, self._before, strict=True):
+            total = None if moved is None else self._product(self._inverse(moved, self._size, axes), factors)
+            for which, (_, factor) in enumerate(factors):
+                if (change := own.pop(0)) is not None:
+                    others = factors[:which] + factors[which + 1 :]
+                    part = self._product(self._memory.product(before, change.reshape(factor.shape)), others)
+                    total = _total(total, part)
+            moved = None if total is None else _forward(total, self._samples, axes)
+        return moved
+
+    def _product(self, field: Field, factors: list[_Factor]) -> Field:
+        """Multiply a field on the array by factors."""
+        for _, factor in factors:
+            field = self._memory.product(field, factor)
+        return field
+
+    def _cotangent(self, product: Field, factors: list[_Factor], which: int) -> Field:
+        """Return the cotangent of one factor of a stage from that of the product of all."""
+        for _, factor in factors[:which] + factors[which + 1 :]:
+            product = self._memory.product(product, self._arrays.conj(factor))
+        # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
+        axes, _ = factors[which]
+        return product.sum(axes[0]) if len(axes) == 1 else product
+
+    def _intensity_change(self, spectrum: Field) -> Any:
+        """Return the change of the intensity with one of the spectrum on the detector, whose memory is used."""
+        change = self._to_detector(spectrum)
+        return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
     def _before_space(self, spectrum: Field) -> Field:
-        """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the MLA."""
+        """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the array."""
         assert self._returning is not None
         return self._arrays.multiply(spectrum, self._returning, out=spectrum)
 
     def _to_detector(self, spectrum: Field) -> Field:
         """Take a spectrum, whose memory is used, to the detector."""
-        size = self._finer * len(spectrum)
         if self._finer == 1:
-            return _inverse(_inverse(spectrum, 0), 1)
-        columns = _inverse(self._memory.widened(spectrum, size, 0), 0)
-        return _inverse(self._memory.widened(columns, size, 1), 1)
+            return inverse_along(inverse_along(spectrum, 0), 1)
+        return self._inverse(spectrum, self._finer * self._samples, (0, 1))
 
     def _from_detector(self, gradient: Any) -> Field:
         """Apply the adjoint of `_to_detector` to the field times a gradient."""
-        (size, _), n, arrays = self.field.shape, len(self._transfer), self._arrays
+        (size, _), n, arrays = self.field.shape, self._samples, self._arrays
         columns, rows = self._memory.take((size, n)), max(1, _BLOCK // size)
         for block in (slice(first, first + rows) for first in range(0, size, rows)):
-            columns[block] = _forward(self.field[block] * gradient[block], 1)[:, :n]
-        return arrays.ascontiguousarray(_forward(columns, 0)[:n])
+            columns[block] = _forward(self.field[block] * gradient[block], n, (1,))
+        return arrays.ascontiguousarray(_forward(columns, n, (0,)))
 
-
-class _Product:
-    """Through microlenses that are a product of a factor along x and one along y."""
-
-    def __init__(self, factors: Factors, memory: Memory) -> None:
-        self._factors, self._memory, self._arrays = factors, memory, memory.arrays
-        self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
-        self._along_rows = self._to_rows(factors.pupil)
-        self._columns = self._to_columns(memory.product(self._along_rows, factors.along_x))
-        self.spectrum = self.to_spectrum(memory.product(self._columns, factors.along_y[:, None]))
-
-    def behind(self, change: Changes) -> Field | None:
-        f, product = self._factors, self._memory.product
-        rows = _total(
-            None if change.pupil is None else product(self._to_rows(change.pupil), f.along_x),
-            None if change.along_x is None else product(self._along_rows, change.along_x),
-        )
-        return _total(
-            None if rows is None else product(self._to_columns(rows), f.along_y[:, None]),
-            None if change.along_y is None else product(self._columns, change.along_y[:, None]),
-        )
-
-    def to_spectrum(self, behind: Field) -> Field:
-        return self._arrays.ascontiguousarray(_forward(behind, 0)[: self._samples])
-
-    def from_spectrum(self, spectrum: Field) -> Field:
-        return _inverse(self._memory.widened(spectrum, self._mla_samples, 0), 0)
-
-    def back(self, behind: Field) -> tuple[Field, Field, Field, None]:
-        f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
-        columns = conj(self._columns, out=self._columns)
-        with self._memory.lent():
-            along_y = self._memory.product(columns, behind).sum(1)
-        behind *= conj(f.along_y)[:, None]
-        rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
-        rows = _inverse(self._memory.widened(rows, self._mla_samples, 1), 1)
-        along_x = self._memory.back(self._along_rows, rows).sum(0)
-        rows *= conj(f.along_x)
-        return _forward(rows, 1)[:, :size], along_x, along_y, None
-
-    def _to_rows(self, pupil: Field) -> Field:
-        return _inverse(self._memory.widened(pupil, self._mla_samples, 1), 1)
-
-    def _to_columns(self, rows: Field) -> Field:
-        return self.from_spectrum(_forward(rows, 1)[:, : self._samples])
-
-
-class _Plane:
-    """Through any microlenses: the field is on the MLA along both axes."""
-
-    def __init__(self, factors: Factors, memory: Memory) -> None:
-        assert factors.lenses is not None
-        self._factors, self._lenses = factors, factors.lenses
-        self._memory, self._arrays = memory, memory.arrays
-        self._samples, self._mla_samples = len(factors.transfer), len(factors.along_x)
-        self._axes = memory.product(factors.along_y[:, None], factors.along_x)
-        self._on_mla = memory.product(self._axes, self._lenses)
-        self._before = self._to_mla(factors.pupil)
-        self.spectrum = self.to_spectrum(memory.product(self._before, self._on_mla))
-
-    def behind(self, change: Changes) -> Field | None:
-        f = self._factors
-        axes = _total(
-            None if change.along_x is None else f.along_y[:, None] * change.along_x,
-            None if change.along_y is None else change.along_y[:, None] * f.along_x,
-        )
-        on_mla = _total(
-            None if axes is None else self._lenses * axes,
-            None if change.lenses is None else self._axes * change.lenses,
-        )
-        return _total(
-            None if change.pupil is None else self._to_mla(change.pupil) * self._on_mla,
-            None if on_mla is None else self._before * on_mla,
-        )
-
-    def to_spectrum(self, behind: Field) -> Field:
-        rows = self._arrays.ascontiguousarray(_forward(behind, 0)[: self._samples])
-        return self._arrays.ascontiguousarray(_forward(rows, 1)[:, : self._samples])
-
-    def from_spectrum(self, spectrum: Field) -> Field:
-        rows = _inverse(self._memory.widened(spectrum, self._mla_samples, 1), 1)
-        return _inverse(self._memory.widened(rows, self._mla_samples, 0), 0)
-
-    def back(self, behind: Field) -> tuple[Field, Field, Field, Field]:
-        f, conj, size = self._factors, self._arrays.conj, len(self._factors.pupil)
-        on_mla = self._memory.back(self._before, behind)
-        lenses = self._memory.back(self._axes, on_mla)
-        on_mla *= conj(self._lenses)
-        along_x, along_y = conj(f.along_y) @ on_mla, on_mla @ conj(f.along_x)
-        behind = self._memory.back(self._on_mla, behind)
-        rows = self._arrays.ascontiguousarray(_forward(behind, 0)[:size])
-        return _forward(rows, 1)[:, :size], along_x, along_y, lenses
-
-    def _to_mla(self, pupil: Field) -> Field:
-        rows = _inverse(self._memory.widened(pupil, self._mla_samples, 1), 1)
-        return _inverse(self._memory.widened(rows, self._mla_samples, 0), 0)
+    def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
+        """Return the inverse transform of a field with zeros behind it, of some size along each of some axes."""
+        for axis in axes:
+            field = inverse_along(self._memory.widened(field, size, axis), axis)
+        return field
 
 
 def _total(one: Field | None, other: Field | None) -> Field | None:
-    """Add two changes, of which each may be none, in the memory of the first."""
+    """Add two changes, in the memory of the first."""
     if one is None or other is None:
         return other if one is None else one
     one += other
     return one
 
 
-def _forward(field: Field, axis: int) -> Field:
-    """Transform unscaled, on this thread alone."""
-    return fft(field, axis=axis, workers=1)
-
-
-def _inverse(field: Field, axis: int) -> Field:
-    """Transform back unscaled, on this thread alone."""
-    return fft(field, axis=axis, inverse=True, norm="forward", workers=1)
+def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
+    """Transform unscaled, in the field's memory and on this thread alone, and take the first samples along the axes."""
+    for axis in axes[::-1]:
+        field = forward_along(field, axis)
+        field = field[:count] if axis == 0 else field[:, :count]
+    return field

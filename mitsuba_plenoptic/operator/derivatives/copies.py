@@ -1,4 +1,4 @@
-r"""How a copy of a point spread changes beside the spread that it is a copy of.
+r"""How a copy of a point spread changes, compared with the spread that it is a copy of.
 
 A copy is :math:`\delta` away on the microlens array, a whole number of lenses, and on the detector
 :math:`\kappa \delta` away, :math:`\kappa = (b + z) / b`. As the camera changes, its lenses move by more than those of
@@ -16,7 +16,7 @@ with these matrices A and B, in the frame of the lattice:
   copies: A is the turn by a right angle times :math:`d\theta`, and B is :math:`\kappa A`;
 - with the wavelength the grid grows about the axis: :math:`B = \kappa \, d\lambda / \lambda`.
 
-Nothing else tells a copy from its spread.
+In all else a copy changes as its spread does.
 """
 
 from __future__ import annotations
@@ -29,10 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...runtime.backend import backend
 from ...runtime.batches import Box
-from ..patch import PatchBatch
-from ..tile import Cells
+from ..tile import Copies
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
 """Numbers by which the lattice moves against the points: A is not zero."""
@@ -47,18 +45,8 @@ MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
 def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
     """Return A and B for a change by 1 of each component of a number of `MOVED_COPIES`.
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        In nanometres.
-
-    Returns
-    -------
-    float64 array (components, 2, 2, 2)
-        For each component A and B, each as (x and y of the move, x and y of the copy's place). Degrees and nanometres
-        are the units of ``mla_rotation`` and ``wavelength``.
+    The result is (components, 2, 2, 2): for each component A and B, each as (x and y of the move, x and y of the copy's
+    position). Degrees and nanometres are the units of ``mla_rotation`` and ``wavelength``.
     """
     one, none = np.eye(2), np.zeros((2, 2))
     growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
@@ -79,29 +67,15 @@ Window = tuple[slice, slice]
 """Rows and columns of a box of the grid."""
 
 _BLOCK = 2**18
-"""Samples that are gathered at a time: so many stay in a core's own cache."""
+"""Samples that are gathered at a time: they fit into a core's own cache."""
 
 
 @dataclass(frozen=True)
-class SpreadCopies:
-    """Where and how strongly a point spread is recorded.
+class SpreadCopies(Copies):
+    """Where and how strongly a point spread is recorded, and how its copies change."""
 
-    Attributes
-    ----------
-    shifts : int64 array (copies, 2)
-        Samples of the patch along x and y by which each copy is moved.
-    places : float64 array (copies, 2)
-        The same on the microlens array, in millimetres.
-    weights : float32 array (copies, channels)
-        Factors on the intensity.
-    moving : bool
-        Whether what they show of a lattice that moves against their points is counted.
-    """
-
-    shifts: NDArray[np.int64]
-    places: NDArray[np.float64]
-    weights: NDArray[np.float32]
-    moving: bool
+    places: NDArray[np.float64]  # (copies, 2): the shifts on the microlens array, in millimetres
+    moving: bool  # whether what they show of a lattice that moves against their points is counted
 
     def summed(self, sums: int) -> SpreadCopies:
         """Return them with the weights as often as sums are asked for: for three, those times the places come next."""
@@ -116,26 +90,11 @@ class SpreadCopies:
         return [(slice(y, y + size), slice(x, x + size)) for x, y in start.tolist()]
 
 
-def covered(corner: NDArray[np.int64], samples: int, copies: list[SpreadCopies], finer: int) -> Box:
-    """Return what patches and their copies reach of the grid that is finer than they are."""
-    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
-    return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
-
-
 def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
     """Add up, over the copies, what a tile has in their windows, with their weights.
 
-    Parameters
-    ----------
-    tile : float32 array (channels, rows, columns)
-        On the box of the windows.
-    moments : bool
-        Whether to add it up, too, with the weights times the copies' places along x, and along y.
-
-    Returns
-    -------
-    list of float32 arrays (rows, columns)
-        One, or three.
+    The tile (channels, rows, columns) is on the box of the windows. With `moments` two more sums follow, with the
+    weights times the copies' x and times their y.
     """
     along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
     which, channels = np.nonzero(copies.weights)
@@ -151,50 +110,3 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
             part[...] = tile[channel, window_rows.start + first : window_rows.start + last, window_columns]
         result[:, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(along), last - first, columns)
     return list(result)
-
-
-class SpreadSum:
-    """A sum of the copies of point spreads, with their weights.
-
-    Parameters
-    ----------
-    box : Box
-        What it covers of the grid.
-    batch : PatchBatch
-        What the spreads are made of.
-    copies : list of SpreadCopies
-        Of each.
-    finer : int
-        Samples of the grid for one of a patch, along each axis.
-    """
-
-    def __init__(self, box: Box, batch: PatchBatch, copies: list[SpreadCopies], finer: int) -> None:
-        size, channels = np.array([box.rows, box.columns]), copies[0].weights.shape[1]
-        self._copies, self._samples = copies, finer * batch.samples
-        # Rows come first.
-        self._places = [
-            (finer * (corner + copy.shifts) - np.array([box.left, box.top]))[:, ::-1]
-            for corner, copy in zip(batch.corner, copies, strict=True)
-        ]
-        cells = Cells.of([finer * copy.shifts[:, ::-1] for copy in copies], self._samples)
-        self._cells = None if cells is None else cells.sum(size, channels, 1)
-        self._sums: Any = None
-        if cells is None:
-            self._sums = backend().arrays.zeros((channels, box.rows, box.columns), np.float32)
-
-    def add(self, spread: int, intensity: Any) -> None:
-        """Add the copies of one of the spreads."""
-        places, weights = self._places[spread], self._copies[spread].weights
-        if self._cells is not None:
-            if not self._cells.free:
-                self._cells.add()
-            self._cells.plane(spread, places, weights)[: self._samples, : self._samples] = intensity
-            return
-        for copy, (y, x) in enumerate(places.tolist()):
-            for channel in np.flatnonzero(weights[copy]).tolist():
-                part = self._sums[channel, y : y + self._samples, x : x + self._samples]
-                part += weights[copy, channel] * intensity
-
-    def total(self) -> Any:
-        """Return the sum, (channels, rows, columns)."""
-        return self._sums if self._cells is None else self._cells.total()

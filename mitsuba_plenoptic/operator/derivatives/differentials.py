@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,37 +14,18 @@ from ...optics import guards
 from ...runtime.batches import Threads
 from ...runtime.jobs import Job, SumTask
 from ...runtime.limits import single_threaded_blas
-from ...system.optical_system import OpticalSystem
-from ..mixing import groups, mix
-from ..pupil_weights import PupilWeights
-from .plan import DerivativePlan, Direction
+from ..mixing import WavelengthPlans, groups, mix
+from .plan import Direction
 
 
 class Differentials:
-    """The derivatives of the sum of all point spreads, planned for each wavelength when they are first asked for.
+    """The derivatives of the sum of all point spreads, planned for each wavelength when they are first asked for."""
 
-    Parameters
-    ----------
-    camera, points, pupil_weights, accuracy
-        As of `CaptureOperator`, checked.
-    system_at : callable
-        Returns the camera's optical system at a wavelength.
-    """
-
-    def __init__(
-        self,
-        camera: PlenopticCamera,
-        points: NDArray[np.float64],
-        pupil_weights: PupilWeights | None,
-        accuracy: float,
-        system_at: Callable[[float], OpticalSystem],
-    ) -> None:
-        self._system_at = system_at
-        self._camera, self._points, self._pupil_weights, self._accuracy = camera, points, pupil_weights, accuracy
-        self._plans: dict[float, DerivativePlan] = {}
+    def __init__(self, camera: PlenopticCamera, points: int, plans: WavelengthPlans) -> None:
+        self._camera, self._points, self._plans = camera, points, plans
 
     @single_threaded_blas()
-    def push(
+    def jvp(
         self,
         weights: NDArray[np.float64],
         directions: list[Direction],
@@ -54,41 +35,30 @@ class Differentials:
     ) -> NDArray[np.float32]:
         """Return the changes of the image in some directions, (rows, columns, directions times channels).
 
-        Parameters
-        ----------
-        weights : float64 array (n, columns)
-            Of the points.
-        directions : list of dict
-            Each as from `check_changes`.
-        wavelengths : tuple of float
-            Of each column, in nanometres.
-        matrix : float32 array (channels, columns)
-            From the columns to the image's channels.
-        job : Job
-            Who is told of the progress.
+        The columns of `weights` have the `wavelengths` given, and `matrix` leads from them to the image's channels.
         """
         _require_threads(job)
 
         # As many directions at once as fit into memory.
         parts: list[tuple[float, list[int], list[int]]] = []
         for wavelength, some in groups(wavelengths):
-            step = self._planned(wavelength).together(job.workers, len(some), len(directions))
+            step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
             numbers = list(range(len(directions)))
             parts += [(wavelength, some, numbers[first : first + step]) for first in range(0, len(directions), step)]
 
         def tasks() -> Iterator[SumTask]:
             for wavelength, some, which in parts:
-                plan = self._plan(wavelength, job, len(which) * len(some))
-                push = partial(plan.push, weights[:, some], [directions[number] for number in which])
+                plan = self._plans.checked(wavelength, job, len(which) * len(some))
+                change = partial(plan.jvp, weights[:, some], [directions[number] for number in which])
                 own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
-                yield SumTask(len(self._points), push, partial(mix, matrix=own))
+                yield SumTask(self._points, change, partial(mix, matrix=own))
 
         with guards.watch():
             shape = (*self._camera.shape, len(directions) * len(matrix))
-            return job.run(tasks(), shape, len(parts) * len(self._points))
+            return job.run(tasks(), shape, len(parts) * self._points)
 
     @single_threaded_blas()
-    def pull(
+    def vjp(
         self,
         weights: NDArray[np.float64],
         image: NDArray[np.float32],
@@ -97,42 +67,17 @@ class Differentials:
         matrix: NDArray[np.float32],
         job: Job,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients of numbers, by name, from that of the image, (rows, columns, channels).
-
-        Parameters
-        ----------
-        weights, wavelengths, matrix, job
-            As of `push`.
-        names : tuple of str
-            The numbers.
-        """
+        """Return the gradients of numbers, by name, from that of the image, (rows, columns, channels)."""
         _require_threads(job)
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():
             for done, (wavelength, some) in enumerate(groups(wavelengths)):
                 given = mix(image, matrix[:, some].T)
-                plan = self._plan(wavelength, job, len(some))
-                counted = done * len(self._points), self._items(wavelengths)
-                found = plan.pull(weights[:, some], given, names, job, *counted)
+                plan = self._plans.checked(wavelength, job, len(some))
+                counted = done * self._points, len(set(wavelengths)) * self._points
+                found = plan.vjp(weights[:, some], given, names, job, *counted)
                 total = {name: found[name] + total.get(name, 0.0) for name in names}
         return total
-
-    def _items(self, wavelengths: tuple[float, ...]) -> int:
-        """Return the point spreads of all sums."""
-        return len(set(wavelengths)) * len(self._points)
-
-    def _plan(self, wavelength: float, job: Job, channels: int) -> DerivativePlan:
-        """Return the plan at a wavelength, or refuse what it takes."""
-        plan = self._planned(wavelength)
-        plan.check_memory(job.workers, channels)
-        return plan
-
-    def _planned(self, wavelength: float) -> DerivativePlan:
-        """Return the plan at a wavelength, made where there is none yet."""
-        if wavelength not in self._plans:
-            system = self._system_at(wavelength)
-            self._plans[wavelength] = DerivativePlan(system, self._points, self._pupil_weights, self._accuracy)
-        return self._plans[wavelength]
 
 
 def _require_threads(job: Job) -> None:

@@ -17,7 +17,7 @@ from ...camera.vector import change_of, parts_of, size_of
 from ...errors import InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...runtime.backend import array_module
-from ...system.microlens_derivatives import VaryingMicrolenses
+from ...system.microlens_orders import VaryingArrayFactor
 from ...system.optical_system import OpticalSystem
 from ..grid import Grid
 from ..patch_factors import Elements
@@ -86,19 +86,7 @@ def light_slopes(
 ) -> dict[str, NDArray[np.float64]]:
     """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera, at one wavelength.
-    names : iterable of str
-        The numbers.
-    points : float64 array (n, 3)
-        Scene points in the camera frame.
-
-    Returns
-    -------
-    dict
-        By name float64 arrays (parts, n).
+    The arrays are (components, points).
     """
     slopes = brightness_slopes(system.camera, names)
     found = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
@@ -136,9 +124,12 @@ class VaryingNumbers:
         angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         lattice = self._lattice(get, camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
         wavelength = get["wavelength"][0]
-        microlenses = VaryingMicrolenses(camera, grid.wavelength, cosine, lattice, get["mla_focal_length"], wavelength)
+        array = [
+            VaryingArrayFactor(factor, lattice, get["mla_focal_length"], wavelength)
+            for factor in grid.microlenses.factors(cosine)
+        ]
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
-        return Elements(lens, microlenses, wavelength, get["detector_distance"][0], turned, growth, aberration)
+        return Elements(lens, array, wavelength, get["detector_distance"][0], turned, growth, aberration)
 
     def _over(self, name: str, number: Any, lanes: int) -> Any:
         """Return a number for each lane, if it varies."""

@@ -17,12 +17,13 @@ from ...runtime.limits import largest_fitting, memory_limit
 from ...system.optical_system import OpticalSystem
 from ...system.sampling import MEMORY_LIMIT
 from ..accuracy import derivative_band_for, derivatives_share
+from ..patch_factors import Fields
 from ..patch_plan import PatchPlan
 from ..pupil_weights import PupilWeights
 from ..recorder import STEPS, Recorder
-from ..tile import Fields
-from .batches import Pull, Push, varying_factors
-from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, SpreadCopies, copy_slopes, covered
+from ..tile import reached
+from .batches import JvpBatch, VjpBatch, varying_factors
+from .copies import MOVED_COPIES, MOVED_LENSES, SHIFTED_COPIES, SpreadCopies, copy_slopes
 from .numbers import MOVES, VaryingNumbers
 
 Direction = dict[str, NDArray[np.float64]]
@@ -33,16 +34,11 @@ _LEFT_OUT = 0.1
 
 
 class DerivativePlan(PatchPlan):
-    """Point spreads and their copies, with what tells the changes of these from those of the spreads.
+    """Point spreads and their copies, with the differences between their changes.
 
     For sums of many, points share spreads as they do for images; else each has a spread of its own, whose intensity
     is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
     fastest. In sums of many they average out.
-
-    Parameters
-    ----------
-    system, points, pupil_weights, accuracy
-        As of `PatchPlan`.
     """
 
     def __init__(
@@ -52,26 +48,25 @@ class DerivativePlan(PatchPlan):
         pupil_weights: PupilWeights | None,
         accuracy: float,
     ) -> None:
-        camera, wavelength = system.camera, system.wavelength
         # Copies behind a real lens change in ways of their own.
         shared = system.lens.changes_evenly and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
-        self._wavelength, self._accuracy, self._finer = wavelength, accuracy, 1 if shared else 2
+        camera, self._wavelength = system.camera, system.wavelength
+        self._accuracy, self._finer = accuracy, 1 if shared else 2
         low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
-        reached = self._finer * self._shifts
         pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
-        low, size = low[pattern] + reached, size[pattern]
+        low, size = low[pattern] + self._finer * self._shifts, size[pattern]
         fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
         self._recorder = Recorder(camera, fine, low, low + size)
         # From samples of the patch between copies to the distance of their lenses.
         self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
 
-    def push(self, weights: NDArray[np.float64], directions: list[Direction]) -> PushSum:
+    def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
         """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
-        return PushSum(self, weights, directions)
+        return JvpSum(self, weights, directions)
 
-    def pull(
+    def vjp(
         self,
         weights: NDArray[np.float64],
         image: NDArray[np.float32],
@@ -82,16 +77,7 @@ class DerivativePlan(PatchPlan):
     ) -> dict[str, NDArray[np.float64]]:
         """Return the gradients of numbers from that of the image, (rows, columns, channels).
 
-        Parameters
-        ----------
-        weights : float64 array (n, channels)
-            Of the points.
-        names : tuple of str
-            The numbers.
-        job : Job
-            Who computes, and who is told of the progress.
-        done, total : int
-            The points that are done before, and those of the whole job.
+        `done` points of the `total` of a job are done before.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
@@ -102,21 +88,21 @@ class DerivativePlan(PatchPlan):
         moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
-        batches = (self._pull(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
-        waiting: list[Pull] = []
+        batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
+        waiting: list[VjpBatch] = []
 
-        def kept() -> Iterator[Pull]:
+        def remembered() -> Iterator[VjpBatch]:
             for batch in batches:
                 waiting.append(batch)
                 yield batch
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
         sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
-        for pulled in job.each(kept(), items.tolist(), done + self._count - int(items.sum()), total):
-            waiting.pop(0).gather(pulled, numbers)
-            products[0] += pulled.products
-            if pulled.spreads is not None:
-                add(pulled.spreads, box, sums)
+        for result in job.each(remembered(), items.tolist(), done + self._count - int(items.sum()), total):
+            waiting.pop(0).gather(result, numbers)
+            products[0] += result.products
+            if result.spreads is not None:
+                add(result.spreads, box, sums)
         plain, *placed = np.split(sums, summed) if summed else [sums]
         if placed:
             stepped = [self._recorder.spread(image, move) for move in STEPS]
@@ -139,7 +125,7 @@ class DerivativePlan(PatchPlan):
         return np.array(turn(vector[0], vector[1], -self._grid.rotation))
 
     def _shifted(self, names: Iterable[str]) -> bool:
-        """Tell whether copies shift with some numbers."""
+        """Return whether copies shift with some parameters."""
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
@@ -149,7 +135,7 @@ class DerivativePlan(PatchPlan):
         return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell of which spreads the copies show how the lattice moves against their points.
+        """Return the spreads of which copies are counted for how the lattice moves against their points.
 
         They show it in proportion to their weights and distances. Spreads that have few copies, or near ones, take as
         long as others: the least of them are left out, which together are a small share of all.
@@ -169,10 +155,10 @@ class DerivativePlan(PatchPlan):
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             kept.append(pattern)
             places = shifts * self._per_sample
-            copies.append(SpreadCopies(shifts, places, factors.astype(np.float32), bool(moving[pattern])))
+            copies.append(SpreadCopies(shifts, factors.astype(np.float32), places, bool(moving[pattern])))
         return self._fields(np.array(kept, np.int64)), copies
 
-    def _pull(
+    def _vjp_batch(
         self,
         chunk: NDArray[np.int64],
         weights: NDArray[np.float64],
@@ -181,21 +167,19 @@ class DerivativePlan(PatchPlan):
         samples: Any,
         summed: int,
         varies: tuple[bool, ...],
-    ) -> Pull:
+    ) -> VjpBatch:
         """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
         fields, copies = self.lit(chunk, weights, moving)
         placement = fields.placement
-        box = covered(placement.corner, int(placement.samples[0]), copies, self._finer)
-        low = np.array([box.left, box.top])
-        tile = self._tile(samples, low, low + np.array([box.columns, box.rows]))
-        return Pull(fields, copies, self._finer, offset, tile, summed, varies)
+        box = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
+        return VjpBatch(fields, copies, self._finer, offset, self._tile(samples, box), summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
         return super().check_memory(batch_map, self._kept(channels))
 
     def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
-        """Return in how many of some directions sums of so many channels are differentiated at once: 1 at least."""
+        """Return the number of directions in which sums of some channels are differentiated at once: 1 at least."""
 
         def memory(count: int) -> float:
             return self.memory(batch_map, self._kept(count * channels))
@@ -203,11 +187,11 @@ class DerivativePlan(PatchPlan):
         return max(1, largest_fitting(memory, min(MEMORY_LIMIT, memory_limit()), directions))
 
     def _kept(self, channels: int) -> int:
-        """Return how many images are kept for the derivatives of so many channels."""
+        """Return the number of images in memory for the derivatives of some channels."""
         return channels + 3 if self._finer == 1 else 4 * channels
 
 
-class PushSum:
+class JvpSum:
     """Changes of a sum in several directions, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
 
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
@@ -229,7 +213,7 @@ class PushSum:
             for changes in directions
         ]
 
-    def batches(self, first: int) -> Iterator[Push]:
+    def batches(self, first: int) -> Iterator[JvpBatch]:
         """Yield the batches from one on, in their order."""
         plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
         offset = plan.offset_for(name for changes in self._directions for name in changes)
@@ -239,7 +223,7 @@ class PushSum:
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
             fields, copies = plan.lit(chunk, self._weights, moving)
-            yield Push(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
+            yield JvpBatch(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add what their own moves change."""

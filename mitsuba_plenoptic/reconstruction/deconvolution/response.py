@@ -19,8 +19,9 @@ from ...capture.scene_points import sample_pairs
 from ...design import resolution_limit
 from ...operator.accuracy import band_for
 from ...operator.grid import Grid, place
+from ...operator.patch_factors import Fields
 from ...operator.recorder import Recorder
-from ...operator.tile import Copies, Fields, Scatter
+from ...operator.tile import Copies, Scatter
 from ...operator.units import radiance_weight
 from ...optics.rays import cosines_to_slopes
 from ...runtime.backend import backend
@@ -112,8 +113,9 @@ def ray_grid(camera: PlenopticCamera) -> Grid:
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
     pitch = steps / np.ceil(2 * steps / camera.pixel_size)
-    lens = OpticalSystem(turned, _NO_WAVE).waves_of(np.empty((0, 3)))
-    return Grid(turned, lens, camera.mla_rotation, _NO_WAVE, band_for(0.5, 1), 0.0, pitch, origin)
+    system, band = OpticalSystem(turned, _NO_WAVE), band_for(0.5, 1)
+    lens = system.waves_of(np.empty((0, 3)))
+    return Grid(turned, lens, system.microlenses, camera.mla_rotation, _NO_WAVE, band, 0.0, pitch, origin)
 
 
 @dataclass(frozen=True)

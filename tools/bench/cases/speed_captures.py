@@ -13,14 +13,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from mitsuba_plenoptic.report.images import write_png
 
 from mitsuba_plenoptic import Cluster, Job, cli, estimate_capture, load_scene, render_capture
 from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.operator.patch import PatchBatch
 from mitsuba_plenoptic.operator.recorder import Recorder
 from mitsuba_plenoptic.operator.sharing import find_patterns
-from mitsuba_plenoptic.operator.tile import Tile
-from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.operator.tile import PatchTile
 from mitsuba_plenoptic.runtime.batches import Batch, BatchMap, Threads, add
 from mitsuba_plenoptic.runtime.fft import fft, worker_count
 
@@ -172,7 +172,7 @@ def workers(*, resolution: int = 1024, runs: int = 5, count: int = 2) -> Iterato
 # A function's time, less that of another which it calls.
 _KINDS: dict[str, tuple[Callable[..., Any], ...]] = {
     "Fourier transforms": (fft,),
-    "squares, added to tiles": (Tile.sum, PatchBatch.to_detector),
+    "squares, added to tiles": (PatchTile.sum, PatchBatch.to_detector),
     "pupils, curvatures, transfer functions (Dr.Jit)": (PatchBatch.__init__,),
     "finding shared patterns": (find_patterns,),
     "tiles, added to the image": (add,),

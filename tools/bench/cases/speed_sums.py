@@ -14,7 +14,7 @@ import scipy.fft
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
 from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.operator.patch import PatchBatch, Workspace
+from mitsuba_plenoptic.operator.patch import PatchBatch, PatchWorkspace
 from mitsuba_plenoptic.operator.patch_plan import PatchPlan
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
@@ -124,7 +124,7 @@ def bare(*, runs: int = 5, count: int = 128, distances: tuple[float, ...] = (210
         positions = np.column_stack([-image * g / camera.mla_distance, np.full(count, g)])
         weights = np.ones((count, 1))
         first = next(PatchPlan(OpticalSystem(camera, WAVELENGTH), positions, None, 0.0).sum(weights).batches(0))
-        batch = first.fields.make(first.amplitudes)
+        batch = PatchBatch(first.fields, first.amplitudes)
         operator = CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=0)
         works = {
             "FFTs": _transforms(batch, count),
@@ -141,7 +141,7 @@ def bare(*, runs: int = 5, count: int = 128, distances: tuple[float, ...] = (210
 
 def _transforms(batch: PatchBatch, count: int) -> Callable[[], None]:
     """Do nothing but the transforms of a count of points like a batch's."""
-    work, n, m = Workspace(batch), batch.samples, batch.mla_samples
+    work, n, m = PatchWorkspace(batch), batch.samples, batch.mla_samples
     work.rows[:], work.columns[:], work.field[:] = 0, 0, 0
 
     def transform(field: np.ndarray, axis: int) -> None:
