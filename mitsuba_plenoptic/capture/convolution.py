@@ -44,7 +44,7 @@ class Convolution:
         # How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
         # along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
         order: int,
-        # Rows and columns of the samples that are convolved together, at most; those of `box` by default; (int, int).
+        # Rows and columns of the samples that are convolved together, at most; those of `box` by default.
         size: tuple[int, int] | None = None,
     ) -> None:
         self.pitch = pitch

@@ -30,19 +30,12 @@ class LensWindow:
     """The lenses whose cells are sampled: those of the recorded pixels and a few more on each side.
 
     A cell is here the parallelogram that the two lattice vectors span around a lens's centre.
-
-    Attributes
-    ----------
-    lattice : Lattice
-        The microlens lattice.
-    index : (n, 2) int array
-        Indices of the lenses.
-    low, high : (2,) float64 arrays
-        Corners of a rectangle of the MLA plane of which every point lies in the cells.
     """
 
     lattice: Lattice
+    # Indices of the lenses; (n, 2).
     index: np.ndarray
+    # Corners of a rectangle of the MLA plane of which every point lies in the cells; (2,).
     low: np.ndarray
     high: np.ndarray
 
@@ -88,34 +81,19 @@ class Entrances:
 
     From the ray that has found a point the others are found by the magnification of the pupils, which they miss by
     the pupils' own aberrations: what these are worth is small against the cells of the pupil that rays are asked for.
-
-    Attributes
-    ----------
-    front : Entrance
-        The scene's side of the lens.
-    pupil : float64 array (n, 2)
-        Where the rays that have found the points pass the exit pupil.
-    line : float64 array (n, 3)
-        Points in the camera frame.
-    slope : float64 array (n, 2)
-        Slopes of these rays towards the scene.
     """
 
+    # The scene's side of the lens.
     front: Entrance
+    # Where the rays that have found the points pass the exit pupil; (n, 2).
     pupil: NDArray[np.float64]
+    # Points in the camera frame; (n, 3).
     line: NDArray[np.float64]
+    # Slopes of these rays towards the scene; (n, 2).
     slope: NDArray[np.float64]
 
     def at(self, x: Any, y: Any, which: Any) -> Any:
-        """Return points in the camera frame through which light goes to points (x, y) of the exit pupil.
-
-        Parameters
-        ----------
-        x, y : Float
-            On the exit pupil in millimetres.
-        which : UInt32
-            Numbers of the points.
-        """
+        """Return points in the camera frame through which light goes to points (x, y) of the exit pupil."""
         front = self.front
         if front == Entrance():
             return mi.Point3f(x, y, 0)

@@ -23,45 +23,22 @@ from .scene_points import ScenePoints, find_points
 
 @dataclass(frozen=True)
 class PointsCapture:
-    """What is recorded, and how exactly.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    lights : sequence of SceneLight
-        Find the radiance along rays; their channels, one after another, are those of the light.
-    spectrum : Spectrum
-        Wavelengths, and what the channels answer to.
-    upsampling : float64 array (channels of light, wavelengths), optional
-        From the radiance to its spectrum; None if it has a value for each wavelength.
-    accuracy : float
-        As of `CaptureOperator`.
-    """
+    """What is recorded, and how exactly."""
 
     camera: PlenopticCamera
+    # Find the radiance along rays; their channels, one after another, are those of the light.
     lights: Sequence[SceneLight]
+    # Wavelengths, and what the channels answer to.
     spectrum: Spectrum
+    # From the radiance to its spectrum; None if it has a value for each wavelength; (channels of light, wavelengths).
     upsampling: NDArray[np.float64] | None
+    # As of `CaptureOperator`.
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
 
-        Parameters
-        ----------
-        seed, spp, job, noise
-            As of the integrator's `record`; `spp` is the number of points for each lens.
-
-        Returns
-        -------
-        float32 array (rows, columns, channels)
-            Pixel values; where all responses are positive none is negative.
-
-        Raises
-        ------
-        InputError
-            If the noise is asked for, which is not known.
+        The result has the shape (rows, columns, channels).
         """
         if noise:
             raise InputError("noise: method = points does not state it; compare seeds, or use signed_rays")

@@ -53,33 +53,18 @@ _EVEN = 1e-3
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """Points that shine, in the camera frame.
+    """Points that shine, in the camera frame."""
 
-    Attributes
-    ----------
-    positions : float64 array (n, 3)
-        Places.
-    weights : float64 array (n, channels)
-        What all pixels together record of each.
-    pupil_weights : PupilWeights, optional
-        What each sees of the pupil, and how slantwise; None if all see all of it evenly.
-    """
-
+    # Places; (n, 3).
     positions: NDArray[np.float64]
+    # What all pixels together record of each; (n, channels).
     weights: NDArray[np.float64]
+    # What each sees of the pupil, and how slantwise; None if all see all of it evenly.
     pupil_weights: PupilWeights | None
 
 
 def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
-    """Return low-discrepancy points (count, 4) of the unit 4-cube: place in the lens (2), place in the pupil (2).
-
-    Parameters
-    ----------
-    count : int
-        Points; powers of two are spread most evenly.
-    seed : int
-        Of the scrambling of the Sobol sequence.
-    """
+    """Return low-discrepancy points (count, 4) of the unit 4-cube: place in the lens (2), place in the pupil (2)."""
     # It takes a third of the package's loading time, which commands that render no waves need not wait for.
     from scipy.stats import qmc
 
@@ -88,13 +73,7 @@ def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
 
 
 def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
-    """Refuse a scene, or a camera, in which light does not come straight from matte or emitting surfaces.
-
-    Raises
-    ------
-    InputError
-        Naming what is in the way.
-    """
+    """Refuse a scene, or a camera, in which light does not come straight from matte or emitting surfaces."""
     what = "method = points"
     camera.require_no_objective(f"{what}: surfaces are seen")
     if sensor.shutter_open_time() > 0:
@@ -121,21 +100,7 @@ def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCam
 def find_points(
     lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
 ) -> ScenePoints:
-    """Find the points where rays from every lens first hit, and what of them is recorded.
-
-    Parameters
-    ----------
-    lights : sequence of SceneLight
-        One scene and integrator, as `require_matte` asks for them, in spectral variants at several wavelengths.
-    camera : PlenopticCamera
-        The camera.
-    count : int
-        Rays from each lens.
-    seed : int
-        Of the rays' pattern, which is the same in every lens, and of the light paths.
-    paths : int
-        Light paths averaged for each point.
-    """
+    """Find the points where rays from every lens first hit, and what of them is recorded."""
     camera.require_resolved()
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
@@ -177,13 +142,7 @@ def _require_memory(count: int, lenses: int) -> None:
 
 @dataclass(frozen=True)
 class _Finder:
-    """Traces rays, numbered lens by lens.
-
-    Attributes
-    ----------
-    lights, system, window, pairs, paths
-        As of `find_points`.
-    """
+    """Traces rays, numbered lens by lens."""
 
     lights: Sequence[SceneLight]
     system: OpticalSystem

@@ -37,22 +37,12 @@ the last quarter is next to nothing; twice as many hold the interference of neig
 
 @dataclass(frozen=True)
 class SignedCapture:
-    """What is recorded, and how exactly.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    light : SceneLight
-        Finds the radiance along rays.
-    colours : SignedColours
-        What the channels answer to.
-    accuracy : float
-        Allowed relative error.
-    """
+    """What is recorded, and how exactly."""
 
     camera: PlenopticCamera
+    # Finds the radiance along rays.
     light: SceneLight
+    # What the channels answer to.
     colours: SignedColours
     accuracy: float
 
@@ -96,15 +86,7 @@ class SignedCapture:
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
 
-        Parameters
-        ----------
-        seed, spp, job, noise
-            As of the integrator's `record`.
-
-        Returns
-        -------
-        float32 array (rows, columns, channels)
-            Pixel values, none negative; with noise twice as many channels, those of the standard deviations last.
+        The result has the shape (rows, columns, channels).
         """
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = self.sums(spp, seed, runs, SignedRaySum)

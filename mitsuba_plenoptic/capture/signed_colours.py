@@ -65,32 +65,18 @@ to pass (of the golden ratio), in units of 2^-32."""
 
 
 class Lanes(NamedTuple):
-    """Wavelengths that are drawn for some cells.
-
-    Attributes
-    ----------
-    wavelengths : list of Float
-        In nanometres.
-    stratum, part : lists of UInt32 and Float
-        In which stratum each lies, and how far in it.
-    weight : list of Float
-        One over their number and the density.
-    """
+    """Wavelengths that are drawn for some cells."""
 
     wavelengths: list[Any]
+    # In which stratum each lies, and how far in it.
     stratum: list[Any]
     part: list[Any]
+    # One over their number and the density.
     weight: list[Any]
 
 
 class DrawnWavelengths:
-    """Wavelengths as random as they may be where channels answer.
-
-    Parameters
-    ----------
-    responses : Responses
-        Of the channels.
-    """
+    """Wavelengths as random as they may be where channels answer."""
 
     def __init__(self, responses: Responses) -> None:
         steps = np.linspace(responses.low, responses.high, _STEPS + 1)
@@ -129,21 +115,14 @@ def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
 
 @dataclass(frozen=True)
 class Node:
-    """Light that is diffracted alike.
+    """Light that is diffracted alike."""
 
-    Attributes
-    ----------
-    plan : PhaseSpace
-        How: of the camera at one wavelength.
-    channels : tuple of int
-        Those of the capture that have an image of it.
-    weights : float array (channels, values)
-        For each of these channels, the factors on the values of a ray's light whose sum is added to the image; of light
-        of drawn wavelengths those at the edges of the strata.
-    """
-
+    # How: of the camera at one wavelength.
     plan: PhaseSpace
+    # Those of the capture that have an image of it.
     channels: tuple[int, ...]
+    # For each of these channels, the factors on the values of a ray's light whose sum is added to the image; of light
+    # of drawn wavelengths those at the edges of the strata; (channels, values).
     weights: NDArray[np.float64]
 
     def mixture(self, lanes: Lanes | None = None) -> tuple[list[int], list[list[Any]]]:
@@ -178,26 +157,18 @@ def span(nodes: list[Node]) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SignedColours:
-    """What the channels of a capture answer to.
+    """What the channels of a capture answer to."""
 
-    Attributes
-    ----------
-    spectrum : Spectrum
-        Wavelengths, and the channels' responses.
-    apart : bool
-        Whether each channel has nodes of its own: lines, and bands of one width.
-    upsampling : float64 array (values, wavelengths), or None
-        Spectra of which the values of a ray's light are the factors; None if it has a spectrum of its own.
-    responses : Responses, or None
-        What the channels answer to where light has a spectrum of its own.
-    nodes : int, or None
-        Nodes, of each channel if they are apart; None: as many as `accuracy` needs.
-    """
-
+    # Wavelengths, and the channels' responses.
     spectrum: Spectrum
+    # Whether each channel has nodes of its own: lines, and bands of one width.
     apart: bool
+    # Spectra of which the values of a ray's light are the factors; None if it has a spectrum of its own; (values,
+    # wavelengths).
     upsampling: NDArray[np.float64] | None
+    # What the channels answer to where light has a spectrum of its own.
     responses: Responses | None = None
+    # Nodes, of each channel if they are apart; None: as many as `accuracy` needs.
     nodes: int | None = None
 
     @classmethod

@@ -36,76 +36,46 @@ cell to cell faster than the grid can hold does not fold back into it."""
 
 
 class Drawn(NamedTuple):
-    """Rays that are drawn for cells of the detector.
+    """Rays that are drawn for cells of the detector."""
 
-    Attributes
-    ----------
-    pupil, inner : (Float, Float)
-        Where they pass the pupil, and the round pupil that stands for it.
-    point, place : (Float, Float)
-        Where they pass the array, from the centre of the lens, and in the camera frame.
-    detector : (Float, Float)
-        Where they meet the detector, from the centre of the lens.
-    height : Float
-        By how much the lens stands nearer to the main lens than the one on the axis.
-    weight : Float
-        One over the density of the points over the aperture.
-    chance : four Float
-        By which they take one of the table's nodes around them.
-    open : Bool
-        Whether the pupil lets them through.
-    """
-
+    # Where they pass the pupil, and the round pupil that stands for it.
     pupil: Pair
     inner: Pair
+    # Where they pass the array, from the centre of the lens, and in the camera frame.
     point: Pair
     place: Pair
+    # Where they meet the detector, from the centre of the lens.
     detector: Pair
+    # By how much the lens stands nearer to the main lens than the one on the axis.
     height: Any
+    # One over the density of the points over the aperture.
     weight: Any
+    # By which they take one of the table's nodes around them.
     chance: tuple[Any, Any, Any, Any]
+    # Whether the pupil lets them through.
     open: Any
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of the detector's grid.
+    """Cells of the detector's grid."""
 
-    Attributes
-    ----------
-    box : Box
-        A rectangle of the grid.
-    index : UInt32
-        Their numbers in it, row by row.
-    steps : int array (2,)
-        Their lenses, in steps of the lattice's indices from those of their chief rays.
-    """
-
+    # A rectangle of the grid.
     box: Box
+    # Their numbers in it, row by row.
     index: Any
+    # Their lenses, in steps of the lattice's indices from those of their chief rays; (2,).
     steps: NDArray[np.int64]
 
 
 class Lot(NamedTuple):
-    """Cells with a lens that lights each, whose rays are traced at once.
+    """Cells with a lens that lights each, whose rays are traced at once."""
 
-    Attributes
-    ----------
-    some : UInt32
-        Which of all cells they are.
-    kind : UInt32
-        Kinds of the lenses.
-    cells : Cells
-        The cells.
-    lanes : list of Lanes or None
-        Wavelengths that are drawn for them, for each group of nodes.
-    seed : int
-        Of the rays.
-    """
-
+    # Which of all cells they are.
     some: Any
     kind: Any
     cells: Cells
+    # Wavelengths that are drawn for them, for each group of nodes.
     lanes: list[Lanes | None]
     seed: int
 
@@ -115,40 +85,27 @@ class Lot(NamedTuple):
 
 
 class Aims(NamedTuple):
-    """What cells of the detector look at through lenses.
+    """What cells of the detector look at through lenses."""
 
-    Attributes
-    ----------
-    middle : (Float, Float)
-        The cells' middles.
-    centre : (Float, Float)
-        The lenses' centres.
-    height : Float
-        By how much the lenses stand nearer to the main lens than the one on the axis.
-    kind : UInt32
-        Kinds of the lenses.
-    """
-
+    # The cells' middles.
     middle: Pair
+    # The lenses' centres.
     centre: Pair
+    # By how much the lenses stand nearer to the main lens than the one on the axis.
     height: Any
     kind: Any
 
 
 class Draws:
-    """How rays are drawn for the cells of a camera's detector.
+    """How rays are drawn for the cells of a camera's detector."""
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    plans : sequence of PhaseSpace
-        Of all wavelengths.
-    step : float
-        Width of a cell in millimetres.
-    """
-
-    def __init__(self, camera: PlenopticCamera, plans: Sequence[PhaseSpace], step: float) -> None:
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        plans: Sequence[PhaseSpace],
+        # Width of a cell in millimetres.
+        step: float,
+    ) -> None:
         self._camera, self._step = camera, step
         self.pupil = RayPupil(plans[0].system)
         self.kinds = LensKinds(camera)

@@ -58,25 +58,7 @@ REACH = 1.25
 
 
 class SignedRaySum:
-    """A capture by signed rays, block of the detector by block; a `runtime.jobs.LongSum`.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera; its recorded window may be a crop.
-    light : SceneLight or another function like it
-        Finds the radiance along rays.
-    nodes : sequence of Node
-        The wavelengths at which the radiance is diffracted, and the channels that record it.
-    drawn : DrawnWavelengths, optional
-        From which rays have wavelengths of their own.
-    parts : int
-        Cells of the grid across a pixel.
-    spp : int
-        Rays of a pixel, shared by its cells and by the lenses that light them: each pair of these gets two at least.
-    seed : int
-        Of the random numbers.
-    """
+    """A capture by signed rays, block of the detector by block; a `runtime.jobs.LongSum`."""
 
     arrays: Any = np
     _sets = 1
@@ -84,12 +66,18 @@ class SignedRaySum:
 
     def __init__(
         self,
+        # The camera; its recorded window may be a crop.
         camera: PlenopticCamera,
+        # Finds the radiance along rays.
         light: Any,
+        # The wavelengths at which the radiance is diffracted, and the channels that record it.
         nodes: Sequence[Node],
+        # From which rays have wavelengths of their own.
         drawn: DrawnWavelengths | None = None,
         *,
+        # Cells of the grid across a pixel.
         parts: int,
+        # Rays of a pixel, shared by its cells and by the lenses that light them: each pair of these gets two at least.
         spp: int,
         seed: int,
     ) -> None:

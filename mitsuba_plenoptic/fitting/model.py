@@ -32,21 +32,16 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
 
 
 class Model:
-    """What a camera is expected to record of some views by waves.
+    """What a camera is expected to record of some views by waves."""
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    views : list of View
-        The light.
-    wavelength : float
-        In nanometres.
-    accuracy : float
-        As of `CaptureOperator`.
-    """
-
-    def __init__(self, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float) -> None:
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        views: list[View],
+        wavelength: float,
+        # As of `CaptureOperator`.
+        accuracy: float,
+    ) -> None:
         self._camera, self._views = camera, views
         self._system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
         self._weights = [brightness_at(self._system, view.points) * view.weights for view in views]

@@ -49,32 +49,16 @@ _SHARPEST = 1e-3
 
 
 class PointRays:
-    """The rays of some points, of which the counts are planned for one camera and held for others that are near it.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    points : float64 array (n, 3)
-        Incoherent points in the camera frame, in millimetres.
-    wavelength : float
-        In nanometres; rays of real main lenses depend on it.
-    pupil_weights : PupilWeights, optional
-        Relative power over the pupil.
-
-    Raises
-    ------
-    InputError
-        If the camera has an array that is tilted, irregular or has gaps, pixels that answer to angles differently, a
-        thin lens that distorts, glass or an objective, a point does not lie before its lens, or one is so far out of
-        focus that its rays do not fit into memory.
-    """
+    """The rays of some points, of which the counts are planned for one camera and held for others that are near it."""
 
     def __init__(
         self,
         camera: PlenopticCamera,
+        # Incoherent points in the camera frame, in millimetres; (n, 3).
         points: NDArray[np.float64],
+        # In nanometres; rays of real main lenses depend on it.
         wavelength: float,
+        # Relative power over the pupil.
         pupil_weights: PupilWeights | None = None,
     ) -> None:
         _require_known(camera)
@@ -93,12 +77,7 @@ class PointRays:
     def image(self, system: OpticalSystem, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
 
-        Parameters
-        ----------
-        system : OpticalSystem
-            The camera that records, of the same lattice and the same count of pixels, at the wavelength.
-        weights : float64 array (n,)
-            Of the points.
+        Shapes: `weights` (n,).
         """
         camera, lens = system.camera, system.waves_of(self._points)
         image = array_module().Float64(np.zeros(math.prod(camera.shape)))
@@ -135,26 +114,14 @@ def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Bundles:
-    """The rays of a few points.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    lens : MainLens
-        Its main lens.
-    points : float64 array (n, 3)
-        The points.
-    across : int
-        Rays across the pupil.
-    weights : PupilWeights, optional
-        Relative power over the pupil.
-    """
+    """The rays of a few points."""
 
     camera: PlenopticCamera
     lens: MainLens
+    # The points; (n, 3).
     points: NDArray[np.float64]
     across: int
+    # Relative power over the pupil.
     weights: PupilWeights | None
 
     def add(self, image: Any, factors: NDArray[np.float64]) -> None:
@@ -279,22 +246,7 @@ def check_numbers(vector: CameraVector) -> None:
 
 
 class RayModels:
-    """Cameras near one for which the counts of rays are planned.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        That camera.
-    views : sequence of View
-        The light.
-    wavelength : float
-        In nanometres.
-
-    Raises
-    ------
-    InputError
-        As of `PointRays`.
-    """
+    """Cameras near one for which the counts of rays are planned."""
 
     def __init__(self, camera: PlenopticCamera, views: Sequence[View], wavelength: float) -> None:
         self._views, self._wavelength = views, wavelength

@@ -61,42 +61,26 @@ _STRETCHED = 257
 
 @dataclass(frozen=True)
 class ImageStretch:
-    """Where on the array chief rays of object points come, over where bins of reconstructions have them.
+    """Where on the array chief rays of object points come, over where bins of reconstructions have them."""
 
-    Attributes
-    ----------
-    places : float64 array (n,)
-        Distances of object points from the axis as bins count them, :math:`X b / g`, as far as light comes from there.
-    ratio : float64 array (n,)
-        Distance of the chief rays from the axis over these.
-    area : float64 array (n,)
-        By how much areas grow.
-    """
-
+    # Distances of object points from the axis as bins count them, :math:`X b / g`, as far as light comes from there;
+    # (n,).
     places: NDArray[np.float64]
+    # Distance of the chief rays from the axis over these; (n,).
     ratio: NDArray[np.float64]
+    # By how much areas grow; (n,).
     area: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class FittedLens(FinitePupil):
-    """A real main lens at one wavelength, for scene points within a range of fields and distances.
-
-    Attributes
-    ----------
-    system : MainLens
-        The lens, for rays.
-    pupil_radius : float
-        Radius of a circle about the axis that holds the open exit pupil wherever the detector looks, in millimetres.
-    fitted : PupilFit
-        The polynomials.
-    changes : dict
-        How it changes with parameters, by their names, as far as that has been asked for; see `lens_changes`.
-    """
+    """A real main lens at one wavelength, for scene points within a range of fields and distances."""
 
     system: Any
+    # Radius of a circle about the axis that holds the open exit pupil wherever the detector looks, in millimetres.
     pupil_radius: float
     fitted: PupilFit
+    # How it changes with parameters, by their names, as far as that has been asked for; see `lens_changes`.
     changes: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     is_round = True
@@ -181,20 +165,7 @@ class FittedLens(FinitePupil):
         return x * ratio, y * ratio
 
     def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
-        """Return how the image of an object plane is stretched, up to the corners of the bins.
-
-        Parameters
-        ----------
-        camera : PlenopticCamera
-            The camera.
-        distance : float
-            Object distance; may be infinite.
-
-        Raises
-        ------
-        InputError
-            If the image folds.
-        """
+        """Return how the image of an object plane is stretched, up to the corners of the bins."""
         g = min(distance, FAR)
         near = float(self.nearness(np.array([[0.0, 0.0, g]]))[0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch

@@ -35,18 +35,9 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class LensChange:
-    """What changes, for a change by 1, of a `FittedLens`.
+    """What changes, for a change by 1, of a `FittedLens`."""
 
-    Attributes
-    ----------
-    pupil_distance : float
-        Distance from the exit pupil to the MLA, in millimetres.
-    aberration, brightness : Polynomial
-        As of `PupilFit`.
-    stops : tuple of Polynomial
-        As of `PupilFit`.
-    """
-
+    # Distance from the exit pupil to the MLA, in millimetres.
     pupil_distance: float
     aberration: Polynomial
     brightness: Polynomial
@@ -54,15 +45,7 @@ class LensChange:
 
 
 def lens_change(lens: FittedLens, name: str) -> LensChange:
-    """Return how a fitted lens changes with one of `LENS_NUMBERS`, which the lens holds once it is found.
-
-    Parameters
-    ----------
-    lens : FittedLens
-        The lens at its wavelength.
-    name : str
-        The number; focal length and opening in millimetres, the wavelength in nanometres.
-    """
+    """Return how a fitted lens changes with one of `LENS_NUMBERS`, which the lens holds once it is found."""
     if name not in lens.changes:
         lens.changes[name] = _found_change(lens, name)
     return lens.changes[name]
@@ -115,13 +98,6 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
     """Return the derivatives of the logarithms of these areas by a number of the camera; (n,).
 
     The points and the lens stand still; by other numbers than `lens_changes.LENS_NUMBERS` the derivative is 0.
-
-    Parameters
-    ----------
-    lens, points
-        As for `open_area`.
-    name : str
-        The number.
     """
     if name not in LENS_NUMBERS:
         return np.zeros(len(points))
@@ -147,23 +123,14 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
 
 @dataclass(frozen=True)
 class VaryingLens(FinitePupil):
-    """A fitted lens; what it offers is what `capture.patch_factors` asks of a `MainLens`.
+    """A fitted lens; what it offers is what `capture.patch_factors` asks of a `MainLens`."""
 
-    Parameters
-    ----------
-    base : FittedLens
-        The lens by plain numbers.
-    mla_distance : Dr.Jit number
-        In millimetres.
-    numbers : dict
-        Dr.Jit numbers by name, of `lens_changes.LENS_NUMBERS`, that carry gradients; others are held.
-    turned : float or Dr.Jit number
-        Degrees by which the frame of the points turns, counter-clockwise, against the scene.
-    """
-
+    # The lens by plain numbers.
     base: FittedLens
     mla_distance: Any
+    # Dr.Jit numbers by name, of `lens_changes.LENS_NUMBERS`, that carry gradients; others are held.
     numbers: dict[str, Any]
+    # Degrees by which the frame of the points turns, counter-clockwise, against the scene.
     turned: Any = 0.0
     pupil_distance: Any = field(init=False)
     _changes: list[tuple[Any, LensChange]] = field(init=False, repr=False)
@@ -240,16 +207,9 @@ class Shown:
 
 @dataclass(frozen=True)
 class VaryingLight:
-    """The light of one scene point a lane, as `LensLight`, and how it changes with some numbers.
+    """The light of one scene point a lane, as `LensLight`, and how it changes with some numbers."""
 
-    Attributes
-    ----------
-    base : LensLight
-        The light by plain numbers, of points that may turn.
-    changes : list of Shown
-        Of each number.
-    """
-
+    # The light by plain numbers, of points that may turn.
     base: LensLight
     changes: list[Shown]
 

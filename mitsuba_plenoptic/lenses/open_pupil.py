@@ -27,12 +27,7 @@ _TOGETHER = 16
 def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the area of the exit pupil that is open to each point, in square millimetres; (n,).
 
-    Parameters
-    ----------
-    lens : FittedLens
-        The lens, fitted to the field and the distances of the points.
-    points : float64 array (n, 3)
-        Scene points in the camera frame.
+    Shapes: `points` (n, 3).
     """
 
     def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:

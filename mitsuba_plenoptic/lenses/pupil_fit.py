@@ -32,28 +32,19 @@ _STEEPEST = 10.0
 
 @dataclass(frozen=True)
 class PupilRays:
-    """Rays of points whose fields lie along y; all arrays have shape (n,) or (2, n).
+    """Rays of points whose fields lie along y; all arrays have shape (n,) or (2, n)."""
 
-    Attributes
-    ----------
-    field, nearness : float64 array (n,)
-        Of the point that each ray comes from; the nearness in 1/mm.
-    place, entrance : float64 array (2, n)
-        Where they pass the planes of the exit and of the entrance pupil, in millimetres.
-    path : float64 array (n,)
-        Path to the exit pupil less that of the ray through the middle of the entrance pupil, in millimetres.
-    amplitude : float64 array (n,)
-        Modulus of the field there, but for a factor of each point.
-    stops : float64 array (surfaces, n)
-        For each surface the square of the distance from the axis over that of its edge.
-    """
-
+    # Of the point that each ray comes from; the nearness in 1/mm; (n,).
     field: NDArray[np.float64]
     nearness: NDArray[np.float64]
+    # Where they pass the planes of the exit and of the entrance pupil, in millimetres; (2, n).
     place: NDArray[np.float64]
     entrance: NDArray[np.float64]
+    # Path to the exit pupil less that of the ray through the middle of the entrance pupil, in millimetres; (n,).
     path: NDArray[np.float64]
+    # Modulus of the field there, but for a factor of each point; (n,).
     amplitude: NDArray[np.float64]
+    # For each surface the square of the distance from the axis over that of its edge; (surfaces, n).
     stops: NDArray[np.float64]
 
     @property
@@ -86,20 +77,7 @@ def trace_all(
     on the entrance pupil and P that on the exit pupil: what a thin lens in the entrance pupil takes (see
     `ThinLens.amplitude`), carried along the rays.
 
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    field, nearness : float64 array (n,)
-        Of each ray's point, which lies at that field along y.
-    entrance : float64 array (2, n)
-        Where each ray passes the plane of the entrance pupil, in millimetres.
-
-    Returns
-    -------
-    PupilRays
-        All of them; what misses a surface is NaN.
-    kept : bool array (n,)
+    Shapes: `field`, `nearness` (n,), `entrance` (2, n); the result (n,).
     """
     place, path, stops, slope = _follow(lens, field, nearness, entrance)
     middle = _follow(lens, field, nearness, np.zeros_like(entrance))[1]
@@ -171,20 +149,13 @@ Tracer = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pupils:
-    """The pupils of a lens by paraxial optics, and with them the image of a scene point.
+    """The pupils of a lens by paraxial optics, and with them the image of a scene point."""
 
-    Attributes
-    ----------
-    entrance : float
-        Place z of the entrance pupil in the camera frame, in millimetres.
-    magnification : float
-        Places on the exit pupil over those on the entrance pupil.
-    at_infinity : float
-        Reciprocal of the distance from the exit pupil to the image of infinity.
-    """
-
+    # Place z of the entrance pupil in the camera frame, in millimetres.
     entrance: float
+    # Places on the exit pupil over those on the entrance pupil.
     magnification: float
+    # Reciprocal of the distance from the exit pupil to the image of infinity.
     at_infinity: float
 
     @classmethod
@@ -219,43 +190,25 @@ class Pupils:
 
 @dataclass(frozen=True)
 class PupilFit:
-    """What is fitted; `pupils` is what it is told with.
+    """What is fitted; `pupils` is what it is told with."""
 
-    Attributes
-    ----------
-    pupils : Pupils
-        Paraxial pupils and images.
-    aberration, brightness : Polynomial
-        Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
-    stops : tuple of Polynomial
-        Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
-    cutting : tuple of int
-        The numbers of these surfaces.
-    error : float
-        Root mean square error of the path, in waves, of the worst of the points that judge it.
-    """
-
+    # Paraxial pupils and images.
     pupils: Pupils
+    # Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
     aberration: Polynomial
     brightness: Polynomial
+    # Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
     stops: tuple[Polynomial, ...]
+    # The numbers of these surfaces.
     cutting: tuple[int, ...]
+    # Root mean square error of the path, in waves, of the worst of the points that judge it.
     error: float
 
 
 def covered(tracer: Tracer, radius: float, field: float, nearness: tuple[float, float]) -> float:
     """Return the largest field, up to a given one, from which light gets through at all distances.
 
-    Parameters
-    ----------
-    tracer : callable
-        Follows rays.
-    radius : float
-        Of the entrance pupil in millimetres.
-    field : float
-        The largest field.
-    nearness : (float, float)
-        Range of the nearnesses in 1/mm.
+    Shapes: `nearness` (float, float).
     """
     fields, across = np.linspace(0, field, _COVERED), np.linspace(-_WIDER, _WIDER, 2 * _ACROSS) * radius
     least = field
@@ -278,27 +231,7 @@ def fit_pupil(
 ) -> PupilFit:
     """Trace rays and fit polynomials.
 
-    Parameters
-    ----------
-    tracer : callable
-        Follows rays.
-    pupils : Pupils
-        Paraxial pupils and images.
-    radius : float
-        Of the entrance pupil in millimetres.
-    field : float
-        The largest field.
-    nearness : (float, float)
-        Range of the nearnesses in 1/mm.
-    wavelength : float
-        Wavelength in nanometres.
-    good : float
-        Waves root mean square to which the path is met, if the highest degrees can.
-
-    Raises
-    ------
-    InputError
-        If no ray gets through.
+    Shapes: `nearness` (float, float).
     """
     rays, judges = tracer(*nodes(radius, field, nearness)), tracer(*_random(radius, field, nearness))
     is_open = rays.open

@@ -22,20 +22,12 @@ Place = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Scales:
-    """What counts as 1, so that all powers are of numbers from -1 to 1.
+    """What counts as 1, so that all powers are of numbers from -1 to 1."""
 
-    Attributes
-    ----------
-    radius : float
-        Of the pupil, in millimetres.
-    field : float
-        Largest field.
-    middle, half : float
-        Middle of the nearnesses and half their range, in 1/mm.
-    """
-
+    # Of the pupil, in millimetres.
     radius: float
     field: float
+    # Middle of the nearnesses and half their range, in 1/mm.
     middle: float
     half: float
 
@@ -70,31 +62,17 @@ class Degrees:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial; its coefficients, (depth, field, pairs), are those of the powers of all invariants.
-
-    Attributes
-    ----------
-    scales : Scales
-        What counts as 1.
-    degrees : Degrees
-        Its largest powers.
-    coefficients : float64 array (depth + 1, field / 2 + 1, pairs)
-        Of the powers.
-    """
+    """A polynomial; its coefficients, (depth, field, pairs), are those of the powers of all invariants."""
 
     scales: Scales
     degrees: Degrees
+    # Of the powers; (depth + 1, field / 2 + 1, pairs).
     coefficients: NDArray[np.float64]
 
     def at(self, field: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the coefficients of the polynomials over the pupil of some points, (n, pairs).
 
-        Parameters
-        ----------
-        field : float64 array (n, 2)
-            Fields of the points.
-        nearness : float64 array (n,)
-            Their nearnesses in 1/mm.
+        Shapes: `field` (n, 2), `nearness` (n,).
         """
         f, d = self.scales.of_points((field**2).sum(1), nearness)
         depth, fields, pairs = self.coefficients.shape
@@ -104,12 +82,7 @@ class Polynomial:
     def over_pupil(self, coefficients: list[Any], field: Place) -> PupilPolynomial:
         """Return the polynomial over the pupil of points whose coefficients `at` has returned; likewise their fields.
 
-        Parameters
-        ----------
-        coefficients : list of arrays
-            One for each of the pairs: numbers, or arrays that go with the places that will be asked for.
-        field : (array, array)
-            Fields of the points.
+        Shapes: `field` (array, array).
         """
         return PupilPolynomial(self.scales, self.degrees, coefficients, field)
 
@@ -160,18 +133,11 @@ def fit(
 
 @dataclass(frozen=True)
 class PupilPolynomial:
-    """A polynomial over the pupil of one point, or of one point a lane.
-
-    Attributes
-    ----------
-    scales, degrees
-        As of `Polynomial`.
-    coefficients, field
-        As of `Polynomial.over_pupil`.
-    """
+    """A polynomial over the pupil of one point, or of one point a lane."""
 
     scales: Scales
     degrees: Degrees
+    # As of `Polynomial.over_pupil`.
     coefficients: list[Any]
     field: Place
 
@@ -220,27 +186,18 @@ class PupilPolynomial:
 
 @dataclass(frozen=True)
 class LensLight:
-    """The light of one scene point for each row of NumPy's arrays, or for each lane of Dr.Jit's.
+    """The light of one scene point for each row of NumPy's arrays, or for each lane of Dr.Jit's."""
 
-    Attributes
-    ----------
-    pupil_distance : float
-        Distance from the exit pupil to the MLA in millimetres.
-    slope : (array, array)
-        Of the ray from the middle of the exit pupil to the paraxial image.
-    convergence : array
-        Reciprocal of that image's distance from the exit pupil.
-    aberration, brightness : PupilPolynomial
-        Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
-    stops : list of PupilPolynomial
-        Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
-    """
-
+    # Distance from the exit pupil to the MLA in millimetres.
     pupil_distance: float
+    # Of the ray from the middle of the exit pupil to the paraxial image; (array, array).
     slope: Place
+    # Reciprocal of that image's distance from the exit pupil.
     convergence: Any
+    # Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
     aberration: PupilPolynomial
     brightness: PupilPolynomial
+    # Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
     stops: list[PupilPolynomial]
 
     def length(self, pupil: Place) -> Any:
@@ -252,14 +209,7 @@ class LensLight:
     def path(self, pupil: Place, point: Any, wavelength: float) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the light's own.
 
-        Parameters
-        ----------
-        pupil : (array, array)
-            Place on the exit pupil in millimetres.
-        point : tuple of arrays
-            The scene point.
-        wavelength : float
-            Wavelength in nanometres, of which the lens has been fitted.
+        Shapes: `pupil` (array, array).
         """
         return self.length(pupil) * (1 / in_millimetres(wavelength))
 

@@ -43,14 +43,9 @@ _BEYOND = 1.05
 
 @dataclass(frozen=True, eq=False)
 class RealLens(LensSystem):
-    """A lens of surfaces before a detector, which sees a part of its field. Fits for waves are held as long as it is.
+    """A lens of surfaces before a detector, which sees a part of its field; it holds its fits for waves."""
 
-    Parameters
-    ----------
-    corner : float
-        Distance of the detector's corners from the axis in millimetres.
-    """
-
+    # Distance of the detector's corners from the axis in millimetres.
     corner: float = 0.0
     _fits: dict[tuple[float, float, float], FittedLens] = field(default_factory=dict, init=False, repr=False)
     _lights: dict[tuple[float, float, float], ExitPupil] = field(default_factory=dict, init=False, repr=False)
@@ -65,13 +60,7 @@ class RealLens(LensSystem):
 
     @functools.cached_property
     def reach(self) -> float:
-        """Radius of a circle about the axis that holds the exit pupil, seen from anywhere on the detector.
-
-        Raises
-        ------
-        InputError
-            If no ray gets through the lens, even to the axis.
-        """
+        """Radius of a circle about the axis that holds the exit pupil, seen from anywhere on the detector."""
         return self._own.pupil_reach(self.corner)
 
     @property
@@ -140,19 +129,7 @@ class RealLens(LensSystem):
     def over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
         """Return the lens for waves, fitted up to a field or as far as it lets light through.
 
-        Parameters
-        ----------
-        field : float
-            Slope, from the middle of the entrance pupil, of the scene points farthest from the axis.
-        nearness : (float, float)
-            Least and largest reciprocal of the distances of scene points from the entrance pupil, in 1/mm.
-
-        Raises
-        ------
-        InputError
-            If no light passes it.
-        PhysicsError
-            If the path cannot be fitted.
+        Shapes: `nearness` (float, float).
         """
         return _checked(self._over_field(field, nearness))
 

@@ -26,40 +26,18 @@ pupil by which its middle is."""
 
 @dataclass(frozen=True, eq=False)
 class RoundMap:
-    """Points of the round pupil that stand for points of it, seen from fields along x.
+    """Points of the round pupil that stand for points of it, seen from fields along x."""
 
-    Attributes
-    ----------
-    field : float
-        Distance from the axis, on the array, of the last field; the first is 0.
-    half : float
-        Distance of the outer nodes from the middle of the pupil's plane, along x and y.
-    points : float32 array (fields, rows, columns, 2)
-        At each node.
-    """
-
+    # Distance from the axis, on the array, of the last field; the first is 0.
     field: float
+    # Distance of the outer nodes from the middle of the pupil's plane, along x and y.
     half: float
+    # At each node; (fields, rows, columns, 2).
     points: NDArray[np.float32]
 
 
 def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
-    """Return the map of a lens.
-
-    Parameters
-    ----------
-    lens : LensSystem
-        The lens.
-    reach : float
-        Radius of a circle that holds its exit pupil.
-    corner : float
-        Distance of the detector's corners from the axis.
-
-    Raises
-    ------
-    InputError
-        If no ray gets through to the middle of the array.
-    """
+    """Return the map of a lens."""
     from scipy.spatial import cKDTree
 
     radius, half, last = float(lens.pupil_radius), _WIDER * reach, _WIDER * corner

@@ -14,20 +14,7 @@ def require_ideal(camera: PlenopticCamera) -> None:
 
 
 def require_no_glass(camera: PlenopticCamera, what: str) -> None:
-    """Refuse, for work that knows no dispersion, a camera whose thin lenses are of glass.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    what : str
-        The rule, before "leave it out".
-
-    Raises
-    ------
-    InputError
-        Naming the glass.
-    """
+    """Refuse, for work that knows no dispersion, a camera whose thin lenses are of glass."""
     for name in ("glass", "mla_glass"):
         glass = getattr(camera, name)
         if glass is not None:

@@ -45,17 +45,15 @@ def zernike(j: int) -> NDArray[np.float64]:
 
 
 class Wavefront:
-    """A sum of Zernike polynomials.
+    """A sum of Zernike polynomials."""
 
-    Parameters
-    ----------
-    coefficients : sequence of floats, or of Dr.Jit numbers
-        In waves of 633 nm, from Noll's number 1 on.
-    radius : float or Dr.Jit number
-        Of the pupil, in millimetres.
-    """
-
-    def __init__(self, coefficients: Any, radius: Any) -> None:
+    def __init__(
+        self,
+        # In waves of 633 nm, from Noll's number 1 on.
+        coefficients: Any,
+        # Of the pupil, in millimetres.
+        radius: Any,
+    ) -> None:
         self._radius = radius
         size = max((len(zernike(j)) for j in range(1, len(coefficients) + 1)), default=0)
         self._terms: list[list[Any]] = [[0.0] * (size - a) for a in range(size)]

@@ -44,7 +44,7 @@ class LensViews:
     # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
     # as at every second position of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
     fraction: NDArray[np.float32]
-    # Pixels of its picture on either side of the one in the middle, along x and y; (int, int).
+    # Pixels of its picture on either side of the one in the middle, along x and y.
     half: tuple[int, int]
 
     @classmethod

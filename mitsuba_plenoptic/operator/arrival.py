@@ -27,21 +27,14 @@ from .pupil_weights import PupilWeights
 
 @dataclass(frozen=True)
 class SampledField:
-    r"""A complex field on a square grid in a plane of the camera.
+    r"""A complex field on a square grid in a plane of the camera."""
 
-    Attributes
-    ----------
-    samples : complex64 array (rows, columns)
-        Scaled so that the sum of squared moduli times the squared pitch is the fraction of the power through
-        the pupil. Without the carrier :math:`\exp(i k d)` of the path from the main lens.
-    origin : (float, float)
-        Camera-frame x and y of the first sample, in millimetres.
-    pitch : float
-        Distance between samples in millimetres.
-    """
-
+    # Scaled so that the sum of squared moduli times the squared pitch is the fraction of the power through the pupil.
+    # Without the carrier :math:`\exp(i k d)` of the path from the main lens; (rows, columns).
     samples: Field
+    # Camera-frame x and y of the first sample, in millimetres.
     origin: tuple[float, float]
+    # Distance between samples in millimetres.
     pitch: float
 
     @property

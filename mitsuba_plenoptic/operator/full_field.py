@@ -78,13 +78,7 @@ def full_field(
 
 
 def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
-    """Propagate one scene point's field, as `full_field` does, and keep it at every plane.
-
-    Raises
-    ------
-    InputError
-        If the grids would need too much memory.
-    """
+    """Propagate one scene point's field, as `full_field` does, and keep it at every plane."""
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, mla = _arrival(system, position, grids)
     spectrum = _detector_spectrum(system, grids, mla.samples.copy(), microlenses)

@@ -59,23 +59,7 @@ def point_spread_function(
 
 @one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
-    """Propagate the light of one scene point and keep its complex field at the pupil, the MLA and the detector.
-
-    Parameters
-    ----------
-    camera, position, wavelength
-        As for `point_spread_function`.
-
-    Returns
-    -------
-    PointFields
-        `pupil`, `mla` (just before the microlenses) and `detector`, each with samples, origin and pitch.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of range or the work would need too much memory.
-    """
+    """Propagate the light of one scene point and keep its complex field at the pupil, the MLA and the detector."""
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)

@@ -23,15 +23,6 @@ def phasor(waves: Any) -> Any:
 
     They may be 10^6 waves, which single precision cannot hold: whole waves are dropped in double precision, and only
     the rest goes to sine and cosine in single precision, with an error of 3e-7 rad at any distance.
-
-    Parameters
-    ----------
-    waves : float64 array of Dr.Jit or NumPy
-        Path differences in waves.
-
-    Returns
-    -------
-    Complex2f of Dr.Jit, or complex64 array
     """
     if not dr.is_array_v(waves):
         return np.exp(2j * math.pi * waves).astype(np.complex64)
@@ -44,15 +35,6 @@ def parabola(square: Any, focal_length: Any, wavelength: float) -> Any:
     r"""Return the path difference of a thin parabolic lens in waves, :math:`-r^2 / 2 \lambda f`.
 
     Goodman, "Introduction to Fourier Optics", section 5.1.
-
-    Parameters
-    ----------
-    square : float or array
-        Squared distance r^2 from the lens's centre, in square millimetres.
-    focal_length : float or array
-        In millimetres; negative for a diverging lens.
-    wavelength : float
-        In nanometres.
     """
     return square * (-0.5 / (in_millimetres(wavelength) * focal_length))
 
@@ -61,16 +43,6 @@ def soft_edge(samples: Any) -> Any:
     """Return what an edge that is softened over one sample lets through.
 
     A hard edge would fold its steep spectrum back into the band of the grid.
-
-    Parameters
-    ----------
-    samples : array
-        Distance from the edge in samples, positive inside.
-
-    Returns
-    -------
-    array
-        From 0, half a sample outside, to 1, half a sample inside.
     """
     clip = dr.clip if dr.is_array_v(samples) else np.clip
     return clip(samples + 0.5, 0, 1)

@@ -27,14 +27,7 @@ def band_edge_fraction(
 ) -> float:
     """Fraction of the power in the outer eighth of the frequencies, zero frequency first.
 
-    Parameters
-    ----------
-    spectrum : complex64 array (rows, columns)
-        All of a spectrum, or some rows.
-    frequencies : float64 array (rows,), optional
-        Those of some rows, over the band limit.
-    weight : float64 array (rows,)
-        How many rows of the whole each of them stands for.
+    Shapes: `spectrum` (rows, columns), `frequencies` (rows,), `weight` (rows,).
     """
     rows = frequencies_of(len(spectrum)) if frequencies is None else frequencies
     outer, high = np.abs(rows) > 1 - _EDGE, np.flatnonzero(np.abs(frequencies_of(spectrum.shape[1])) > 1 - _EDGE)

@@ -69,15 +69,7 @@ def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
 def follow_back(
     p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera, *, mla_focal_length: float | None = None
 ) -> tuple[Any, Any]:
-    """Follow the ray from a detector point through a point of a lens back to an object plane, which may be at infinity.
-
-    Returns
-    -------
-    P : float or array
-        Where it meets the main lens.
-    u : float or array
-        Where the line from its object point through the main lens's centre meets the MLA: the place in the bins.
-    """
+    """Follow the ray from a detector point through a point of a lens to an object plane, which may be at infinity."""
     f2 = camera.mla_focal_length if mla_focal_length is None else mla_focal_length
     t = microlens_slope(p, m, c, camera.detector_distance, f2)
     P = pupil_point(m, t, camera.mla_distance)
@@ -105,13 +97,7 @@ _ANGLES = 1025
 
 
 def angular_response(pairs: tuple[float, ...]) -> Callable[[Any], Any] | None:
-    """Return the function from angles of incidence, in radians, to responses; None if all are 1.
-
-    Parameters
-    ----------
-    pairs : tuple of float
-        As `PlenopticCamera.pixel_response` has them.
-    """
+    """Return the function from angles of incidence, in radians, to responses; None if all are 1."""
     if not pairs:
         return None
     angles, responses = (np.array(values) for values in (pairs[::2], pairs[1::2]))

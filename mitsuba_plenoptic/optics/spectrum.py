@@ -37,17 +37,11 @@ Table = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class Responses(NamedTuple):
-    """What channels answer to, as functions of the wavelength.
+    """What channels answer to, as functions of the wavelength."""
 
-    Attributes
-    ----------
-    at : callable
-        From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
-    low, high : float
-        Where they begin and end, in nanometres.
-    """
-
+    # From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
     at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    # Where they begin and end, in nanometres.
     low: float
     high: float
 
@@ -286,13 +280,7 @@ class Spectrum:
 
 
 def read_responses(path: str | Path) -> NDArray[np.float64]:
-    """Read a detector's table, rows of a wavelength in nanometres and the response of every channel.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or has not two rows or more by rising wavelength.
-    """
+    """Read a detector's table, rows of a wavelength in nanometres and the response of every channel."""
     table = read_table(path)
     if table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0):
         raise InputError(f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength")

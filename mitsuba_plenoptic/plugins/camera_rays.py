@@ -27,19 +27,13 @@ _STEP = 1.0
 
 
 @dataclass(frozen=True)
-class Light:
-    """What single rays meet.
+class RayColours:
+    """Focal lengths and indices of single rays, each of a wavelength of its own."""
 
-    Attributes
-    ----------
-    ratio, mla_ratio : Float
-        Focal lengths of the thin main lens and of the microlenses over those that are stated.
-    indices : list of Float, or None
-        Behind each surface of a real main lens.
-    """
-
+    # Focal lengths of the thin main lens and of the microlenses over those that are stated.
     ratio: Any
     mla_ratio: Any
+    # Behind each surface of a real main lens.
     indices: list[Any] | None
 
     def through(self, lens: Any) -> Any:
@@ -51,17 +45,11 @@ class Light:
 
 @dataclass(frozen=True)
 class Dispersion:
-    """A camera's glasses, for the colours of the active variant.
+    """A camera's glasses, for the colours of the active variant."""
 
-    Attributes
-    ----------
-    wavelengths : tuple of float
-        In rgb variants those of the channels, in spectral ones a grid, in nanometres.
-    ratio, mla_ratio, indices
-        As of `Light`, at these wavelengths; what is the same for all of them is a float.
-    """
-
+    # In rgb variants those of the channels, in spectral ones a grid, in nanometres.
     wavelengths: tuple[float, ...]
+    # As of `RayColours`, at these wavelengths; what is the same for all of them is a float.
     ratio: Any
     mla_ratio: Any
     indices: list[Any] | None
@@ -97,25 +85,8 @@ class Dispersion:
         high = min([max(self.wavelengths), *(glass.reach[1] for glass in glasses)])
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
-    def draw(self, sample: Any, wavelengths: Any) -> tuple[Light, Any, Any]:
-        """Choose the light of rays.
-
-        Parameters
-        ----------
-        sample : Point2f
-            Random numbers, of whose first a part is used up in rgb variants.
-        wavelengths : Spectrum
-            Of the rays, in spectral variants.
-
-        Returns
-        -------
-        light : Light
-            What they meet.
-        sample : Point2f
-            The random numbers that are left.
-        share : Spectrum
-            Factor on the weight of every channel.
-        """
+    def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
+        """Choose the light of rays."""
         if mi.is_spectral:
             place = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(place), len(self.wavelengths) - 2))
@@ -140,7 +111,7 @@ class Dispersion:
             return take(value) if dr.is_array_v(value) else value
 
         indices = None if self.indices is None else [of(index) for index in self.indices]
-        return Light(of(self.ratio), of(self.mla_ratio), indices), sample, share
+        return RayColours(of(self.ratio), of(self.mla_ratio), indices), sample, share
 
 
 Pair = tuple[Any, Any]
@@ -160,42 +131,22 @@ class Passage(NamedTuple):
 
 @dataclass(frozen=True)
 class CameraRays:
-    """A camera as its rays meet it. Numbers that may carry gradients are Dr.Jit's.
+    """A camera as its rays meet it. Numbers that may carry gradients are Dr.Jit's."""
 
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The plain numbers, of which those that have no gradient are taken.
-    lens : MainLens
-        The main lens.
-    lattice : Lattice
-        The microlens lattice.
-    focal_lengths : Float
-        Focal lengths of the microlenses, one for each type or one for all.
-    detector_distance : Float
-        From the array to the detector.
-    dispersion : Dispersion, or None
-        Of its glasses, if rays of different colours go different ways.
-    """
-
+    # The plain numbers, of which those that have no gradient are taken.
     camera: PlenopticCamera
     lens: MainLens
     lattice: Lattice
+    # Focal lengths of the microlenses, one for each type or one for all.
     focal_lengths: Any
+    # From the array to the detector.
     detector_distance: Any
+    # Of its glasses, if rays of different colours go different ways.
     dispersion: Dispersion | None
 
     @classmethod
     def of(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays:
-        """Return the rays of a camera.
-
-        Parameters
-        ----------
-        camera : PlenopticCamera
-            Its plain numbers.
-        numbers : dict
-            The same as Dr.Jit's, by name, as far as they may carry gradients.
-        """
+        """Return the rays of a camera."""
         # An upright lattice needs no turning, unless the gradient for its angle is asked for.
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
         pitch, offset = numbers["mla_pitch"], numbers["mla_offset"]
@@ -219,13 +170,7 @@ class CameraRays:
         )
 
     def neighbours(self, beyond: float = 0.0) -> np.ndarray:
-        """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it.
-
-        Parameters
-        ----------
-        beyond : float
-            Distance in millimetres by which lenses are looked for farther out.
-        """
+        """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
         # No lens stands farther off.
@@ -235,21 +180,7 @@ class CameraRays:
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: list[Any]) -> tuple[Passage, Any]:
         """Choose where rays from points of the detector pass the array.
 
-        Parameters
-        ----------
-        pixel : (Float, Float)
-            The points.
-        lens_sample : Point2f
-            Random numbers.
-        candidates : list of two Floats
-            Lenses among which is drawn: steps in the lattice's indices from the chief ray's lens.
-
-        Returns
-        -------
-        passage : Passage
-            Where they pass it.
-        candidate : UInt32
-            Which of the candidates each has drawn.
+        Shapes: `pixel` (Float, Float).
         """
         lattice = self.lattice
         b, z = self.lens.pupil_distance, self.detector_distance
@@ -276,17 +207,10 @@ class CameraRays:
             cx, cy, f2 = cx + right, cy + up, f2 * longer
         return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate
 
-    def trace(self, pixel: Pair, passage: Passage, light: Light | None = None) -> Traced:
+    def trace(self, pixel: Pair, passage: Passage, light: RayColours | None = None) -> Traced:
         """Follow rays from points of the detector through the array and the main lens.
 
-        Parameters
-        ----------
-        pixel : (Float, Float)
-            The points.
-        passage : Passage
-            Where they pass the array.
-        light : Light, optional
-            What each meets. Default: the light of the camera's plain numbers.
+        Shapes: `pixel` (Float, Float).
         """
         (px, py), (mx, my), (cx, cy), f2 = pixel, *passage
         lens = self.lens

@@ -36,14 +36,7 @@ def develop(film: Any, image: NDArray[np.float32]) -> Any:
 def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
     """Apply the transpose of `develop`.
 
-    Parameters
-    ----------
-    film : mitsuba.Film
-        The film.
-    gradient : TensorXf
-        With respect to the developed image.
-    shape : (int, int, int)
-        Rows, columns and channels of the image.
+    Shapes: `shape` (int, int, int).
     """
     block = mi.TensorXf(_block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
@@ -78,32 +71,21 @@ SHARED = 32
 
 @dataclass(frozen=True)
 class Colours:
-    """Wavelengths and responses of the channels of wave captures.
+    """Wavelengths and responses of the channels of wave captures."""
 
-    Attributes
-    ----------
-    wavelengths : tuple of float
-        Of each channel of light in nanometres; with responses those of the default.
-    given : bool
-        Whether they are given, or those of the default.
-    bandwidth : float, or None
-        Full width of the band around each.
-    responses : str, or None
-        ``srgb``, or the name of a file.
-    table : array (rows, 1 + channels), or None
-        What the file holds: a wavelength and each channel's response to a row.
-    count : int
-        Wavelengths of responses.
-    nodes : int, or None
-        At how many wavelengths point spreads are computed.
-    """
-
+    # Of each channel of light in nanometres; with responses those of the default.
     wavelengths: tuple[float, ...]
+    # Whether they are given, or those of the default.
     given: bool
+    # Full width of the band around each.
     bandwidth: float | None
+    # ``srgb``, or the name of a file.
     responses: str | None
+    # What the file holds: a wavelength and each channel's response to a row; (rows, 1 + channels).
     table: NDArray[np.float64] | None
+    # Wavelengths of responses.
     count: int
+    # At how many wavelengths point spreads are computed.
     nodes: int | None
 
     def spectrum_for(self, channels: int, tables: Sequence[Table], count: int | None = None) -> Spectrum | None:
@@ -111,11 +93,6 @@ class Colours:
 
         `tables` are spectra of the scene whose products with the responses must be integrated right, and `count` the
         wavelengths of each band; by default `nodes`.
-
-        Raises
-        ------
-        InputError
-            If the responses have another number of channels than the film's light.
         """
         if self.table is not None:
             columns = self.table.shape[1] - 1
@@ -138,13 +115,7 @@ class Colours:
         return None
 
     def signed(self, channels: int) -> SignedColours:
-        """Return what captures by signed rays need to know.
-
-        Raises
-        ------
-        InputError
-            If `spectrum_for` does.
-        """
+        """Return what captures by signed rays need to know."""
         spectrum, nodes = self.spectrum_for(channels, (), SHARED), self.nodes
         if spectrum is None:
             return SignedColours.lines(self.wavelengths)
@@ -205,13 +176,7 @@ def _between(
 
 
 def read_colours(props: Any) -> Colours:
-    """Take wavelengths, bands and responses from a plugin's properties.
-
-    Raises
-    ------
-    InputError
-        Naming plugin, parameter, value and rule.
-    """
+    """Take wavelengths, bands and responses from a plugin's properties."""
     responses = read_plain(props, "responses", None)
     bandwidth = read_number(props, NAME, "bandwidth", None)
     count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)

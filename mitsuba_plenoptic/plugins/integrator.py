@@ -248,22 +248,7 @@ def make_class() -> type:
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it.
-
-            Parameters
-            ----------
-            scene, sensor
-                The scene and its plenoptic sensor.
-            seed : int
-                Seed of the random numbers.
-            spp : int
-                Rays a pixel; by method points, points of each lens.
-            job : Job, optional
-                Who computes, who is told of the progress, where the work is kept. Default: threads of this process.
-            noise : bool
-                Whether the standard deviation of the pixels is computed, too: the film then has it as extra channels,
-                one for each wavelength.
-            """
+            """Compute the capture, and return the film that holds it."""
             capture = self._capture(scene, sensor)
             film = sensor.film()
             if not film.rfilter().is_box_filter():

@@ -306,13 +306,7 @@ class _BinnedPower:
 
 
 class CoherentImage:
-    """A refocused capture, and its derivatives there; see `CoherentRefocus`.
-
-    Attributes
-    ----------
-    image : float32 array
-        The result of `CoherentRefocus.forward`.
-    """
+    """A refocused capture, and its derivatives there; see `CoherentRefocus`."""
 
     def __init__(self, refocus: CoherentRefocus, capture: Any) -> None:
         pixels = as_channels(as_array("capture", capture), refocus._camera.shape, "capture")

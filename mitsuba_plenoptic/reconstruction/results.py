@@ -241,13 +241,7 @@ class Volume:
 
 
 def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
-    """Check, before a long computation, that a volume of these planes can be written as the file's suffix says.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another, planes of an ImageJ TIFF are unevenly spaced, or Zarr is not installed.
-    """
+    """Check, before a long computation, that a volume of these planes can be written as the file's suffix says."""
     path = require_writable(path, *SUFFIXES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)

@@ -28,15 +28,7 @@ MOST_DEVIATIONS = 3.0
 
 
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
-    """Return by how much lenses are displaced along x and y, in millimetres, and the factors on their focal lengths.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera, whose `mla_jitter` and `mla_seed` count.
-    i, j : int array or Dr.Jit float array
-        Indices of the lenses in the lattice.
-    """
+    """Return by how much lenses are displaced along x and y, in millimetres, and the factors on their focal lengths."""
     place, focal = camera.mla_jitter
     x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
     return place * x, place * y, 1 + focal * f
@@ -93,35 +85,18 @@ _MOST = 32
 
 
 class Kind(NamedTuple):
-    """Microlenses that are alike.
+    """Microlenses that are alike."""
 
-    Attributes
-    ----------
-    lens_type : int
-        Which of the focal lengths the array's design gives them.
-    focal_length, detector_distance : float
-        Their own, in millimetres.
-    """
-
+    # Which of the focal lengths the array's design gives them.
     lens_type: int
+    # Their own, in millimetres.
     focal_length: float
     detector_distance: float
 
 
 @dataclass(frozen=True)
 class LensKinds:
-    """The kinds of a camera's microlenses, the same for all wavelengths, and where the lenses stand.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-
-    Raises
-    ------
-    InputError
-        If there are too many.
-    """
+    """The kinds of a camera's microlenses, the same for all wavelengths, and where the lenses stand."""
 
     camera: PlenopticCamera
 

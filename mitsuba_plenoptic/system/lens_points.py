@@ -39,14 +39,7 @@ class LensPoints:
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
         """Return points and one over their density over the aperture.
 
-        Parameters
-        ----------
-        pupil : (Float, Float)
-            The points of the pupil that rays pass.
-        chance : four Float
-            Random numbers by which `RayCoefficients` takes a node of the table, too.
-        random : two Float
-            Random numbers from 0 to 1.
+        Shapes: `pupil` (Float, Float).
         """
         lattice = self._lattice
         Pu, Pv = lattice.to_frame(*pupil)
@@ -84,12 +77,7 @@ def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
 def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Divide a window into parts over which a density, even over each sample, has the same integral.
 
-    Returns
-    -------
-    strips : float64 array (n + 1,)
-        Their edges along the rows, from 0 to 1.
-    cells : float64 array (n, n + 1)
-        Edges of each strip's cells along the columns.
+    The result has the shape (n + 1,), (n, n + 1).
     """
     rows, columns = density.shape
     upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])

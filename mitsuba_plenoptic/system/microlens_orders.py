@@ -73,7 +73,7 @@ _RETAINED = 16, 2
 different sizes ask for different directions, and those of one size follow each other."""
 
 
-class Parameter(NamedTuple):
+class ArrayParameter(NamedTuple):
     """A parameter that a factor is differentiated by: position in periods, Fresnel number or relative width."""
 
     name: Literal["position", "fresnel", "width"]
@@ -93,13 +93,13 @@ class ArrayFactor(ABC):
         lattice, types = camera.lattice, len(camera.mla_focal_lengths)
         self._camera, self.axes, self._shape = camera, axes, shape
         self.periods = [lattice.period(types)[axis] for axis in axes]
-        self._tables: dict[Parameter | None, Any] = {}
+        self._tables: dict[ArrayParameter | None, Any] = {}
 
     @abstractmethod
-    def orders(self, parameter: Parameter | None = None) -> NDArray[Any]:
+    def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
         """Return the amplitudes of the orders, or their derivatives; y along rows, from the most negative order on."""
 
-    def at(self, *coordinates: Any, parameter: Parameter | None = None) -> Any:
+    def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
         """Return the factor, or its derivative, at float64 coordinates of Dr.Jit along its axes, as Complex2f."""
         types, camera = array_types(coordinates[0]), self._camera
         if parameter not in self._tables:
@@ -147,7 +147,7 @@ class AxisFactor(ArrayFactor):
         super().__init__(camera, (axis,), (max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(samples))),))
         self._orders = axis_orders(camera, wavelength, int(highest * camera.mla_pitches[axis]), axis)
 
-    def orders(self, parameter: Parameter | None = None) -> NDArray[Any]:
+    def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
         """Return the amplitudes of the orders, or their derivatives."""
         plain, by_fresnel, by_width = self._orders
         if parameter is None:
@@ -197,7 +197,7 @@ class PlaneFactor(ArrayFactor):
         super().__init__(camera, (0, 1), tuple(fast_length(_PER_ORDER[1] * max(count, 1)) for count in self._counts))
         self._moments: dict[tuple[int, int, int | None], NDArray[np.complex64]] = {}
 
-    def orders(self, parameter: Parameter | None = None) -> NDArray[Any]:
+    def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
         """Return the amplitudes of the orders, or their derivatives."""
         plain = self._moment(0, 0, None)
         if parameter is None:
@@ -322,14 +322,14 @@ class VaryingArrayFactor:
 
     def at(self, *coordinates: Any) -> Any:
         """Return the factor at float64 coordinates of Dr.Jit along its axes, as Complex2f."""
-        numbers: dict[Parameter, Any] = {}
+        numbers: dict[ArrayParameter, Any] = {}
         for axis, place, period in zip(self.axes, coordinates, self._periods, strict=True):
             pitch = self.lattice.pitches[axis]
-            numbers[Parameter("position", axis)] = (place - self.lattice.offset[axis]) / period
-            numbers[Parameter("width", axis)] = self.lattice.aperture_widths[axis] / pitch
+            numbers[ArrayParameter("position", axis)] = (place - self.lattice.offset[axis]) / period
+            numbers[ArrayParameter("width", axis)] = self.lattice.aperture_widths[axis] / pitch
             for lens_type, length in enumerate(self.focal_lengths):
                 area = in_millimetres(self.wavelength) * length
-                numbers[Parameter("fresnel", axis, lens_type)] = pitch * pitch / area
+                numbers[ArrayParameter("fresnel", axis, lens_type)] = pitch * pitch / area
         places = [dr.detach(place) for place in coordinates]
         value = self.factor.at(*places)
         for parameter, number in numbers.items():

@@ -76,55 +76,32 @@ _TABLES = 8
 _tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
 
 
-class Node(NamedTuple):
-    """The window of the table at one node of the pupil's radius, in the lattice's frame.
+class TableNode(NamedTuple):
+    """The window of the table at one node of the pupil's radius, in the lattice's frame."""
 
-    Attributes
-    ----------
-    sides : (float, float)
-        Its sides, whole numbers of the lattice's periods.
-    counts : (int, int)
-        Samples along them.
-    angular : int
-        Nodes over a quarter turn, less one.
-    """
-
+    # Its sides, whole multiples of the periods of the lattice.
     sides: tuple[float, float]
+    # Samples along them.
     counts: tuple[int, int]
+    # Nodes over a quarter turn, less one.
     angular: int
 
 
 @dataclass(frozen=True)
 class PhaseSpace:
-    """Diffraction of one camera at one wavelength, as coefficients that rays carry and kernels that images pass.
+    """Diffraction of one camera at one wavelength, as coefficients that rays carry and kernels that images pass."""
 
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        A camera not far out of whose microlenses' focus is the detector; one with glasses as it is `at_wavelength`.
-    wavelength : float
-        In nanometres.
-    degree : int
-        Total degree of the polynomials over a lens. There are (degree + 1) (degree + 2) / 2.
-    window : int
-        Lenses, across, over which the pupil's rim spreads a ray, which it does most. Light beyond is folded back by
-        whole windows, which keeps the energy.
-    radial : int
-        Nodes of the table along the pupil's radius, dense towards its rim.
-    shortest : float, optional
-        Wavelength of the plans with which it is used, whose rays land alike: the shortest. Default: its own.
-
-    Raises
-    ------
-    InputError
-        If the camera is another one.
-    """
-
+    # A camera not far out of whose microlenses' focus is the detector; one with glasses as it is `at_wavelength`.
     camera: PlenopticCamera
     wavelength: float
+    # Total degree of the polynomials over a lens. There are (degree + 1) (degree + 2) / 2.
     degree: int = 4
+    # Lenses, across, over which the pupil's rim spreads a ray, which it does most. Light beyond is folded back by whole
+    # windows, which keeps the energy.
     window: int = 9
+    # Nodes of the table along the pupil's radius, dense towards its rim.
     radial: int = 12
+    # Wavelength of the plans with which it is used, whose rays land alike: the shortest. Default: its own.
     shortest: float | None = None
 
     def __post_init__(self) -> None:
@@ -201,7 +178,7 @@ class PhaseSpace:
         return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
 
     @cached_property
-    def nodes(self) -> list[Node]:
+    def nodes(self) -> list[TableNode]:
         """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
@@ -216,7 +193,7 @@ class PhaseSpace:
             step = max(reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
             # From one node to the next the farthest points turn by half a lens.
             angular = math.ceil(math.pi / 2 * max(sides) / pitch)
-            made.append(Node(sides, tuple(math.ceil(side / step) for side in sides), angular))
+            made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
 
     # -- polynomials over a lens -------------------------------------------------------------------

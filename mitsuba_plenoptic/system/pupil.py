@@ -24,21 +24,14 @@ class PupilFraction:
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
     place moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
     the pupil's disc covers is averaged over the lens's aperture: what the pixel reads of a scene of uniform radiance 1.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    lens_type : int
-        Which of its types of lenses, if there are several.
-
-    Attributes
-    ----------
-    reach : float
-        Beyond this distance from the pupil's centre along x or y the fraction is 0.
     """
 
-    def __init__(self, camera: PlenopticCamera, lens_type: int = 0) -> None:
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        # Which of its types of lenses, if there are several.
+        lens_type: int = 0,
+    ) -> None:
         smear = abs(camera.pupil_shift(camera.mla_focal_lengths[lens_type]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
@@ -60,17 +53,7 @@ class PupilFraction:
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fraction for pixels that see the place (x, y) of the pupil plane through their lens's centre.
-
-        Parameters
-        ----------
-        x, y : arrays
-            Millimetres from the pupil's centre; broadcast against each other.
-
-        Returns
-        -------
-        float32 array
-        """
+        """Return the fraction for pixels that see the place (x, y) of the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))

@@ -62,16 +62,7 @@ class RayCoefficients:
         Each ray takes one node of the table, by chance, so that the mean is what linear interpolation between the
         sixteen nodes around it gives.
 
-        Parameters
-        ----------
-        point : (Float, Float)
-            Where the ray meets the array, from the centre of a lens.
-        pupil : (Float, Float)
-            Where it meets the pupil.
-        jitter : four Float
-            Random numbers from 0 to 1.
-        active : Bool
-            Rays that are wanted; of others, and of those outside the pupil or the window, the coefficients are 0.
+        Shapes: `point` (Float, Float), `pupil` (Float, Float).
         """
         plan = self.plan
         lattice = plan.lattice

@@ -16,14 +16,9 @@ Pair = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class RayPupil:
-    """The exit pupil of a camera, and the rays through it.
+    """The exit pupil of a camera, and the rays through it."""
 
-    Parameters
-    ----------
-    system : OpticalSystem
-        The camera; its wavelength counts for a main lens with surfaces.
-    """
-
+    # The camera; its wavelength counts for a main lens with surfaces.
     system: OpticalSystem
 
     @property

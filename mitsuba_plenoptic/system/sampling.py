@@ -55,23 +55,7 @@ class Footprint:
 def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
     """Trace rays from each scene point through the pupil to the MLA.
 
-    Parameters
-    ----------
-    lens : MainLens
-        The main lens.
-    positions : float64 array (n, 3)
-        Scene points in the camera frame, or in one that is turned about the axis if the lens is round.
-
-    Returns
-    -------
-    Footprint
-        Bounding boxes of the places and of the direction cosines, by their centres and half widths.
-
-    Raises
-    ------
-    InputError
-        If a ray leaves the main lens at a right angle or steeper, so that it never reaches the MLA, or no light of a
-        point passes the lens.
+    Shapes: `positions` (n, 3).
     """
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -115,12 +99,7 @@ def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) 
 def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
     """Return where rays that leave the exit pupil come to the MLA.
 
-    Parameters
-    ----------
-    pupil, cosine : float64 array (2, n, rays)
-        Places on the exit pupil and direction cosines along x and y, for each scene point.
-    distance : float
-        Distance from the pupil to the MLA.
+    Shapes: `pupil`, `cosine` (2, n, rays).
     """
     place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
     return _bounds(place, cosine)
@@ -133,25 +112,13 @@ def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprin
 
 
 def fast_length(minimum: float, multiple: int = 1) -> int:
-    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`.
-
-    Raises
-    ------
-    InputError
-        If it is longer than any memory holds.
-    """
+    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`."""
     check_samples(minimum, "along an axis")
     return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
 
 
 def check_samples(count: float, where: str) -> None:
-    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers.
-
-    Raises
-    ------
-    InputError
-        With the number.
-    """
+    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers."""
     # Written so that NaN is refused.
     if not count <= _LONGEST:
         raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
@@ -162,20 +129,7 @@ def check_positions(
 ) -> NDArray[np.float64]:
     """Return scene points as a float64 array (n, 3).
 
-    Parameters
-    ----------
-    positions : array (n, 3)
-        Scene points.
-    camera : PlenopticCamera, optional
-        The camera; default: one with a main lens in the plane g = 0, in which no point may lie.
-    virtual : bool
-        Whether points may lie behind the main lens, as images to which light in front of it converges.
-
-    Raises
-    ------
-    InputError
-        If the shape is another, a coordinate is not finite or too large, or a point lies in the main lens or behind
-        it, or so near to it that it must be in another unit, or not before the objective.
+    Shapes: `positions` (n, 3).
     """
     try:
         points = np.asarray(positions, np.float64)
@@ -219,13 +173,7 @@ def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) 
 
 
 def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
-    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`.
-
-    Raises
-    ------
-    InputError
-        With the estimate.
-    """
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`."""
     require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
