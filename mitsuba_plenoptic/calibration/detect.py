@@ -21,8 +21,7 @@ from ..lightfield.grid import lens_types
 from ..runtime.limits import require_memory
 from .blur import CutBlur
 from .boards import BoardView, Picture, Saddles, find_board, find_saddles
-from .model import predict_centres
-from .numbers import numbers_of
+from .model import numbers_of, predict_centres
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
 
 # Pixels of less than this fraction of the light in the middle of micro-images are not used.

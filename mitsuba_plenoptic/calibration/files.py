@@ -20,8 +20,7 @@ from ..errors import InputError, naming, refuse_if, require_count, require_numbe
 from ..io.files import atomic_output, read_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
-from .model import NAMES
-from .numbers import camera_of
+from .model import NAMES, camera_of
 from .observations import Board, LensIndex
 from .result import Calibration
 

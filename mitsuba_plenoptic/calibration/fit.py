@@ -10,8 +10,7 @@ from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, refuse_if, suggest_keywords
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
-from .model import AT, NAMES, Observations, predict_centres
-from .numbers import camera_of, numbers_of, on_pixel_grid
+from .model import AT, NAMES, Observations, camera_of, numbers_of, on_pixel_grid, predict_centres
 from .observations import (
     BLUR_COLUMN,
     DOUBTFUL_COLUMN,

@@ -11,8 +11,7 @@ from ..camera import PlenopticCamera
 from ..errors import require_choice, require_count
 from .adjustment import Adjusted, Problem, outlying
 from .blur import Blur
-from .model import NAMES, predict_centres
-from .numbers import numbers_of
+from .model import NAMES, numbers_of, predict_centres
 from .observations import Board, LensIndex, Table, placed
 
 GROUPED_BY = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 from ..errors import InputError, did_you_mean, require_choice, short_repr, suggest_keywords
 from ..presets import PRESETS
@@ -12,7 +13,54 @@ from .documentation import numpy_section, signature
 from .entry import record
 from .geometry import CameraGeometry
 from .parameters import PARAMETERS
-from .sensor_form import describe, write_xml
+
+
+def describe(parameters: dict[str, Any], to_world: Any) -> dict[str, Any]:
+    """Return the sensor for ``mi.load_dict`` of a camera's parameters by name; see `PlenopticCamera.to_sensor`."""
+    values = dict(parameters)
+    columns, rows = values.pop("resolution")
+    (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
+    sensor = {"type": "plenoptic"} | {name: _plain(value) for name, value in values.items() if value != ()}
+    if to_world is not None:
+        sensor["to_world"] = to_world
+    sensor["film"] = {
+        "type": "hdrfilm",
+        "width": columns,
+        "height": rows,
+        "crop_offset_x": left,
+        "crop_offset_y": top,
+        "crop_width": width,
+        "crop_height": height,
+        "rfilter": {"type": "box"},
+        "pixel_format": "luminance",
+        "component_format": "float32",
+    }
+    return sensor
+
+
+def _plain(value: Any) -> Any:
+    """Return a parameter as a plugin takes it: lenses and glasses as JSON, several numbers with commas between them."""
+    if isinstance(value, dict):
+        return json.dumps(value)
+    return ", ".join(map(repr, value)) if isinstance(value, tuple) else value
+
+
+def write_xml(sensor: dict[str, Any]) -> str:
+    """Write what `describe` returns as text for a scene file."""
+
+    def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
+        made = ElementTree.Element(tag, {"type": values["type"], **attributes})
+        for name, value in values.items():
+            if isinstance(value, dict):
+                made.append(element(name, value))
+            elif name != "type":
+                kind = {int: "integer", float: "float", str: "string"}[type(value)]
+                ElementTree.SubElement(made, kind, name=name, value=str(value))
+        return made
+
+    tree = element("sensor", sensor, id="camera")
+    ElementTree.indent(tree, "    ")
+    return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
 
 @record

@@ -39,8 +39,16 @@ from ..runtime.jobs import Job
 from ..system.microlens_orders import ArrayFactor
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .arrival import SampledField, at_mla, blocks, interpolate, pupil_field, telecentric_arrival
-from .full_field_grids import FieldGrids, field_grids
+from .arrival import (
+    FieldGrids,
+    SampledField,
+    at_mla,
+    blocks,
+    field_grids,
+    interpolate,
+    pupil_field,
+    telecentric_arrival,
+)
 from .patch_plan import Cost
 from .pupil_weights import PupilWeights
 

@@ -13,10 +13,9 @@ from ..camera import PlenopticCamera
 from ..camera.checks import require_known_to
 from ..camera.entry import Captures
 from ..capture import colour
-from ..capture.points_capture import PointsCapture
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
-from ..capture.scene_points import require_matte
+from ..capture.scene_points import PointsCapture, require_matte
 from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture
 from ..capture.signed_gradients import SignedGradients

@@ -10,12 +10,12 @@ from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..errors import InputError
+from ..lightfield.white import PupilFraction
 from ..optics import rays
 from ..optics.phase import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, convolve
 from ..system.optical_system import OpticalSystem
-from ..system.pupil import PupilFraction
 from ..system.sampling import check_memory
 from .conjugates import RealConjugates, ThinConjugates
 from .lens_by_lens import LensBatch, LensSet, object_patches, on_bins, passing_power, pupil_fields

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.calibration import Board, calibrate, read_camera, read_centres, read_corners, write_calibration
 from mitsuba_plenoptic.calibration.blur import fit_blur
-from mitsuba_plenoptic.calibration.model import Observations
-from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.calibration.model import Observations, numbers_of
 
 FOCAL_LENGTHS = np.array(cases.CAMERA.mla_focal_lengths)
 

@@ -19,8 +19,7 @@ from mitsuba_plenoptic.calibration import (
 )
 from mitsuba_plenoptic.calibration.boards import find_saddles
 from mitsuba_plenoptic.calibration.detect import evenly_lit
-from mitsuba_plenoptic.calibration.model import NAMES, Observations, predict
-from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.calibration.model import NAMES, Observations, numbers_of, predict
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import white_image
 

@@ -22,8 +22,7 @@ from mitsuba_plenoptic.calibration import (
     write_calibration,
 )
 from mitsuba_plenoptic.calibration.adjustment import Problem, adjust, information
-from mitsuba_plenoptic.calibration.model import NAMES, Observations, predict_centres
-from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.calibration.model import NAMES, Observations, numbers_of, predict_centres
 from mitsuba_plenoptic.cli import main
 
 NOISE = 0.1

@@ -18,8 +18,7 @@ from mitsuba_plenoptic import (
     render_capture,
     with_camera,
 )
-from mitsuba_plenoptic.calibration.model import NAMES, predict, predict_centres
-from mitsuba_plenoptic.calibration.numbers import camera_of, numbers_of
+from mitsuba_plenoptic.calibration.model import NAMES, camera_of, numbers_of, predict, predict_centres
 from mitsuba_plenoptic.lenses.distortion import undistort
 
 GEOMETRY = {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}

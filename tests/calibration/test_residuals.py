@@ -8,8 +8,7 @@ import pytest
 
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
-from mitsuba_plenoptic.calibration.model import NAMES, predict_centres
-from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.calibration.model import NAMES, numbers_of, predict_centres
 from mitsuba_plenoptic.calibration.result import GROUPED_BY
 from mitsuba_plenoptic.report.calibration import write_calibration_report
 

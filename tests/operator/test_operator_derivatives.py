@@ -8,9 +8,9 @@ from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.operator.arrival import field_grids
 from mitsuba_plenoptic.operator.derivatives import NUMBERS
 from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.operator.full_field_grids import field_grids
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.runtime.jobs import Job

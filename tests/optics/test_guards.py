@@ -23,7 +23,8 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
-from mitsuba_plenoptic.operator import full_field_grids, patch_plan
+from mitsuba_plenoptic.operator import arrival as full_field_grids
+from mitsuba_plenoptic.operator import patch_plan
 from mitsuba_plenoptic.operator.grid import Band
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics import guards

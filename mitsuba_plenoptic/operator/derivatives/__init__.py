@@ -1,8 +1,7 @@
 """Derivatives of captures with respect to the numbers of the camera."""
 
-from .differentials import Differentials
 from .numbers import NUMBERS, WAVELENGTH, brightness_slopes, check_changes, check_names, light_slopes, values_of
-from .plan import DerivativePlan
+from .plan import DerivativePlan, Differentials
 
 __all__ = [
     "NUMBERS",

@@ -31,8 +31,7 @@ from mitsuba_plenoptic.calibration import (
     read_centres,
     read_corners,
 )
-from mitsuba_plenoptic.calibration.model import NAMES, predict_centres
-from mitsuba_plenoptic.calibration.numbers import numbers_of
+from mitsuba_plenoptic.calibration.model import NAMES, numbers_of, predict_centres
 from mitsuba_plenoptic.calibration.observations import observations
 from mitsuba_plenoptic.lightfield import LensGrid, white_image
 

@@ -18,9 +18,9 @@ import numpy as np
 from scipy import ndimage
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum
+from mitsuba_plenoptic.operator.arrival import FieldGrids, field_grids
 from mitsuba_plenoptic.operator.derivatives import brightness_slopes
 from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.operator.full_field_grids import FieldGrids, field_grids
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 from .. import Pivot, Row, at_most, case, pick
