@@ -24,9 +24,9 @@ from mitsuba_plenoptic.calibration import (
     Table,
     board_scene,
     camera_centres,
+    cross_validate,
     detect_corners,
     find_centres,
-    left_out_errors,
     read_camera,
     read_centres,
     read_corners,
@@ -116,7 +116,7 @@ def real_camera() -> Iterator[Row]:
     apart = max(abs(ours / other - 1) for ours, other in zip(ours_f, theirs_f, strict=True))
     yield figure("z over focal lengths of microlenses from COMPOTE's, relative", apart, at_most=0.02)
     yield from displaced_by_type(corners, centres, found)
-    left_out = left_out_errors(corners, BOARD, found, centres)
+    left_out = cross_validate(corners, BOARD, found, centres)
     compote, theirs, depths = Compote(values), [], []
     # Their x and y are ours reversed.
     flip = Rotation.from_rotvec([0, 0, np.pi])

@@ -7,7 +7,7 @@ Gauss-Newton steps of which each takes one capture (chord iterations). These end
 derivatives of their own do, up to the square of what the noise changes.
 
 Most fits start within two deviations of the true camera. Some start as one would who knows little: 2 % off
-in every length, by 1 degree and 0.3 pitches; the lattice is then found in the white capture, `fitting.come_near` finds
+in every length, by 1 degree and 0.3 pitches; the lattice is then found in the white capture, `fitting.coarse_fit` finds
 a camera by rays, and the same steps follow. They must end where the fit of the same noise from near ends.
 
 Over so few seeds the mean of the squared errors is known to the square root of 2 / seeds only (0.22 for 40). The first
@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
-from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, come_near, lattice_from_white
+from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, coarse_fit, lattice_from_white
+from mitsuba_plenoptic.fitting.light import Pixels
 from mitsuba_plenoptic.fitting.model import Model, vector_of
-from mitsuba_plenoptic.fitting.noise import Pixels
 from mitsuba_plenoptic.fitting.result import summary
 from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import brightness_of
@@ -269,7 +269,7 @@ def far_difference(study: Study, images: Array, rng: np.random.Generator, near: 
     off["mla_rotation"] = study.camera.mla_rotation + rng.choice((-1, 1))
     start = lattice_from_white(study.camera.replace(**off), images[0])
     views = study.views(images, study.lights)
-    coarse = study.vector.of(come_near(start, views, NAMES, wavelength=WAVELENGTH)).values
+    coarse = study.vector.of(coarse_fit(start, views, NAMES, wavelength=WAVELENGTH)).values
     settled = study.settle(coarse, images, FAR_STEPS)
     difference = np.array(settled["x"]) - np.array(near["x"])
     return np.abs(difference / study.deviations(study.images)).tolist()

@@ -38,7 +38,7 @@ def spread(
     points: int = 6,
     seeds: int = 40,
     photons: float = 2000.0,
-    method: str = "waves",
+    model: str = "wave",
     accuracy: float = 0.0,
     off: float = 0.005,
     parameters: tuple[str, ...] = ("mla_pitch", "mla_offset", "detector_distance"),
@@ -51,7 +51,7 @@ def spread(
     rng = np.random.default_rng(0)
     g = rng.uniform(112, 128, points)
     places = np.column_stack([rng.uniform(-0.4, 0.4, (points, 2)) * side * -g[:, None] / 60, g])
-    if method == "rays":
+    if model == "ray":
         image = PointRays(camera, places, WAVELENGTH).image(OpticalSystem(camera, WAVELENGTH), np.ones(points))
     else:
         operator = CaptureOperator(camera, places, wavelength=WAVELENGTH, accuracy=accuracy)
@@ -59,7 +59,7 @@ def spread(
     image *= brightness_of(camera, main_lens(camera))
     weights = np.full(points, 1 / image.max())
     image /= image.max()
-    common = {"wavelength": WAVELENGTH, "photons": photons, "accuracy": accuracy, "method": method}
+    common = {"wavelength": WAVELENGTH, "photons": photons, "accuracy": accuracy, "model": model}
     # A fit of what the true camera records without noise ends there, and states the bound.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that chi-square is 0

@@ -13,7 +13,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from mitsuba_plenoptic.report.images import write_png
 
 from mitsuba_plenoptic import Cluster, Job, cli, estimate_capture, load_scene, render_capture
 from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
@@ -21,6 +20,7 @@ from mitsuba_plenoptic.operator.patch import PatchBatch
 from mitsuba_plenoptic.operator.recorder import Recorder
 from mitsuba_plenoptic.operator.sharing import find_patterns
 from mitsuba_plenoptic.operator.tile import PatchTile
+from mitsuba_plenoptic.report.output_files import write_png
 from mitsuba_plenoptic.runtime.batches import Batch, BatchMap, Threads, add
 from mitsuba_plenoptic.runtime.fft import fft, worker_count
 
