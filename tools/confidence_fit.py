@@ -38,8 +38,8 @@ MAY_BE_FINER = 0.25
 FINER = ("stripes of 1.15 lenses",)
 """Scenes that are left out likewise: of focused cameras nothing returns how finely they are striped."""
 
-BOUNDS = [(None, None), (0, None), (0, None), (None, -1.0), (None, 0)]
-"""Of each weight. That of what no plane explains is at most -1: the scenes fitted to have little of it."""
+BOUNDS = [(None, None), (0, None), (None, 0), (0, None)]
+"""Of each weight: the sign that it can have."""
 
 COLUMNS = {
     "scene left out": "{scene}",
@@ -60,7 +60,7 @@ def observe(capture: mp.Capture, truth: np.ndarray) -> Observed:
     found, samples = disagreement_of_planes(lf, default_slopes(lf), None, images)
     place, told = indications(found, samples, RIGHT)
     depth = 1 / np.interp(place, np.arange(len(found.inverse)), found.inverse)
-    inside = np.isfinite(truth) & ~at_an_end(found.variance, place)
+    inside = np.isfinite(truth) & ~at_an_end(found.ratio, place)
     if not is_focused(lf):
         inside &= finer_stripes(lf.sel(u=0.0, v=0.0, method="nearest").values) < MAY_BE_FINER
     return told[:, inside].T, np.abs(depth / truth - 1)[inside] < RIGHT

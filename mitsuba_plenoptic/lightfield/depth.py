@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -20,7 +19,7 @@ from .agreement import finer_stripes, view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
-from .plane_choice import LENSES, VIEWS, Disagreement, choose, noise_floor
+from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocus import shift_and_add
 
 RIGHT = 0.01
@@ -232,23 +231,16 @@ def disagreement_of_planes(
     else:
         measure, samples = partial(view_disagreement, lf), VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
-    variance, whole = np.empty((2, len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    ratio, whole, counted_for = np.empty((3, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        variance[index], whole[index] = measure(float(slope))
+        ratio[index], whole[index], counted_for[index] = measure(float(slope))
     distances = distance_of(lf, slopes)
-    if np.isnan(variance).all():
+    if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    # Interpolation smooths views or micro-images the more, the farther they are moved from whole samples: on some
-    # planes noise and fine texture would agree better than on others, if the variance was not held against the whole.
-    floor = noise_floor(brightness)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        typical = np.nanmedian(whole, axis=0)
-    variance *= ((typical + floor) / (whole + floor)).astype(np.float32)
-    return Disagreement(variance, brightness, 1 / distances), samples
+    return disagreement(ratio, whole, counted_for, brightness, 1 / distances), samples
 
 
 @dataclass(frozen=True)
