@@ -39,8 +39,9 @@ _CLOSED = 0.15
 _AVERAGED = 2.0
 _MORE = 1 + _AVERAGED**2
 
-# Deviations of noise between which a valley's depth counts: below them nothing is there, above them nothing is noise.
-_INSIGNIFICANT, _SIGNIFICANT = 1.0, 30.0
+# Deviations by which noise alone leaves the ratio below 1 on the best of all planes. What is beyond counts from the
+# second number to the third: below nothing is there, above nothing is noise.
+_BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 
 # Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused
 # cameras. Model errors, which most of them share, leave this few.
@@ -48,7 +49,7 @@ VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
-WEIGHTS = (-6.3, 0.5, -2.2, 1.0)
+WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 
 @dataclass(frozen=True)
@@ -171,8 +172,8 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
           texture agrees at several distances about as well;
         - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
           on gloss and on steep surfaces no plane explains the views;
-        - how many deviations of noise the surroundings' average ratio is below 1 on this plane, from 1 to 30: where
-          nothing but noise is seen, few.
+        - how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone
+          would leave on the best of all planes.
     """
     inverse = found.inverse
     # What cannot be compared agrees as badly as any.
@@ -196,7 +197,7 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
         np.ones_like(place),
         logit(_mass(_normalised(-samples * averaged), low, high).clip(_SURE, 1 - _SURE)),
         misfit.clip(np.log(_STILL)),
-        np.log(significance.clip(_INSIGNIFICANT, _SIGNIFICANT)),
+        np.log((significance - _BY_CHANCE).clip(_INSIGNIFICANT, _SIGNIFICANT)),
     )
     return place, np.stack(told)
 

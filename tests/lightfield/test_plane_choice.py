@@ -55,8 +55,8 @@ def test_noise_alone_is_not_significant(samples, independent):
     ones = np.ones_like(ratio)
     flat = Disagreement(ratio, independent * ones, 0.03 * ones[0], INVERSE)
     assert (choose(flat, samples, 0.01).probability >= 0.5).mean() < 0.01
-    # The same noise over a valley that is six times as deep as its deviation, of an average.
-    depth = 6 / np.sqrt(5 * independent)
+    # The same noise over a valley that is eight times as deep as the deviation of an average, two of which are chance.
+    depth = 8 / np.sqrt(5 * independent)
     ratio = ratio - depth * np.exp(-(((np.arange(PLANES) - TRUE) / 2) ** 2))[:, None, None]
     weak = indications(Disagreement(ratio, independent * ones, 0.03 * ones[0], INVERSE), samples, 0.01)[1][3]
     assert np.exp(np.median(weak)) == pytest.approx(6, abs=1.5)
