@@ -34,6 +34,10 @@ _STILL = 0.06
 # A valley of the disagreement is closed where it rises, on both sides, by this fraction of its depth.
 _CLOSED = 0.15
 
+# Neighbouring bins that are asked for the plane that explains them best: standard deviation of a Gaussian window. They
+# agree with a bin where theirs is within so many times the tolerance of its own, as noise scatters them in one valley.
+_ASKED, _NEAR_BY = 3.0, 2.0
+
 # Neighbouring bins over which evidence is averaged: standard deviation of a Gaussian window. An average holds so many
 # times the independent samples of a bin, whose own window has a standard deviation of 1.
 _AVERAGED = 2.0
@@ -47,8 +51,13 @@ _BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 # cameras. Model errors, which most of them share, leave this few.
 VIEWS, LENSES = 20.0, 3.0
 
-# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# on captures of the scenes that `tools/confidence_fit.py` lists, within its bounds, and rounded.
+# Where less than this fraction of the neighbours agrees with a bin, its plane is no more probable than that fraction.
+MAJORITY = 0.5
+
+# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood,
+# without a majority and without stripes of 1.3 and 2 lenses. With both, `tools/confidence_fit.py` finds weights at most
+# 0.12 from these, of a likelihood per bin 0.1 % greater; they make more depths sure, wrong ones of stripes and of cards
+# beyond the search among them.
 WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 
@@ -61,8 +70,9 @@ class Choice:
     place : (rows, columns) float64 array
         Index of the plane, with fractions.
     probability : (rows, columns) float64 array
-        That the plane is right within the tolerance; 0 where it is the first or the last one that can be compared, as
-        the right one may lie beyond it.
+        That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
+        may lie beyond it. Where most neighbours choose other planes, it is at most the fraction that agrees: several
+        planes explain repeated texture about as well, and model errors choose among them from bin to bin.
     """
 
     place: np.ndarray
@@ -126,16 +136,21 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
     tolerance : float
         Relative error of a distance that counts as right.
     """
-    place, told = indications(found, samples, tolerance)
-    return Choice(place, np.where(at_an_end(found.ratio, place), 0, expit(np.tensordot(WEIGHTS, told, 1))))
+    place, told, agreeing = indications(found, samples, tolerance)
+    probability = expit(np.tensordot(WEIGHTS, told, 1))
+    probability = np.where(agreeing < MAJORITY, np.minimum(probability, agreeing), probability)
+    return Choice(place, np.where(at_an_end(found, place, tolerance), 0, probability))
 
 
-def at_an_end(ratio: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return where no valley of the disagreement is closed at the chosen plane: the right one may be beyond the last.
+def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return where the right plane may be beyond the last one.
 
-    On both sides, among the planes that can be compared, the logarithm of the deviation must rise by some of what the
-    chosen plane is below the median of all.
+    That is so within the tolerance of the first or the last plane, and where no valley of the disagreement is closed at
+    the chosen one: on both sides, among the planes that can be compared, the logarithm of the deviation must rise by
+    some of what the chosen plane is below the median of all.
     """
+    ratio = found.ratio
+    low, high = _around(found.inverse, place, tolerance)
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         energy = 0.5 * np.log(ratio)
@@ -149,11 +164,12 @@ def at_an_end(ratio: np.ndarray, place: np.ndarray) -> np.ndarray:
     wall = np.minimum(
         *(np.where(joined & side, energy, -np.inf).max(axis=0) for side in (planes < place, planes > place))
     )
-    return np.asarray(~(wall - least > _CLOSED * (typical - least)))
+    beyond = (low <= 0) | (high >= len(energy) - 1)
+    return np.asarray(beyond | ~(wall - least > _CLOSED * (typical - least)))
 
 
-def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the most probable planes, and what tells whether they are right.
+def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the most probable planes, and what indicates whether they are right.
 
     Parameters
     ----------
@@ -174,18 +190,20 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
           on gloss and on steep surfaces no plane explains the views;
         - how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone
           would leave on the best of all planes.
+    agreeing : (rows, columns) array
+        Fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
     """
-    inverse = found.inverse
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(found.ratio, axis=0)
     ratio = np.where(np.isnan(found.ratio), np.where(np.isnan(worst), 1, worst), found.ratio)
     energy = 0.5 * np.log(ratio)
     place = _summit(_with_neighbours(_normalised(-_SHARED * energy)))
-    planes = np.arange(len(inverse))
-    order = np.argsort(inverse)
-    at = np.interp(place, planes, inverse)
-    ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
-    low, high = np.minimum(*ends), np.maximum(*ends)
+    low, high = _around(found.inverse, place, _NEAR_BY * tolerance)
+    own = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
+    asked = scipy.ndimage.gaussian_filter(own.astype(np.float32), (0, _ASKED, _ASKED), mode="nearest")
+    # However far apart planes are, the next ones agree.
+    agreeing = _mass(asked, np.minimum(low, place - 1), np.maximum(high, place + 1))
+    del own, asked
     misfit = energy.min(axis=0) + np.log(found.contrast + np.finfo(np.float32).tiny)
     averaged, explained, independent = (
         scipy.ndimage.gaussian_filter(part, (0, _AVERAGED, _AVERAGED), mode="nearest")
@@ -193,13 +211,23 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     )
     here = np.rint(place).astype(np.int64)[None]
     significance = np.take_along_axis(explained * np.sqrt(independent), here, 0)[0]
+    mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, place, tolerance))
     told = (
         np.ones_like(place),
-        logit(_mass(_normalised(-samples * averaged), low, high).clip(_SURE, 1 - _SURE)),
+        logit(mass.clip(_SURE, 1 - _SURE)),
         misfit.clip(np.log(_STILL)),
         np.log((significance - _BY_CHANCE).clip(_INSIGNIFICANT, _SIGNIFICANT)),
     )
-    return place, np.stack(told)
+    return place, np.stack(told), agreeing
+
+
+def _around(inverse: np.ndarray, place: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places between which distances are within the tolerance of the one at a place, or the ends."""
+    planes = np.arange(len(inverse))
+    order = np.argsort(inverse)
+    at = np.interp(place, planes, inverse)
+    ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
+    return np.minimum(*ends), np.maximum(*ends)
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
