@@ -12,8 +12,11 @@ from .refocus import shifted
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
 _WINDOW = 1.0
 
-# The variance over half of the pupil counts so many times: with half a baseline wrong depths stand out less.
+# What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out less.
 _HALF = 2.0
+
+# Views that have the noise of one: decoding interpolates them between the same pixels.
+_SHARED = 2.0
 
 # Fraction of the views that must see a bin: few agree by chance.
 _SEEN = 0.25
@@ -30,11 +33,13 @@ _BACKGROUND, _PATCH = 4.0, 3.0
 _BROAD, _SINGLE = 0.88, 0.96
 
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variance, in each bin, of the views moved so that points of one disparity coincide.
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which part of the variance views leave unexplained, moved so that points of one disparity coincide.
 
-    It is averaged over neighbouring bins. Where it is less than half of that, twice the variance over the upper, lower,
-    left or right half of the pupil counts instead: next to an occluder's edge, one half of the pupil sees past it.
+    The variance of the views in each bin and the one that their mean has among the neighbouring bins are what is to be
+    explained; the former is left unexplained. Interpolation lessens both alike. Where it is less than half as great for
+    the upper, lower, left or right half of the pupil, twice that counts: next to an occluder's edge, one half of the
+    pupil sees past it.
 
     Parameters
     ----------
@@ -45,23 +50,30 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
 
     Returns
     -------
-    variance : (t, s) float32 array
-        NaN where too few views see a bin, near the border.
+    ratio : (t, s) float32 array
+        From 0 to 1, where the views have nothing in common but noise; NaN where too few views see a bin, near the
+        border.
     whole : (t, s) float32 array
-        That variance and the one which the mean of the moved views has among the neighbouring bins: the variance that
-        is to be explained. Interpolation lessens both alike, by an amount that depends on the disparity.
+        The variance that is to be explained.
+    samples : (t, s) float32 array
+        Of noise alone, the ratio has a variance of 1 over this.
     """
-    variance, mean, seen = _moved_views(lf, slope)
-    parts, means, squares = (
+    variance, mean, count = _moved_views(lf, slope)
+    seen, parts, means, squares = (
         scipy.ndimage.gaussian_filter(part, (0, _WINDOW, _WINDOW), mode="nearest")
-        for part in (variance, mean, np.square(mean))
+        for part in (count, count * variance, count * mean, count * np.square(mean))
     )
-    parts[seen < _SEEN] = np.nan
-    whole = parts + np.maximum(squares - np.square(means), 0)
-    best = 1 + np.argmin(np.where(np.isnan(parts[1:]), np.inf, parts[1:]), axis=0)
-    half = np.take_along_axis(np.stack([_HALF * parts, whole]), best[None, None], 1)[:, 0]
-    chosen, to_explain = np.where(half[0] < parts[0], half, np.stack([parts[0], whole[0]]))
-    return chosen, to_explain
+    parts, means, squares = (part / np.maximum(seen, 1e-6) for part in (parts, means, squares))
+    parts[count < _SEEN * count.max((1, 2), keepdims=True)] = np.nan
+    independent = np.maximum(seen / _SHARED, 1)
+    # Noise, too, leaves a variance in means.
+    whole = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
+    ratio = np.divide(parts, whole, out=np.ones_like(parts), where=~(whole <= 0))
+    ratio[1:] *= _HALF
+    samples = np.square(independent) * (2 * np.pi * _WINDOW**2)
+    best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
+    ratio, samples = (np.take_along_axis(part, best, 0)[0] for part in (ratio, samples))
+    return ratio, whole[0], samples
 
 
 def finer_stripes(image: np.ndarray) -> np.ndarray:
@@ -111,23 +123,23 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
         over the channels.
     mean : array like it
         Of the same parts.
-    seen : array like it
-        Samples of it over those of the bin that has most.
+    count : array like it
+        Views that see the bin.
     """
-    weight = np.asarray(lf["weight"].values)
-    weight = np.where(weight >= _OPEN, weight, 0)
+    weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
-    variance, mean, fraction = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
+    variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
-        # Sums of weight, weight x value and weight x value^2 over each quadrant of the pupil.
+        # Counts, sums of values and of their squares over each quadrant of the pupil.
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
         for row, row_weight, down in zip(plane, weight, v, strict=True):
-            moved, moved_weight = shifted(row, down * slope, axis=1), shifted(row_weight, down * slope, axis=1)
+            moved, moved_weight = (shifted(part, down * slope, axis=1) for part in (row * row_weight, row_weight))
             for view, view_weight, across in zip(moved, moved_weight, u, strict=True):
                 if not view_weight.any():
                     continue
-                value, part = shifted(view, across * slope, axis=1), shifted(view_weight, across * slope, axis=1)
-                moments = np.stack([part, part * value, part * value * value])
+                # Between a bin and none, the bin's value counts, for as much as its weight.
+                total, part = (shifted(one, across * slope, axis=1) for one in (view, view_weight))
+                moments = np.stack([part, total, total * total / np.maximum(part, 1e-6)])
                 # A view on a dividing line belongs to both of its sides by half.
                 for j, vertical in enumerate(_sides(down)):
                     for i, horizontal in enumerate(_sides(across)):
@@ -138,9 +150,9 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
             seen = np.maximum(count, 1e-6)
             variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
             mean[index] += total / seen
-            fraction[index] = count / max(float(count.max()), 1e-6)
+            views[index] += count
     channels = lf.sizes.get("c", 1)
-    return variance / channels, mean / channels, fraction
+    return variance / channels, mean / channels, views / channels
 
 
 def _sides(step: float) -> tuple[float, float]:

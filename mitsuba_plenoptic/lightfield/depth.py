@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -20,7 +19,7 @@ from .agreement import finer_stripes, view_disagreement
 from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
-from .plane_choice import LENSES, VIEWS, Disagreement, choose, noise_floor
+from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocus import shift_and_add
 
 RIGHT = 0.01
@@ -48,16 +47,17 @@ def depth_map(
 ) -> xr.Dataset:
     r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
 
-    For planes spaced in disparity it is measured how well the views agree: those of an unfocused camera by
-    `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`. `plane_choice`
-    makes probabilities of it, with those of neighbouring bins, and takes the most probable plane, refined by a
-    parabola.
+    For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
+    unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
+    `plane_choice` makes probabilities of it, with those of neighbouring bins, takes the most probable plane, refined by
+    a parabola, and tests whether it explains more than it would of noise alone, and whether most neighbours agree.
 
     The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
-    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
-    where stripes may be finer than two lenses. It is 0 where views agree best at an end of the search: the depth is
-    then unknown, at least that near or that far. Near the plane that is in focus on the array of a focused camera
-    neighbouring lenses see nothing in common; what is there is unknown in the same way.
+    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well,
+    where most neighbours are at other distances, and where stripes may be finer than two lenses. It is 0 where views
+    agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
+    Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
+    there is unknown in the same way.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def depth_map(
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
     samples = lf.size if micro_images is None else micro_images.values.size
-    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 48.0 * bins
+    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 84.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",
@@ -232,23 +232,16 @@ def disagreement_of_planes(
     else:
         measure, samples = partial(view_disagreement, lf), VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
-    variance, whole = np.empty((2, len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    ratio, whole, counted_for = np.empty((3, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        variance[index], whole[index] = measure(float(slope))
+        ratio[index], whole[index], counted_for[index] = measure(float(slope))
     distances = distance_of(lf, slopes)
-    if np.isnan(variance).all():
+    if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    # Interpolation smooths views or micro-images the more, the farther they are moved from whole samples: on some
-    # planes noise and fine texture would agree better than on others, if the variance was not held against the whole.
-    floor = noise_floor(brightness)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        typical = np.nanmedian(whole, axis=0)
-    variance *= ((typical + floor) / (whole + floor)).astype(np.float32)
-    return Disagreement(variance, brightness, 1 / distances), samples
+    return disagreement(ratio, whole, counted_for, brightness, 1 / distances), samples
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,10 @@ _OPEN = 0.5
 _REACH = 2.0
 _FEWEST = 5.0
 
+# Independent samples in a window for each comparison in a bin: found on even fields of noise, of which the ratio of
+# variances then varies as much as the number of samples says.
+_PER_COMPARISON = 8.0
+
 # Micro-images are smoothed by these weights along both axes: without it, interpolation smooths what moves by half a
 # pixel more than what moves by a whole one, and planes of such moves would agree better.
 _SMOOTH = (0.25, 0.5, 0.25)
@@ -66,8 +70,11 @@ class LensComparison:
         self._values = _smoothed(images.values, images.weight)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
-    def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the variance between micro-images of neighbouring lenses, moved so that one disparity coincides.
+    def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return which part of the variance neighbouring lenses leave unexplained, moved so that a disparity coincides.
+
+        The variance that samples of a bin have is what is to be explained, the one between those of neighbouring lenses
+        is left unexplained. Interpolation lessens both alike.
 
         Parameters
         ----------
@@ -76,15 +83,18 @@ class LensComparison:
 
         Returns
         -------
-        variance : (t, s) float32 array
-            For the bins of the light field; NaN where neighbours see nothing in common.
+        ratio : (t, s) float32 array
+            Of the bins of the light field; 1 where lenses have nothing in common but noise, NaN where they compare
+            nothing.
         whole : (t, s) float32 array
-            The variance that the same samples have in each bin: what is to be explained. Interpolation lessens both.
+            The variance that is to be explained.
+        samples : (t, s) float32 array
+            Of noise alone, the ratio has a variance of 1 over this.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
         if slope == 0 or min(self._images.weight.shape[2:]) < 3:
-            return np.full(shape, np.nan, dtype=np.float32), np.full(shape, np.nan, dtype=np.float32)
+            return np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
         values, opened = self._straightened(slope)
         squares, counts, sums, sums_of_squares = np.zeros((4, *opened.shape), dtype=np.float32)
         views = opened.shape[2:]
@@ -113,8 +123,9 @@ class LensComparison:
         variance = total / many
         # The mean of two has half of the variance by which both differ, and all of that which they share.
         whole = np.maximum(second / many - np.square(first / many), 0) + variance / 2
-        variance, whole = np.where(seen >= _FEWEST, (variance, whole), np.nan).astype(np.float32)
-        return variance, whole
+        ratio = np.divide(variance, whole, out=np.ones_like(whole), where=whole > 0)
+        ratio, whole = np.where(seen >= _FEWEST, (ratio, whole), np.nan).astype(np.float32)
+        return ratio, whole, _PER_COMPARISON * seen
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:

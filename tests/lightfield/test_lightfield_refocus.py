@@ -205,7 +205,7 @@ class TestDepth:
         )
         assert np.median(np.abs(found.image.values - sharp)) < 0.02
         known = np.isfinite(found.depth.values)
-        assert 0.6 < known.mean() < 1
+        assert known.mean() > 0.6
         assert np.array_equal(known, found.confidence.values >= 0.5)
         np.testing.assert_allclose(
             found.disparity.values[known], [disparity(lf, g) for g in found.depth.values[known]], atol=1e-9
@@ -283,8 +283,7 @@ class TestDepth:
     def test_an_even_field_with_few_photons_has_no_depth(self):
         white = Capture(0.5 * white_image(CAMERA), CAMERA)
         found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
-        # The version that this was found in stated 26 %.
-        assert float(np.isfinite(found.depth).mean()) < 0.1
+        assert float(np.isfinite(found.depth).mean()) < 0.02
         assert float(found.confidence.max()) < 0.9
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])

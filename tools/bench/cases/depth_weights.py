@@ -14,7 +14,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import micro_images
 from mitsuba_plenoptic.lightfield.agreement import finer_stripes
 from mitsuba_plenoptic.lightfield.depth import RIGHT, default_slopes, disagreement_of_planes, is_focused
-from mitsuba_plenoptic.lightfield.plane_choice import WEIGHTS, at_an_end, indications
+from mitsuba_plenoptic.lightfield.plane_choice import MAJORITY, WEIGHTS, at_an_end, indications
 
 from .. import Row, case
 from ..scenes.depth import CAMERAS, FITTED_SCENES
@@ -25,11 +25,11 @@ PHOTONS = (0, 500)
 MAY_BE_FINER = 0.25
 """Bins of which `finer_stripes` returns more are left out: what it returns is no matter of weights."""
 
-FINER = ("stripes of 1.15 lenses",)
-"""Scenes that are left out likewise: of focused cameras nothing returns how finely they are striped."""
+FINER = {"stripes of 1.15 lenses": tuple(CAMERAS), "stripes of 1.3 lenses": ("square", "hexagonal")}
+"""Scenes that are left out likewise before some cameras. Of focused ones nothing returns how fine stripes are."""
 
-BOUNDS = [(None, None), (0, None), (0, None), (None, -1.0), (None, 0)]
-"""Of each weight. That of what no plane explains is at most -1: the scenes fitted to have little of it."""
+BOUNDS = [(None, None), (0, None), (None, 0), (0, None)]
+"""Of each weight: the sign that it can have."""
 
 Observed = tuple[np.ndarray, np.ndarray]
 """Indications of the depths of a capture's bins, (bins, indications), and which of them are right, (bins,)."""
@@ -47,7 +47,7 @@ Observed = tuple[np.ndarray, np.ndarray]
     page="docs/numbers.md",
     quick={"cameras": ("square",), "scenes": 2},
 )  # fmt: skip
-def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 10) -> Iterator[Row]:
+def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 20) -> Iterator[Row]:
     """Fit scenes that no table judges, before four cameras, without noise and with 500 photons in a pixel of value 1.
 
     By logistic regression: maximum likelihood, all bins counted alike, one set of weights for all cameras, none with
@@ -55,8 +55,8 @@ def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 
     """
     mi.set_log_level(mi.LogLevel.Error)
     found: dict[str, list[Observed]] = {}
-    for name in [each for each in FITTED_SCENES if each not in FINER][:scenes]:
-        for camera in cameras or CAMERAS:
+    for name in list(FITTED_SCENES)[:scenes]:
+        for camera in [each for each in cameras or CAMERAS if each not in FINER.get(name, ())]:
             capture, known = captured(name, camera, Path(captures) if captures else None, fitted=True)
             for photons in PHOTONS:
                 observed = observe(exposed(capture, photons, 8), known["truth"])
@@ -75,9 +75,9 @@ def observe(capture: mp.Capture, truth: np.ndarray) -> Observed:
     lf = mp.decode(capture)
     images = micro_images(capture) if is_focused(lf) else None
     found, samples = disagreement_of_planes(lf, default_slopes(lf), None, images)
-    place, indicated = indications(found, samples, RIGHT)
+    place, indicated, agreeing = indications(found, samples, RIGHT)
     depth = 1 / np.interp(place, np.arange(len(found.inverse)), found.inverse)
-    inside = np.isfinite(truth) & ~at_an_end(found.variance, place)
+    inside = np.isfinite(truth) & ~at_an_end(found, place, RIGHT) & (agreeing >= MAJORITY)
     if not is_focused(lf):
         inside &= finer_stripes(lf.sel(u=0.0, v=0.0, method="nearest").values) < MAY_BE_FINER
     return indicated[:, inside].T, np.abs(depth / truth - 1)[inside] < RIGHT

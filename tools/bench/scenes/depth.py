@@ -314,6 +314,8 @@ FITTED_SCENES: dict[str, Callable[[Stage], None]] = {
     "no texture": _even,
     "card beyond, far": _beyond(0),
     "card beyond, near": _beyond(1),
+    "stripes of 1.3 lenses": _striped(1.3),
+    "stripes of 2 lenses": _striped(2.0),
 }
 """Those to which `depth.weights` fits, with other seeds."""
 
