@@ -55,9 +55,9 @@ VIEWS, LENSES = 20.0, 3.0
 MAJORITY = 0.5
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood,
-# without a majority and without stripes of 1.3 and 2 lenses. With both, the case `depth.weights` of `tools/bench` finds weights at most
-# 0.12 from these, of a likelihood per bin 0.1 % greater; they make more depths sure, wrong ones of stripes and of cards
-# beyond the search among them.
+# without a majority and without stripes of 1.3 and 2 lenses. With both, the case `depth.weights` of `tools/bench` finds
+# weights at most 0.12 from these, of a likelihood per bin 0.1 % greater; they make more depths sure, wrong ones of
+# stripes and of cards beyond the search among them.
 WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 
