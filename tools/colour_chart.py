@@ -19,7 +19,7 @@ import numpy as np
 from skimage.color import deltaE_ciede2000, xyz2lab
 
 from mitsuba_plenoptic import Capture, Detector, demosaic, expose, load_scene, reconstruct, render_capture, scene_path
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 
 LIMIT = 1.0
 SPACING, WIDTH, COLUMNS, ROWS = 2.5, 2.2, 6, 4

@@ -21,7 +21,7 @@ from ..io.captures import MODELS, Capture, read_capture
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, states_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
-from ..report.output_files import Brightness
+from ..report.images import Brightness
 from ..runtime.batches import BatchMap
 from ..runtime.cluster import Cluster
 from ..runtime.variant import DEFAULT_VARIANT

@@ -15,7 +15,8 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
-from ..report.output_files import Brightness, reconstruction_paths, write_reconstructions
+from ..report.images import Brightness
+from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.progress import progress_bar
 from ..runtime.variant import set_variant
 from .inputs import (

@@ -15,7 +15,7 @@ import yaml
 
 from ..errors import naming
 from ..io.files import atomic_output, remove_leftovers
-from ..report.output_files import shrink, write_png
+from ..report.images import shrink, write_png
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Progress
 from ..runtime.variant import set_variant

@@ -260,8 +260,8 @@ def to_radiance(
     light, *others = sums
     whites = white if task.white is None else others.pop(0)
     images = []
-    for number, (distance, total, own, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
-        divisor, reached = divisors(own, hits, distance, computed=task.white is None)
+    for number, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
+        divisor, reached = divisors(divisor, hits, distance, computed=task.white is None)
         image = _divided(total, divisor, reached)
         if others:
             rising = [_divided(found, divisor, reached) for (found,) in others[2 * number : 2 * number + 2]]

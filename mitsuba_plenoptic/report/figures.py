@@ -23,8 +23,8 @@ from .framing import (
     show,
     show_difference,
 )
+from .images import shrink
 from .metrics import ssim_text
-from .output_files import shrink
 
 
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:

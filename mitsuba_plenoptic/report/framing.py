@@ -16,7 +16,7 @@ from matplotlib.patheffects import withStroke
 from ..camera import PlenopticCamera
 from ..io.files import atomic_output
 from .experiment import Experiment
-from .output_files import to_bytes
+from .images import to_bytes
 
 
 class Window(NamedTuple):

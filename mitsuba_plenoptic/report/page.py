@@ -21,8 +21,8 @@ from .claims import Claim
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, common_peak, lit_window
+from .images import to_bytes
 from .metrics import ssim_text
-from .output_files import to_bytes
 from .stage_store import software, time_summary, write_json
 
 _EXPLANATIONS = {

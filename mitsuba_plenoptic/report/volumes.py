@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..reconstruction.results import Volume
-from .output_files import write_png
+from .images import write_png
 
 _GAP = 4
 """Black pixels between the parts of a picture."""

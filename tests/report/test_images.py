@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.report.output_files import reconstruction_paths, shrink, write_png
+from mitsuba_plenoptic.report.images import shrink, write_png
+from mitsuba_plenoptic.report.output_files import reconstruction_paths
 
 
 @pytest.mark.parametrize(

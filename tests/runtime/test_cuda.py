@@ -74,6 +74,8 @@ ADJOINTS = {
     ],
 }
 """They hand parts of the image to their batches, or the bins between steps, through the host."""
+PLANNED = {"sum on a turned array"}
+"""The orders of an array that is no product of two axes are transformed on the host, once for each optical system."""
 
 
 @pytest.fixture
@@ -104,7 +106,7 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, 
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5 * np.abs(theirs).max())
     finished = sum(array.size for array in expected)
     sizes = [int(np.prod(shape)) for shape in device.to_host]
-    assert name in ADJOINTS or sum(size for size in sizes if size > SIDE) <= 1.5 * finished
+    assert name in {*ADJOINTS, *PLANNED} or sum(size for size in sizes if size > SIDE) <= 1.5 * finished
 
 
 def test_a_field_on_the_device_stays_there(device):

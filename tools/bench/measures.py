@@ -10,7 +10,7 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera, design
 from mitsuba_plenoptic.report.experiment import agreement
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 
 from .registry import Row
 

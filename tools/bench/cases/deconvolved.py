@@ -14,7 +14,7 @@ from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
 from mitsuba_plenoptic.report.experiment import thin_lens_image
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 
 from .. import Row, at_least, at_most, case, figure, pick
 from ..timing import in_process, once, paired, peak_memory

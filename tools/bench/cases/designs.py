@@ -10,7 +10,7 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 
 from .. import Row, case, figure
 

@@ -17,7 +17,7 @@ from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction import Reconstruction, Volume
 from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.volumes import write_volume_overview
 
 from .. import Row, at_most, case, figure

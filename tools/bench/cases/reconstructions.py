@@ -12,7 +12,7 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct, render_capture, write_capture
 from mitsuba_plenoptic.report.experiment import best_shift, thin_lens_image
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 
 from .. import Pivot, Row, at_least, at_most, case, pick
 from ..measures import scores, write_comparison

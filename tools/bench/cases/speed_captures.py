@@ -20,7 +20,7 @@ from mitsuba_plenoptic.operator.patch import PatchBatch
 from mitsuba_plenoptic.operator.recorder import Recorder
 from mitsuba_plenoptic.operator.sharing import find_patterns
 from mitsuba_plenoptic.operator.tile import PatchTile
-from mitsuba_plenoptic.report.output_files import write_png
+from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.runtime.batches import Batch, BatchMap, Threads, add
 from mitsuba_plenoptic.runtime.fft import fft, worker_count
 

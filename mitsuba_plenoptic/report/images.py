@@ -1,0 +1,87 @@
+"""Images as pictures: how bright they are drawn, and PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ..errors import InputError, require_number
+from ..io.files import atomic_output
+
+
+def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
+    """Write a linear image as an 8-bit PNG, encoded by `to_bytes`; a file is replaced only by a complete one."""
+    with atomic_output(path, ".png") as temporary:
+        Image.fromarray(to_bytes(image, peak)).save(temporary, format="PNG")
+
+
+def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
+    """Encode a linear image (rows, columns[, 3]) in 8 bits, sRGB.
+
+    `peak`, by default the image's maximum, becomes white, and what is negative or not a number becomes black.
+    """
+    values = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    if peak is None:
+        peak = float(values.max())
+    # An image that is all black stays so.
+    values = np.clip(values / peak, 0, 1) if peak > 0 else np.zeros_like(values)
+    return np.round(255 * _srgb(values)).astype(np.uint8)
+
+
+def shrink(image: np.ndarray, longest: int) -> np.ndarray:
+    """Average blocks of pixels, whole blocks only, until neither side is longer than `longest`."""
+    rows, columns = image.shape[:2]
+    factor = -(-max(rows, columns) // longest)
+    if factor == 1:
+        return image
+    # A long and narrow image keeps at least one block on its short side.
+    down, across = min(factor, rows), min(factor, columns)
+    whole = image[: rows // down * down, : columns // across * across]
+    blocks = whole.reshape(rows // down, down, columns // across, across, *image.shape[2:])
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear values from 0 to 1 (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+_MOST_STOPS = 100.0
+
+_DEFAULT_PERCENTILE = 99.5
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """A rule for the value that becomes white; what is brighter is white, too."""
+
+    # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
+    exposure: float | None = None
+    # Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default: 99.5
+    # where there is no exposure. If it is black, the brightest becomes white.
+    percentile: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.exposure is not None and self.percentile is not None:
+            raise InputError(f"exposure = {self.exposure:g}, percentile = {self.percentile:g}: give one of the two")
+        if self.exposure is not None:
+            require_number("exposure", self.exposure, minimum=-_MOST_STOPS, maximum=_MOST_STOPS)
+        if self.percentile is not None:
+            require_number("percentile", self.percentile, positive=True, maximum=100)
+
+    def white(self, images: Sequence[np.ndarray]) -> float:
+        """Return the value that becomes white in pictures that are looked at together; NaN counts as nothing."""
+        if self.exposure is not None:
+            return float(2.0**-self.exposure)
+        values = np.concatenate([image[np.isfinite(image)] for image in images])
+        if not values.size:
+            return 1.0
+        percentile = _DEFAULT_PERCENTILE if self.percentile is None else self.percentile
+        for value in (np.percentile(values, percentile), values.max()):
+            if value > 0:
+                return float(value)
+        return 1.0
