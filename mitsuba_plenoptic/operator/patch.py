@@ -18,8 +18,8 @@ angular spectrum.
 All of this is done in the frame that is turned with the microlens lattice about the axis, in which the main lens is
 the same.
 
-The tilt of the chief ray is rounded to a whole number of frequency samples and left out: it shifts the spectrum,
-and the intensity does not feel it. So the pitch has to hold only the cone of the pupil and the microlens, and
+The tilt of the chief ray is rounded to an integer number of frequency samples and omitted: it shifts the spectrum,
+without an effect on the intensity. The pitch must therefore represent only the cone of the pupil and the microlens, and
 some of the light that the edges of the microlenses scatter.
 """
 
