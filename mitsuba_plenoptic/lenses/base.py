@@ -261,7 +261,7 @@ class MainLens(Protocol):
             Dr.Jit values: ``focal_length``, ``aperture_radius``, ``mla_distance``, ``wavelength``, ``wavefront``.
         names : container of str
             The parameters that vary.
-        turned : float or Dr.Jit number
+        turned : float or Dr.Jit array
             Clockwise rotation of the scene, in degrees, that precedes the frame of the points.
         """
 

@@ -21,13 +21,13 @@ from .lens_system import LensSystem
 from .pupil_polynomials import Degrees, Polynomial, Scales, fit
 
 _BEYOND = 1.1
-"""Largest ray height that is traced, over the semi-aperture of each surface."""
+"""Largest accepted ray height, over the semi-aperture of each surface."""
 
 _STEP = 1e-4
 """Distance of neighbouring rays over the pupil's radius, from which the density of rays is computed."""
 
 _STEEPEST = 10.0
-"""Largest slope of rays behind the lens that is traced."""
+"""Largest accepted slope of rays behind the lens."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class ThinLens(UniformLens, FinitePupil):
     model : {"ideal", "parabolic"}
         Refraction of rays: ``"ideal"`` by slopes, which is stigmatic, or ``"parabolic"`` by direction cosines, as
         by the parabolic phase element that the wave model always uses.
-    aberrations : floats or Dr.Jit numbers
+    aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
     """
 

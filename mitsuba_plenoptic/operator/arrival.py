@@ -42,10 +42,10 @@ _PUPIL_SAMPLES = 250
 """Least samples across the pupil's radius: an edge softened over one sample loses a third of a sample's light."""
 
 _KEPT_BENDS = 3.3
-"""Least steepest direction retained behind the microlenses, over the scattering of a microlens."""
+"""Lower bound of the band retained behind the microlenses, over the scattering of a wide microlens."""
 
 _KEPT_ORDERS = 20
-"""Least steepest direction retained, in diffraction orders of the aperture of a microlens."""
+"""Lower bound of the same band, in diffraction orders of the aperture of a microlens."""
 
 BLOCK = 512
 """Number of rows that are transformed together."""
@@ -110,7 +110,7 @@ def field_grids(
     coarse = min(wide, fast_length(wide * pitch * finest * refinement))
     detector_samples = pixels[0] * pixels[1] * per_pixel**2
     check_memory(
-        # at the pupil, on the way to the MLA, or with the doubled grid of the detector
+        # at the pupil, during propagation to the MLA, or with the doubled grid of the detector
         8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
         + 32.0 * BLOCK * wide,
         f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})",

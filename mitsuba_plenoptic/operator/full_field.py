@@ -1,4 +1,4 @@
-r"""The field of one scene point through the whole camera, without shortcuts: the reference of the other routes.
+r"""The field of one scene point through the whole camera, computed in full: the reference for the other methods.
 
 Behind the main lens, at the pupil point P, a point source at X has the field
 
@@ -178,7 +178,7 @@ def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids
 
 
 def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
-    """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
+    """Integrate rows of the doubled grid over the recorded pixels: multiply their spectrum by the pixel's sinc."""
     size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
     spectrum = rfft(intensity, axis=1)
     pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
@@ -190,7 +190,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """One point: a batch."""
+    """A batch of a single point."""
 
     system: OpticalSystem
     position: NDArray[np.float64]
@@ -199,11 +199,11 @@ class _FullField:
 
     @property
     def samples(self) -> int:
-        """Samples on the detector."""
+        """Number of samples on the detector."""
         return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
-        """Do all of it."""
+        """Compute the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
         part = Part(_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
@@ -272,7 +272,7 @@ class FullFieldSum:
         self.items = np.ones(len(self._lit), np.int64)
 
     def batches(self, first: int) -> Iterator[_FullField]:
-        """Yield one batch a point."""
+        """Yield one batch for each point."""
         return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:

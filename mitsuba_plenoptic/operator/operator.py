@@ -58,8 +58,8 @@ class CaptureOperator:
         Wavelengths, and the channels that record them. Weights then have a value for each wavelength. Point spreads are
         computed for each wavelength, or for each of the spectrum's nodes.
     method : {"patch", "full_field"}
-        Method of computing point spreads: on the part of the array that each lights, or without approximations of the
-        grid.
+        Method of computing point spreads: each on the part of the array that its point lights, or on the whole field,
+        without shortcuts.
     accuracy : float
         Allowed relative error (L2, over the image), below 1. With the method "patch", points of nearly the same
         wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its own, and
@@ -271,7 +271,7 @@ class CaptureOperator:
         -------
         dict
             The derivatives of the scalar by name, float64 arrays: two for ``mla_pitch`` (along the rows and across
-            them; their sum if the two pitches are one parameter) and for ``mla_offset``, one for each
+            them; add the two if both pitches are one parameter) and for ``mla_offset``, one for each
             ``mla_focal_length``, 36 or more for ``wavefront``, and one for all others. `adjoint` gives the derivatives
             by the weights.
 

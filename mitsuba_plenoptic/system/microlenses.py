@@ -77,7 +77,7 @@ def bend(camera: PlenopticCamera) -> float:
 
 
 def scattering(camera: PlenopticCamera) -> float:
-    """Return the change of direction cosine by a microlens, of many Fresnel zones, beyond which there is little light.
+    """Return the change of direction cosine by a wide microlens beyond which there is little light.
 
     The edges of opaque gaps scatter more than the joints of lenses.
     """

@@ -32,7 +32,7 @@ class Memory:
         self._used: Counter[tuple[int, ...]] = Counter()
 
     def restart(self) -> None:
-        """Let the next point have all of it."""
+        """Make all of the memory available to the next point."""
         self._used.clear()
 
     @contextmanager
@@ -43,7 +43,7 @@ class Memory:
         self._used = used
 
     def take(self, shape: tuple[int, ...]) -> Field:
-        """Return a complex64 array that holds anything."""
+        """Return an uninitialised complex64 array."""
         fields, used = self._fields.setdefault(shape, []), self._used[shape]
         if used == len(fields):
             fields.append(self.arrays.empty(shape, np.complex64))

@@ -76,7 +76,7 @@ class DerivativePlan(PatchPlan):
         self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
 
     def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
-        """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
+        """Return the derivatives, not yet computed, of the sum with weights (n, channels) in some directions."""
         return JvpSum(self, weights, directions)
 
     def vjp(
@@ -130,11 +130,11 @@ class DerivativePlan(PatchPlan):
         return gradients
 
     def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
-        """Multiply an image with the change of that of some sums where the pixels move."""
+        """Return the product of an image with the derivative of the image of sums as the pixels move."""
         return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
 
     def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
-        """Turn a vector of the camera's frame into one of the lattice's."""
+        """Transform a vector from the frame of the camera to that of the lattice."""
         return np.array(turn(vector[0], vector[1], -self._grid.rotation))
 
     def _shifted(self, names: Iterable[str]) -> bool:
@@ -279,7 +279,7 @@ class Differentials:
         """
         _require_threads(job)
 
-        # As many directions at once as fit into memory.
+        # Process as many directions together as fit into memory.
         parts: list[tuple[float, list[int], list[int]]] = []
         for wavelength, some in groups(wavelengths):
             step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
@@ -321,6 +321,6 @@ class Differentials:
 
 
 def _require_threads(job: Job) -> None:
-    """Refuse jobs by which derivatives are not computed."""
+    """Refuse jobs that derivatives do not support."""
     if not isinstance(job.workers, Threads):
         raise InputError("job: derivatives are computed by threads of this process only")
