@@ -53,7 +53,7 @@ class Fields:
 
     grid: Grid
     placement: Placement
-    positions: NDArray[np.float64]  # (n, 3), in the frame of the lattice
+    positions: NDArray[np.float64]  # scene points in the frame of the lattice, (n, 3)
     pupil_weights: PupilWeights | None
 
     @property

@@ -217,7 +217,7 @@ class VjpBatch:
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
     offset: VaryingNumbers | None  # as in `JvpBatch`
-    tile: NDArray[np.float32]  # (channels, rows, columns): the gradient with respect to the samples that they reach
+    tile: NDArray[np.float32]  # gradient by the samples that the spreads cover, (channels, rows, columns)
     summed: int  # sums of the point spreads: 0, 1 (with their weights) or 3 (also times the copies' x, and y)
     varies: tuple[bool, ...]  # the factors whose cotangents are asked for
 
