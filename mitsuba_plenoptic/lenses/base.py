@@ -1,13 +1,13 @@
-r"""What every main lens offers, as rays and as waves pass it: all else asks it, and nothing else knows its kind.
+r"""The interface of main lenses: `MainLens` for rays and for waves; other modules do not depend on the kind of lens.
 
 A main lens stands in the camera frame, whose origin is its front principal plane. The microlens array (MLA) is at the
 distance b behind its rear principal plane; for a thin lens both planes are z = 0. Rays are followed from the MLA to the
-scene. Waves are followed the other way: a scene point has a field on the exit pupil, given by the path from the point
-in waves and by its amplitude, and propagates from there to the MLA.
+scene. Waves are followed in the opposite direction: the field of a scene point on the exit pupil, given by the path
+from the point in waves and by its amplitude, propagates from there to the MLA.
 
-A new main lens is a file with a class that has the methods of `MainLens`, and with a function, marked by `builds`, that
-makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays; where those carry gradients, so do the
-results.
+A new kind of main lens is a module with a class that has the methods of `MainLens` and a function, marked by
+`builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
+gradients that these carry.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
     from .round_pupil import RoundMap
 
 Pair = tuple[Any, Any]
-"""x and y in the camera frame, of places or of slopes."""
+"""x and y in the camera frame, of positions or of slopes."""
 
 Traced = tuple[tuple[Any, Any, Any], Pair, Any]
-"""Where a ray starts towards the scene, its slopes there, and whether the main lens lets it through."""
+"""Start point of a ray towards the scene, its slopes there, and whether it passes the main lens."""
 
 
 @dataclass(frozen=True)
 class LensNumbers:
-    """What a main lens is built from.
+    """Parameters from which a main lens is built.
 
     Attributes
     ----------
     camera : PlenopticCamera
-        The camera, for all that has no gradients.
+        The camera, for all parameters without gradients.
     wavelength : float, optional
-        In nanometres. None: that of the main lens's own numbers.
+        Wavelength in nanometres. None selects the wavelength for which the main lens is specified.
     focal_length, aperture_radius, mla_distance : float or Dr.Jit array
-        Those of the camera, or the same with gradients.
+        Values of the camera, possibly with gradients.
     wavefront : floats or Dr.Jit arrays
-        Coefficients of its aberrations.
+        Coefficients of the aberrations.
     model : {"ideal", "parabolic"}
-        How rays refract, see `PlenopticCamera`.
+        Refraction model of rays, see `PlenopticCamera`.
     """
 
     camera: PlenopticCamera
@@ -61,11 +61,11 @@ class LensNumbers:
 Builder = TypeVar("Builder", bound=Callable[[LensNumbers], Any])
 
 BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
-"""Functions that make a main lens, by the type of what a camera's `main_lens` is."""
+"""Functions that make a main lens, by the type of the camera's `main_lens`."""
 
 
 def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that makes the main lens of cameras whose `main_lens` is of some type; None's is a thin one."""
+    """Mark the function that builds main lenses from a `main_lens` of some type; `type(None)` selects the thin lens."""
 
     def mark(function: Builder) -> Builder:
         BUILDERS[description] = function
@@ -75,14 +75,14 @@ def builds(description: type) -> Callable[[Builder], Builder]:
 
 
 class MainLens(Protocol):
-    """What the camera asks of its main lens. Lengths are millimetres, wavelengths nanometres.
+    """The methods of a main lens that the camera uses. Lengths are in millimetres, wavelengths in nanometres.
 
-    What is about waves is asked of the lens that `waves_of` returns, which serves the points that it was given.
+    Methods for waves are called on the lens that `waves_of` returns, with the points that `waves_of` received.
     """
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of the smallest circle about the axis that holds the exit pupil."""
+        """Radius of the smallest circle about the axis that contains the exit pupil."""
 
     @property
     def pupil_distance(self) -> Any:
@@ -90,19 +90,19 @@ class MainLens(Protocol):
 
     @property
     def reach(self) -> float:
-        """Radius of a circle about the axis that holds the exit pupil, seen from anywhere on the detector."""
+        """Radius of a circle about the axis that contains the exit pupil as seen from anywhere on the detector."""
 
     @property
     def is_round(self) -> bool:
-        """Whether it is the same all around the axis."""
+        """Whether the lens is rotationally symmetric about the axis."""
 
     @property
     def refraction(self) -> float:
-        """A number that is the same for lenses of one camera through which all rays go the same ways."""
+        """Value that is equal for lenses of one camera that refract all rays alike."""
 
     @property
     def is_open_evenly(self) -> bool:
-        """Whether from everywhere on the MLA the same circle of the exit pupil is open."""
+        """Whether the same circle of the exit pupil is unvignetted from every position on the MLA."""
 
     @property
     def changes_evenly(self) -> bool:
@@ -110,17 +110,17 @@ class MainLens(Protocol):
 
     @property
     def entrance(self) -> Entrance:
-        """The scene's side of it."""
+        """The scene side of the lens."""
 
     @property
     def round_map(self) -> RoundMap | None:
-        """A map from the pupil, seen off the axis, onto the round one near the axis; None where both are the same."""
+        """Map from the pupil seen off the axis to the round pupil near the axis; None if both are the same."""
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return a radius and the z between which all rays start that reach the MLA up to a distance from the axis."""
+        """Return the radius and the z values that bound the start points of rays to the MLA within `field`."""
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
-        """Return the lens as the waves of scene points (n, 3) pass it.
+        """Return the lens for wave propagation from scene points (n, 3).
 
         Parameters
         ----------
@@ -130,57 +130,57 @@ class MainLens(Protocol):
         Raises
         ------
         InputError
-            If a point does not lie before a real main lens, or not within the field that it covers.
+            If a point does not lie before a real main lens, or lies outside the field that the lens covers.
         PhysicsError
-            If its path cannot be fitted.
+            If the path of a point cannot be fitted.
         """
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
-        """Return the light of a single scene point (3,), as exactly as the lens can."""
+        """Return the light of a single scene point (3,), as exactly as the lens can represent it."""
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
-        """Return points (n, 3) that `waves_of` needs for all light at some finite distances that a detector sees."""
+        """Return points (n, 3) that `waves_of` needs to cover all light at finite distances that a detector sees."""
 
     def chief_point(self, place: Any, detector_distance: Any) -> Any:
-        """Return one coordinate on the MLA of rays from places on the detector to the middle of the exit pupil."""
+        """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
 
     def pupil_distance_from(self, behind: Any) -> Any:
-        """Return how far on the exit pupil rays from one point so far behind the MLA are apart, over their slopes."""
+        """Return the separation on the exit pupil, per difference in slope, of rays from a point `behind` the MLA."""
 
     def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the exit pupil of rays from places nearer to it by a height than the MLA.
+        """Return one coordinate on the exit pupil of rays from positions at a height before the MLA.
 
         Parameters
         ----------
         place : array
-            Coordinates where the rays meet the array.
+            Coordinates of the positions from which the rays come.
         slope : array
             Their slopes along the same axis.
         height : array
-            How far the places stand before the MLA.
+            Distance of the positions before the MLA, towards the exit pupil.
         """
 
     def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
-        """Return the slope along one axis between points of the exit pupil and places near the MLA.
+        """Return the slope along one axis between points of the exit pupil and positions near the MLA.
 
         Parameters
         ----------
         pupil, place : array
             Coordinates on the exit pupil and near the MLA.
         height : array
-            How far the places stand before the MLA.
+            Distance of the positions before the MLA, towards the exit pupil.
         """
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of the circle of the radius `reach` that is open, seen from places on the MLA."""
+        """Return the unvignetted fraction of the circle of radius `reach`, as seen from positions on the MLA."""
 
     def vergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance, behind the rear principal plane, of an object plane's image."""
+        """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
 
     def trace(
         self, place: tuple[Any, Any], slope: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Follow a ray from a place on the MLA to the scene.
+        """Follow a ray from a position on the MLA to the scene.
 
         Parameters
         ----------
@@ -192,18 +192,18 @@ class MainLens(Protocol):
         Returns
         -------
         point : (array, array, array)
-            Where the ray starts towards the scene, in the camera frame.
+            Start point of the ray towards the scene, in the camera frame.
         slope : (array, array)
-            Its slopes there.
+            Slopes of the ray there.
         open : array
-            Whether the lens lets it through.
+            Whether the ray passes the lens.
         """
 
     def convergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
+        """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
 
     def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Return the ray that comes from a place on the MLA through a pupil point, as `trace` does."""
+        """Return the ray from a position on the MLA through a pupil point, in the form that `trace` returns."""
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
         """Return the light of some scene points.
@@ -211,22 +211,22 @@ class MainLens(Protocol):
         Parameters
         ----------
         points : float64 array (n, 3)
-            The points in the camera frame, or in one that is turned about the axis if the lens is round.
+            The points in the camera frame, or in a frame rotated about the axis if the lens is round.
         which : UInt32 array of Dr.Jit, optional
-            The point of each lane. Default: NumPy's arrays (n, m) are asked for, of which each row is a point's.
+            The point of each lane. Default: the light takes NumPy arrays (n, m), one row per point.
         """
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
+        """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
 
     def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the reciprocals of the distances of scene points (n, 3) from the lens's entrance pupil; (n,)."""
+        """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil."""
 
     def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        """Return the scene points (n, 3) with these `images` and this `nearness`."""
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the places (2, ...) on the MLA of rays that leave points of the pupil by direction cosines.
+        """Return the positions (2, ...) where rays from points of the pupil with given direction cosines meet the MLA.
 
         Parameters
         ----------
@@ -237,12 +237,12 @@ class MainLens(Protocol):
         """
 
     def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of the circle of the radius `reach` that is open to each of some points, (n,)."""
+        """Return the fraction (n,) of the circle of radius `reach` that is unvignetted for each point."""
 
     def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return derivatives of the logarithm of the open area for points, (1, n), by those parameters it knows.
+        """Return derivatives (1, n) of the logarithm of the open area of each point, for the parameters that affect it.
 
-        For all others the area is that of a pupil that grows with the opening.
+        For all other parameters the open area is that of a pupil that scales with the aperture.
 
         Parameters
         ----------
@@ -258,68 +258,68 @@ class MainLens(Protocol):
         Parameters
         ----------
         numbers : mapping
-            ``focal_length``, ``aperture_radius``, ``mla_distance``, ``wavelength`` and ``wavefront`` of Dr.Jit.
+            Dr.Jit values: ``focal_length``, ``aperture_radius``, ``mla_distance``, ``wavelength``, ``wavefront``.
         names : container of str
-            Which of them vary.
-        turned : float or Dr.Jit number
-            Degrees by which the scene turns, clockwise, before the frame of the points.
+            The parameters that vary.
+        turned : float or Dr.Jit array
+            Clockwise rotation of the scene, in degrees, that precedes the frame of the points.
         """
 
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
-        """Return the lens with plain parameters that a function has made Dr.Jit's, if kernels depend on them."""
+        """Return the lens with plain parameters made opaque by a function, if kernels depend on them."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
-        """Return where chief rays from object points come that bins of reconstructions count at x, y.
+        """Return the positions on the MLA of chief rays from object points that reconstruction bins assign to x, y.
 
         Parameters
         ----------
         x, y : array
-            Coordinates on the MLA of the images of the bins by a thin lens.
+            Coordinates on the MLA of the images of the bins, as a thin lens forms them.
         camera : PlenopticCamera
             The camera.
         distance : float
-            Of the object plane, in millimetres.
+            Distance of the object plane in millimetres.
         """
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places on the MLA (..., 2), those to which no light comes moved towards the axis to where it does."""
+        """Return positions (..., 2) on the MLA, those outside the illuminated field moved inwards to its edge."""
 
     def cone(self, distances: Any) -> float:
-        """Return half the range of direction cosines of one point's light at the MLA, the widest of some distances."""
+        """Return half the range of direction cosines of one point's light at the MLA, the largest over `distances`."""
 
     def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
-        """Go back along plane waves at a place on the MLA, as the Debye integral does.
+        """Follow plane waves back from a position on the MLA, as in the Debye integral.
 
         Parameters
         ----------
         cosine : (array, array)
             Direction cosines of the waves.
         image : (array, array)
-            The place.
+            The position.
 
         Returns
         -------
         pupil : (array, array)
             Points of the exit pupil from which they come.
         length : array
-            By how much a small range of direction cosines is spread there: :math:`dP = R ds` near the axis.
+            Length on the pupil per small range of direction cosines: :math:`dP = R ds` near the axis.
         path : array
-            From there to the place, less that from the pupil's centre, in millimetres.
+            Path from there to the position, less that from the pupil's centre, in millimetres.
         """
 
     def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction cosines, (..., 2), from points of the exit pupil to places on the MLA."""
+        """Return the direction cosines, (..., 2), from points of the exit pupil to positions on the MLA."""
 
     def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slopes of the chief rays at places on the MLA."""
+        """Return the slopes of the chief rays at positions on the MLA."""
 
     def curvature(self, square: Any) -> Any:
-        """Return the curvature of waves at the MLA from the pupil, at a squared distance from its centre."""
+        """Return the curvature at the MLA of waves from the pupil, at a squared distance from its centre."""
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return by how many waves, at the pupil's edge, wavefronts differ whose images lie a small step apart.
+        """Return the difference in waves, at the pupil's edge, between wavefronts whose images lie a small step apart.
 
-        Beyond the tilt that goes with the step. `radius` is the distance of the images from the axis.
+        The tilt that corresponds to the step is excluded.
 
         Parameters
         ----------
@@ -333,9 +333,9 @@ class MainLens(Protocol):
 
 
 class Light(Protocol):
-    """Scene points' light on the exit pupil. Lengths are millimetres, wavelengths nanometres.
+    """Light of scene points on the exit pupil. Lengths are in millimetres, wavelengths in nanometres.
 
-    Points that it is asked for must be those that it is bound to.
+    The points passed to its methods must be those to which it is bound.
     """
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
@@ -352,29 +352,29 @@ class Light(Protocol):
         """
 
     def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return the modulus of a scene point's field on the exit pupil, in units that are the same for all of it."""
+        """Return the modulus of a scene point's field on the exit pupil, in units common to the whole field."""
 
     def inside(self, pupil: tuple[Any, Any]) -> Any:
-        """Return how far within the edge of the exit pupil a point lies, negative outside."""
+        """Return the distance of a point from the edge of the exit pupil, positive inside and negative outside."""
 
     def is_open(self, pupil: tuple[Any, Any]) -> Any:
-        """Return whether a point lies within the edge of the exit pupil, or but for rounding on it."""
+        """Return whether a point lies inside the exit pupil or, up to rounding, on its edge."""
 
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the direction cosines in which a scene point's light leaves the exit pupil, the gradient of `path`."""
+        """Return the direction cosines of a scene point's light at the exit pupil: the gradient of `path`."""
 
     def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the place on the MLA of the ray from a scene point through a pupil point; `ray` leads back."""
+        """Return the position on the MLA of the ray from a scene point through a pupil point; `ray` traces it back."""
 
 
 class PointLight(Protocol):
-    """What `MainLens.waves_of_one` returns: the path, amplitude and edge of `Light` for one point."""
+    """The path, amplitude and edge of `Light` for one point, as `MainLens.waves_of_one` returns them."""
 
     pupil_radius: Any
     pupil_distance: Any
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return what `Light.path` does.
+        """Return the path as `Light.path` does.
 
         Parameters
         ----------
@@ -387,24 +387,24 @@ class PointLight(Protocol):
         """
 
     def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return what `Light.amplitude` does."""
+        """Return the amplitude as `Light.amplitude` does."""
 
     def inside(self, pupil: tuple[Any, Any]) -> Any:
-        """Return what `Light.inside` does."""
+        """Return the distance from the edge as `Light.inside` does."""
 
 
 @dataclass(frozen=True)
 class Entrance:
-    """The scene's side of a main lens, in the camera frame; a thin lens is its own pupils.
+    """The scene side of a main lens in the camera frame; the pupils of a thin lens coincide with the lens.
 
     Attributes
     ----------
     pupil : float
         z of the entrance pupil, in millimetres.
     front : float
-        z of a plane before all of the lens.
+        z of a plane in front of the whole lens.
     magnification : float
-        Places on the exit pupil over those on the entrance pupil.
+        Coordinates on the exit pupil over those on the entrance pupil.
     """
 
     pupil: float = 0.0

@@ -1,4 +1,4 @@
-"""What several main lenses have in common: a pupil at a finite distance, or one that is the same for all points."""
+"""Base classes of main lenses: a pupil at a finite distance, and a pupil that is the same for all points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .base import Entrance
 
 
 class UniformLens:
-    """A main lens that is the light of any scene point itself, and whose whole pupil is open to all of them."""
+    """A main lens that serves as the light of every scene point, and whose whole pupil is open to all of them."""
 
     pupil_radius: Any
 
@@ -32,7 +32,7 @@ class UniformLens:
 
     @property
     def entrance(self) -> Entrance:
-        """That of a thin lens."""
+        """Entrance of a thin lens."""
         return Entrance()
 
     def waves_of(self, points: NDArray[np.float64]) -> Self:
@@ -60,7 +60,7 @@ class UniformLens:
         return np.ones(len(points))
 
     def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return none."""
+        """Return an empty mapping: the open area depends on the aperture alone."""
         return {}
 
     def opaque(self, number: Callable[[Any], Any]) -> Self:
@@ -68,67 +68,67 @@ class UniformLens:
         return self
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
-        """Return the places themselves."""
+        """Return the positions unchanged."""
         return x, y
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the places themselves."""
+        """Return the positions unchanged."""
         return images
 
 
 class FiniteDistance:
-    """A main lens with its exit pupil at a finite distance before the array, for rays."""
+    """A main lens with its exit pupil at a finite distance before the array, for the ray model."""
 
     pupil_distance: Any
 
     def chief_point(self, place: Any, detector_distance: Any) -> Any:
-        """Return one coordinate on the MLA of rays from places on the detector to the middle of the exit pupil."""
+        """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
         return rays.chief_point(place, self.pupil_distance, detector_distance)
 
     def pupil_distance_from(self, behind: Any) -> Any:
-        """Return the distance to the pupil from a plane so far behind the MLA."""
+        """Return the distance to the pupil from a plane at a distance `behind` the MLA."""
         return self.pupil_distance + behind
 
     def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the exit pupil of rays from places nearer to it by a height than the MLA."""
+        """Return one coordinate on the exit pupil of rays from positions at a height before the MLA."""
         return place + (self.pupil_distance - height) * slope
 
     def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
-        """Return the slope, along one axis, between places as of `pupil_point` and points of the exit pupil."""
+        """Return the slope, along one axis, between positions as in `pupil_point` and points of the exit pupil."""
         return (pupil - place) / (self.pupil_distance - height)
 
 
 class FinitePupil(FiniteDistance, ABC):
-    """A main lens with its exit pupil at a finite distance b before the array, for rays and for waves."""
+    """A main lens with its exit pupil at a finite distance b before the array, for the ray and the wave model."""
 
     pupil_radius: Any
 
     @abstractmethod
     def convergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
+        """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the places on the MLA to which rays go on straight."""
+        """Return the positions where straight rays from the pupil meet the MLA."""
         return pupil + self.pupil_distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
 
     def cone(self, distances: Any) -> float:
-        """Return the cosine to the rim of the pupil: of light that is collimated, or meets at MLA or image."""
+        """Return the largest cosine to the rim of the pupil, for light focused on the MLA or on any of the images."""
         powers = np.abs(self.convergence(distances))
         return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
 
     def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
-        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R without that of the chief ray."""
+        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R less that of the chief ray."""
         (sx, sy), (x, y), b = cosine, image, self.pupil_distance
         R = b / _sqrt(1 - sx * sx - sy * sy)
         return (x - R * sx, y - R * sy), R, R - _sqrt(x * x + y * y + b * b)
 
     def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction cosines from points of the pupil to places on the MLA."""
+        """Return the direction cosines from points of the pupil to positions on the MLA."""
         towards = image - pupil
         return np.asarray(towards / np.sqrt((towards**2).sum(-1) + self.pupil_distance**2)[..., None])
 
     def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slopes of the chief rays at places on the MLA."""
+        """Return the slopes of the chief rays at positions on the MLA."""
         return np.asarray(image / self.pupil_distance)
 
     def curvature(self, square: Any) -> Any:

@@ -1,9 +1,9 @@
 """Radial and tangential distortion of the main lens as a map of rays.
 
-A ray that crosses the plane of the microlens array in m goes on behind the main lens as if it came from U(m) through
-the same point of the pupil. U is Brown's polynomial (D. C. Brown, "Decentering distortion of lenses", 1966): points in
-focus on the array are imaged sharply, at the place that the inverse of U gives. Points out of focus have their place
-distorted as at the plane of the array; the pupil itself is not distorted.
+A ray that crosses the plane of the microlens array at m continues behind the main lens as if it came from U(m) through
+the same point of the pupil. U is Brown's polynomial (D. C. Brown, "Decentering distortion of lenses", 1966). Points in
+focus on the array are imaged sharply, at the position that the inverse of U gives. Points out of focus are distorted
+in the same manner, by the positions at which their rays cross the array; the pupil itself is not distorted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
     Parameters
     ----------
     x, y : float or array
-        Place on the plane of the microlens array, in mm from the axis.
+        Position in the plane of the microlens array, in mm from the axis.
     distortion : five floats
         k1, k2, k3 in mm^-2, mm^-4, mm^-6, p1 and p2 in mm^-1.
     """
@@ -36,12 +36,12 @@ def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
 
 
 def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return U(m) of places (n, 2) with its derivatives.
+    """Return U(m) for positions (n, 2), with its derivatives.
 
     Parameters
     ----------
     m : (n, 2) array
-        Places on the MLA in millimetres.
+        Positions on the MLA in millimetres.
     distortion : five numbers
         k1, k2, k3, p1 and p2.
 

@@ -1,14 +1,14 @@
-r"""One scene point's light on the exit pupil of a real main lens: its path, amplitude and edge, fitted to traced rays.
+r"""One scene point's light on the exit pupil of a real main lens: path, amplitude and edge, fitted to traced rays.
 
-Rays go from the point through the entrance pupil and all surfaces to the plane of the exit pupil. There path, amplitude
-and what each surface leaves of the light are smooth functions of the place, for which polynomials are fitted by least
-squares. Of the path the polynomial is that which it differs by from a sphere around the paraxial image (the wave
+Rays are traced from the point through the entrance pupil and all surfaces to the plane of the exit pupil. There
+path, amplitude and the heights on each surface are smooth functions of the position, to which polynomials are fitted by
+least squares. For the path the polynomial is its difference from that of a sphere around the paraxial image (the wave
 aberration: Welford, "Aberrations of Optical Systems", chapter 7). The field is
 
 .. math:: U(P) = A(P) \exp(i k \Phi(P)), \quad A = \frac{g}{|E - X|^2} \sqrt{\left| \frac{dE}{dP} \right|}
 
-with E the point of the entrance pupil whose ray comes to P, and g the distance of the object from its plane: the power
-that a thin lens in that pupil takes (see `ThinLens.amplitude`), carried along the rays.
+with E the point of the entrance pupil whose ray arrives at P, and g the distance of the object from its plane: the
+amplitude that a thin lens in that pupil receives (see `ThinLens.amplitude`), transported along the rays.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from . import sequential
 from .lens_system import LensSystem
 
 _ACROSS = 45
-"""Rays across the entrance pupil; every second one is fitted, and the others judge."""
+"""Rays across the entrance pupil; alternate rays are fitted, and the others check the fit."""
 
 _WIDER, _BEYOND = 1.4, 1.1
-"""How far out rays are tried, in the pupil's radii, and how far beyond the surfaces' edges they are fitted."""
+"""Largest radius at which rays are started, over the pupil's, and largest height fitted, over the semi-aperture."""
 
 _DEGREE = 10
-"""Of the polynomials."""
+"""Degree of the polynomials."""
 
 _FARTHEST_IMAGE = 1e12
-"""Distance in millimetres of an image at infinity."""
+"""Distance in millimetres that represents an image at infinity."""
 
 _POWERS = [(i, degree - i) for degree in range(_DEGREE + 1) for i in range(degree + 1)]
 
@@ -44,7 +44,7 @@ _Place = tuple[Any, Any]
 
 
 class ExitPupil:
-    """The light of a scene point behind a real main lens.
+    """The light of a scene point on the exit pupil of a real main lens.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class ExitPupil:
     Raises
     ------
     InputError
-        If the point does not lie before the lens, or none of its light gets through.
+        If the point does not lie before the lens, or no light of it passes the lens.
     PhysicsError
         If the path cannot be fitted.
     """
@@ -84,7 +84,7 @@ class ExitPupil:
         error = float(np.sqrt(np.mean((left - left.mean()) ** 2))) / in_millimetres(wavelength)
         self.error = error
         guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
-        # What lets all fitted rays through ends no light.
+        # A surface that lets all traced rays through does not vignette.
         ends = [stop for stop in stops if stop.max() > 1]
         fitted = _fit(basis, np.array([*E, *ends]).T).T
         self._stops = list(fitted[2:])
@@ -99,15 +99,15 @@ class ExitPupil:
         Returns
         -------
         P, E : (2, n) array
-            Where they pass the planes of the exit and of the entrance pupil, in millimetres.
+            Positions in the planes of the exit and of the entrance pupil, in millimetres.
         slopes : (2, n) array
-            Their slopes behind the lens, by the distance towards the array.
+            Slopes behind the lens, as change per distance towards the array.
         path : (n,) array
             Path to the exit pupil in millimetres, less a constant.
         stops : list of (n,) array
-            For each surface the square of the distance from the axis over that of its edge.
+            Squared distance from the axis over the squared semi-aperture of each surface.
         is_open : (n,) bool array
-            Whether all surfaces let them through.
+            Whether rays pass all surfaces.
         """
         lens, scale, numbers = self._lens, self._lens.scale, self._lens.numbers
         X, Y, g = (coordinate / scale for coordinate in self._point)
@@ -131,7 +131,7 @@ class ExitPupil:
         return P, E, slopes, scale * (before + path + left)[kept], stops, is_open
 
     def _image(self, P: NDArray, slopes: NDArray, is_open: NDArray) -> tuple[float, float, float]:
-        """Return the sphere's centre, from that of the exit pupil: at the paraxial distance, on a middle ray."""
+        """Return the reference sphere's centre from the exit pupil's: at the paraxial distance, on a central ray."""
         vergence = float(self._lens.vergence(self._point[2]))
         behind = math.copysign(_FARTHEST_IMAGE, vergence) if abs(vergence) * _FARTHEST_IMAGE < 1 else 1 / vergence
         z = behind + self.pupil_distance - float(self._lens.mla_distance)
@@ -140,12 +140,12 @@ class ExitPupil:
         return x + z * tx, y + z * ty, z
 
     def _basis(self, P: NDArray) -> NDArray:
-        """Return all products of powers at places (2, n): (n, terms)."""
+        """Return all products of powers (n, terms) at positions (2, n)."""
         x, y = (P - self._middle[:, None]) / self._radius
         return np.stack([x**i * y**j for i, j in _POWERS], -1)
 
     def _amplitudes(self, P: NDArray, E: NDArray, fitted: NDArray) -> NDArray:
-        """Return the amplitude of each ray from how densely rays of the entrance pupil lie in the exit pupil."""
+        """Return the amplitude of each ray from the mapping of the exit pupil to the entrance pupil."""
         x, y = (P - self._middle[:, None]) / self._radius
         along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in _POWERS], -1) / self._radius
         along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in _POWERS], -1) / self._radius
@@ -169,14 +169,14 @@ class ExitPupil:
         return total
 
     def path(self, pupil: _Place, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path to a pupil point, as `MainLens.path` does.
+        """Return the path to a pupil point, as `Light.path` does.
 
         Parameters
         ----------
         pupil : (array, array)
             Point on the plane of the exit pupil in millimetres.
         point : (array, array, array)
-            Scene point; it must be this pupil's own.
+            Scene point; it must be the one for which this object was made.
         wavelength : float
             Wavelength in nanometres.
         """
@@ -184,19 +184,19 @@ class ExitPupil:
         return waves * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: _Place, point: tuple[Any, Any, Any]) -> Any:
-        """Return the amplitude at a pupil point, as `MainLens.amplitude` does.
+        """Return the amplitude at a pupil point, as `Light.amplitude` does.
 
         Parameters
         ----------
         pupil : (array, array)
             Point on the plane of the exit pupil in millimetres.
         point : (array, array, array)
-            Scene point; it must be this pupil's own.
+            Scene point; it must be the one for which this object was made.
         """
         return self._polynomial(self._amplitude, pupil)
 
     def inside(self, pupil: _Place) -> Any:
-        """Return how far within the edges of all surfaces a point lies, negative outside, right near the edges."""
+        """Return the distance of a point from the nearest surface's edge, positive inside; accurate near the edges."""
         x, y = (P - float(m) for P, m in zip(pupil, self._middle, strict=True))
         least = self._radius - _sqrt(x * x + y * y)
         step = 1e-4 * self._radius
@@ -213,7 +213,7 @@ class ExitPupil:
 
 
 def _sphere_path(pupil: Any, image: tuple[float, float, float]) -> Any:
-    """Return by how much farther from an image the pupil's centre is than a point of it: the path of a perfect wave."""
+    """Return the path of a perfect wave: the distance from the pupil's centre to the image less that from a point."""
     (x, y), (mx, my, mz) = pupil, image
     axis = math.sqrt(mx * mx + my * my + mz * mz)
     dx, dy = x - mx, y - my
@@ -222,7 +222,7 @@ def _sphere_path(pupil: Any, image: tuple[float, float, float]) -> Any:
 
 
 def _fit(basis: NDArray, values: NDArray) -> NDArray:
-    """Return the coefficients by which values (n,) or (n, m) are nearest to polynomials."""
+    """Return the coefficients of the least-squares polynomials of values (n,) or (n, m)."""
     Q, R = np.linalg.qr(basis)
     return np.linalg.solve(R, Q.T @ values)
 

@@ -1,4 +1,4 @@
-"""The one place that makes a camera's main lens: for rays and waves of plain numbers, and for Dr.Jit's."""
+"""The function that makes a camera's main lens, from plain parameters or from Dr.Jit arrays with gradients."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def main_lens(
     camera : PlenopticCamera
         The camera.
     wavelength : float, optional
-        In nanometres. Default: that of the main lens's own numbers.
+        Wavelength in nanometres. Default: that for which the main lens is specified.
     varying : mapping, optional
-        Numbers by name that stand for the camera's, such as Dr.Jit's with gradients: ``focal_length``,
+        Values that replace the camera's, such as Dr.Jit arrays with gradients: ``focal_length``,
         ``aperture_radius``, ``mla_distance`` and ``wavefront``.
     model : {"ideal", "parabolic"}, optional
-        How rays refract. Default: the camera's `lens_model`.
+        Refraction model of rays. Default: the camera's `lens_model`.
 
     Raises
     ------
     InputError
-        If nothing is marked to build a lens of this kind.
+        If no function is registered for a main lens of this type.
     """
     given = varying or {}
     names = "focal_length", "aperture_radius", "mla_distance", "wavefront"

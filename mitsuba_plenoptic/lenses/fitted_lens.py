@@ -1,10 +1,10 @@
-r"""A real main lens for the waves of many points: its exit pupil as polynomials over pupil, field and distance.
+r"""A real main lens for waves from many points: its exit pupil as polynomials of pupil position, field and distance.
 
-`ExitPupil` traces and fits the light of one point. Here rays of points all over the field and all distances in question
-are fitted together, so that the light of any number of points costs no more rays. Of the path the polynomial is what
-differs from a pupils around the paraxial image (the wave aberration, distortion included: Welford, "Aberrations of
-Optical Systems", chapters 7 and 8); others are the amplitude, and what each surface that cuts beams leaves of them.
-Rays of points in between judge the fit.
+`ExitPupil` traces and fits the light of one point. This module fits rays of points over the whole field and range of
+distances together, so that the number of rays does not depend on the number of points. One polynomial is the difference
+of the path from that of a sphere around the paraxial image (the wave aberration, distortion included: Welford,
+"Aberrations of Optical Systems", chapters 7 and 8); others are the amplitude and the edge of each vignetting surface.
+Rays of other points within the same range check the fit.
 """
 
 from __future__ import annotations
@@ -31,44 +31,43 @@ FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
 
 WITHIN = 0.999
-"""Part of the fitted field that is asked for: the last digits of a place may lie beyond."""
+"""Fraction of the fitted field that is used, so that rounding does not place points beyond it."""
 
 _INVERSIONS = 12
-"""Steps by which scene points of given images are found: each takes away the error but for the distortion's part."""
+"""Iterations that find scene points from images; each multiplies the error by about the relative distortion."""
 
 _HEIGHTS, _ANGLES, _RADII = 33, 16, 8
-"""Fields and places on the pupil at which wavefronts are compared."""
+"""Fields, angles and radii on the pupil at which wavefronts are compared."""
 
 _RIM = 0.999
-"""Largest of these places, over the pupil's radius: what lies on the very edge may count as outside."""
+"""Largest of these radii over the pupil's radius, since points on the very edge may count as outside."""
 
 _AS_TOLD = 2.0
-"""What changes of the path count for.
+"""Weight of changes of the path.
 
-With the closed form of the thin lens the bounds of sharing have been chosen, and it tells as much more than its path.
+The bounds for sharing patterns were chosen with the thin lens's closed form, which exceeds its path by this factor.
 """
 
 _NEAR_EDGE = 0.15
-"""Distance, over the pupil's radius, up to which places feel by how much an edge moves."""
+"""Distance from an edge, over the pupil's radius, up to which positions sample the motion of the edge."""
 
 _EDGE_WEIGHT = 1 / 4
-"""Waves of a wavefront that is as unlike as light whose edge moves by what one wave's tilt across a lens does."""
+"""Change of a wavefront, in waves, that counts as much as an edge shift of one wave's tilt across a lens."""
 
 
 _STRETCHED = 257
-"""Distances from the axis at which it is found how images are stretched."""
+"""Distances from the axis at which the stretch of images is computed."""
 
 
 @dataclass(frozen=True)
 class ImageStretch:
-    """Where on the array chief rays of object points come, over where bins of reconstructions have them."""
+    """Positions on the array of chief rays from object points, relative to those that reconstruction bins assume."""
 
-    # Distances of object points from the axis as bins count them, :math:`X b / g`, as far as light comes from there;
-    # (n,).
+    # Distances of object points from the axis on the scale of the bins, :math:`X b / g`, in the lit field, (n,).
     places: NDArray[np.float64]
-    # Distance of the chief rays from the axis over these; (n,).
+    # Distances of the chief rays from the axis over `places`, (n,).
     ratio: NDArray[np.float64]
-    # By how much areas grow; (n,).
+    # Local magnification of areas, (n,).
     area: NDArray[np.float64]
 
 
@@ -77,10 +76,10 @@ class FittedLens(FinitePupil):
     """A real main lens at one wavelength, for scene points within a range of fields and distances."""
 
     system: Any
-    # Radius of a circle about the axis that holds the open exit pupil wherever the detector looks, in millimetres.
+    # Radius in millimetres of a circle about the axis that contains the open exit pupil for the whole detector.
     pupil_radius: float
     fitted: PupilFit
-    # How it changes with parameters, by their names, as far as that has been asked for; see `lens_changes`.
+    # Derivatives by parameters, cached by name; see `lens_changes`.
     changes: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     is_round = True
@@ -91,23 +90,23 @@ class FittedLens(FinitePupil):
         return float(self.system.pupil_distance)
 
     def vergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance, behind the rear principal plane, of an object plane's image."""
+        """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
         return self.system.vergence(distance)
 
     def convergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to an object plane's image."""
+        """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
     def trace(self, place: Place, slope: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
-        """Follow a ray from a place on the MLA to the scene, as `MainLens.trace` does."""
+        """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(place, slope)
 
     def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
-        """Return the ray that comes from a place on the MLA through a pupil point, as `MainLens.ray` does."""
+        """Return the ray from a position on the MLA through a pupil point, as `MainLens.ray` does."""
         return self.system.ray(pupil, place)
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of the pupil that is open, seen from places on the MLA, as `MainLens.open_fraction`."""
+        """Return the open fraction of the pupil, seen from positions on the MLA, as `MainLens.open_fraction` does."""
         found: NDArray[np.float64] = self.system.open_fraction(x, y)
         return found
 
@@ -138,7 +137,7 @@ class FittedLens(FinitePupil):
         )
 
     def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of the circle of the radius `pupil_radius` that is open to each of some points, (n,)."""
+        """Return the fraction (n,) of the circle of radius `pupil_radius` that is unvignetted for each point."""
         return open_area(self, points) / (math.pi * self.pupil_radius**2)
 
     def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -155,17 +154,17 @@ class FittedLens(FinitePupil):
         return VaryingLens(self, numbers["mla_distance"], own, turned)
 
     def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
-        """Return the lens itself, whose parameters are in arrays."""
+        """Return the lens itself, because its parameters are stored in arrays."""
         return self
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
-        """Return where chief rays from object points come, as `MainLens.stretch` does."""
+        """Return the positions of chief rays from object points, as `MainLens.stretch` does."""
         found = self.image_stretch(camera, distance)
         ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
         return x * ratio, y * ratio
 
     def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
-        """Return how the image of an object plane is stretched, up to the corners of the bins."""
+        """Return the stretch of the image of an object plane, up to the corners of the bins."""
         g = min(distance, FAR)
         near = float(self.nearness(np.array([[0.0, 0.0, g]]))[0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
@@ -180,21 +179,21 @@ class FittedLens(FinitePupil):
         return ImageStretch(places, ratio, ratio * growth)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where on the MLA the rays through the middle of the exit pupil come; (n, 2)."""
+        """Return the positions (n, 2) on the MLA of the rays through the centre of the exit pupil."""
         zero = np.zeros((len(points), 1))
         return np.concatenate(self.bind(points).land((zero, zero), None), axis=1)
 
     def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the reciprocals of the distances of points from the entrance pupil; (n,)."""
+        """Return the reciprocals (n,) of the distances of points from the entrance pupil."""
         return self.fitted.pupils.field(points)[1]
 
     @property
     def reach(self) -> float:
-        """The radius of that circle."""
+        """The same as `pupil_radius`."""
         return self.pupil_radius
 
     def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points that have these images and nearnesses, (n, 3)."""
+        """Return the scene points (n, 3) with these images and nearnesses."""
         pupils, distance = self.fitted.pupils, 1 / nearness
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil_distance)
@@ -207,13 +206,13 @@ class FittedLens(FinitePupil):
         return np.column_stack([field * distance[:, None], depth])
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places on the MLA (..., 2), those to which no light comes moved towards the axis to where it does."""
+        """Return positions (..., 2) on the MLA, those outside the illuminated field moved inwards to its edge."""
         away = np.hypot(images[..., 0], images[..., 1])[..., None]
         return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
 
     @functools.cached_property
     def _covered(self) -> float:
-        """Distance from the axis up to which light comes to the array, whatever the distance of its points."""
+        """Distance from the axis up to which light reaches the array from points at every distance."""
         scales, entrance = self.fitted.aberration.scales, self.fitted.pupils.entrance
         distances = [
             min(1 / max(near, 1e-300), FAR) for near in (scales.middle - scales.half, scales.middle + scales.half)
@@ -222,9 +221,9 @@ class FittedLens(FinitePupil):
         return WITHIN * float(np.hypot(*self.images(np.array(ends)).T).min())
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return by how many waves wavefronts differ whose images lie a step apart, as `MainLens.path_change` does.
+        """Return the difference in waves of wavefronts whose images lie a step apart, as `MainLens.path_change` does.
 
-        Where edges cut beams, light that they let through or not counts, too.
+        The motion of vignetting edges contributes, too.
         """
         places, paths, edges = self._changes
         path, edge = np.interp(radius, places, paths), np.interp(radius, places, edges)
@@ -233,10 +232,10 @@ class FittedLens(FinitePupil):
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Distances of images from the axis; there, for images that move outwards or aside, the most by which change.
+        """Distances of images from the axis, and there the largest changes of path and edge as an image moves.
 
-        Over all distances, per millimetre: the path in millimetres, beyond the tilt of the middle, and the place of an
-        edge on the pupil.
+        The maximum is taken over distances and over radial and tangential motion. Changes are per millimetre: of the
+        path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
         """
         scales = self.fitted.aberration.scales
         angle = 2 * math.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES

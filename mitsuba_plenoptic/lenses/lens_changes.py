@@ -1,10 +1,10 @@
-r"""How the light on the exit pupil of a real main lens changes with its focal length, its opening and the wavelength.
+r"""Derivatives of the light on a real main lens's exit pupil by its focal length, aperture radius and wavelength.
 
-The rays to which a lens was fitted (see `fitted_lens`) are traced through two lenses that are a little different. Along
-a ray a fitted function F changes by :math:`F' + \nabla F \cdot P'`, where the ray's place P on the exit pupil changes,
-too; F', the change at the place, is what polynomials of the same degrees are fitted to. The scene point stands still in
-the camera frame, whereas with the focal length the entrance pupil moves against it. All is told with the pupils of the
-lens as it is.
+The rays to which a lens was fitted (see `fitted_lens`) are traced through two slightly different lenses. Along a ray a
+fitted function F changes by :math:`F' + \nabla F \cdot P'`, where P' is the change of the ray's position P on the exit
+pupil and F' the change at a fixed position; polynomials of the same degrees are fitted to F'. The scene point is fixed
+in the camera frame, whereas the entrance pupil moves with the focal length. All quantities refer to the pupils of the
+unchanged lens.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from .pupil_fit import PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Place, Polynomial, PupilPolynomial, fit
 
 LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
-"""Numbers with which the light on the exit pupil changes."""
+"""Parameters that change the light on the exit pupil."""
 
 _STEP = 1e-4
-"""Relative change of a number on either side."""
+"""Relative change of a parameter on either side."""
 
 
 @dataclass(frozen=True, eq=False)
 class LensChange:
-    """What changes, for a change by 1, of a `FittedLens`."""
+    """Derivatives of a `FittedLens` by one parameter."""
 
-    # Distance from the exit pupil to the MLA, in millimetres.
+    # Derivative of the distance from the exit pupil to the MLA, in millimetres.
     pupil_distance: float
     aberration: Polynomial
     brightness: Polynomial
@@ -45,7 +45,7 @@ class LensChange:
 
 
 def lens_change(lens: FittedLens, name: str) -> LensChange:
-    """Return how a fitted lens changes with one of `LENS_NUMBERS`, which the lens holds once it is found."""
+    """Return the derivatives of a fitted lens by one of `LENS_NUMBERS`, which the lens caches."""
     if name not in lens.changes:
         lens.changes[name] = _found_change(lens, name)
     return lens.changes[name]
@@ -63,7 +63,7 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
     for side in moved:
         kept &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
     rays, (more, less) = rays.take(kept), [side.take(kept) for side in moved]
-    # All are told with the field and nearness that the point has before the lens as it is.
+    # All refer to the field and nearness of the point with respect to the unchanged lens.
     more, less = (replace(side, field=rays.field, nearness=rays.nearness) for side in (more, less))
     shift = (more.place - less.place) / (2 * step)
 
@@ -89,15 +89,15 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 
 
 def _seen_from(lens: LensSystem, other: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
-    """Trace rays through another lens from the points that have some fields and nearnesses before the first."""
+    """Trace rays through another lens, from the points that have the given fields and nearnesses for the first lens."""
     nearer = 1 / (1 - nearness * (entrance_place(other) - entrance_place(lens)))
     return trace_all(other, field * nearer, nearness * nearer, entrance)[0]
 
 
 def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivatives of the logarithms of these areas by a number of the camera; (n,).
+    """Return the derivatives (n,) of the logarithms of the open areas by a parameter of the camera.
 
-    The points and the lens stand still; by other numbers than `lens_changes.LENS_NUMBERS` the derivative is 0.
+    The points and the lens are fixed; the derivative by parameters that are not in `LENS_NUMBERS` is 0.
     """
     if name not in LENS_NUMBERS:
         return np.zeros(len(points))
@@ -112,7 +112,7 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
         for number, change in enumerate(changes):
             lanes = [column[:, None] for column in change.at(fields, nearness).T]
             _, x, y = light.stops[number].gradient(pupil)
-            # An edge is where the square is 1, and moves by its change over its slope.
+            # An edge is where the squared height is 1; it moves by the change of that square over its slope.
             value = change.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
             moved = np.where(stop == number, -value / np.sqrt(np.maximum(x * x + y * y, 1e-20)), moved)
         area = np.clip(least / edge + 0.5, 0, 1).sum(1)
@@ -123,14 +123,14 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
 
 @dataclass(frozen=True)
 class VaryingLens(FinitePupil):
-    """A fitted lens; what it offers is what `capture.patch_factors` asks of a `MainLens`."""
+    """A fitted lens with gradients; it offers the part of `MainLens` that `operator.patch_factors` uses."""
 
-    # The lens by plain numbers.
+    # The lens for plain parameters.
     base: FittedLens
     mla_distance: Any
-    # Dr.Jit numbers by name, of `lens_changes.LENS_NUMBERS`, that carry gradients; others are held.
+    # Dr.Jit values with gradients, by names of `LENS_NUMBERS`; parameters that are absent are fixed.
     numbers: dict[str, Any]
-    # Degrees by which the frame of the points turns, counter-clockwise, against the scene.
+    # Counter-clockwise rotation, in degrees, of the frame of the points against the scene.
     turned: Any = 0.0
     pupil_distance: Any = field(init=False)
     _changes: list[tuple[Any, LensChange]] = field(init=False, repr=False)
@@ -151,13 +151,13 @@ class VaryingLens(FinitePupil):
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of a circle about the axis that holds the exit pupil: what hides parts of the pupil grows with it."""
+        """Radius of a circle about the axis that contains the exit pupil: vignetting edges scale with it."""
         if "aperture_radius" not in self.numbers:
             return self.base.pupil_radius
         return grown(self.numbers["aperture_radius"]) * float(self.base.pupil_radius)
 
     def convergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to an object plane's image, which is held."""
+        """Return the reciprocal of the distance from the exit pupil to the image of a plane, without gradients."""
         return self.base.convergence(distance)
 
     def bind(self, points: NDArray[np.float64], which: Any) -> VaryingLight:
@@ -191,13 +191,13 @@ class VaryingLens(FinitePupil):
 
 
 def grown(number: Any) -> Any:
-    """Return by how much a number has grown: 1, with its gradient."""
+    """Return a value over its detached copy: 1, with its relative gradient."""
     return number / dr.detach(number)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The changes that one number makes over the pupil: `amount` is zero, and carries the gradient."""
+    """The changes over the pupil by one parameter: `amount` is zero and carries the gradient."""
 
     amount: Any
     aberration: PupilPolynomial
@@ -207,28 +207,28 @@ class Shown:
 
 @dataclass(frozen=True)
 class VaryingLight:
-    """The light of one scene point a lane, as `LensLight`, and how it changes with some numbers."""
+    """The light of one scene point per lane, as `LensLight`, and its changes with parameters."""
 
-    # The light by plain numbers, of points that may turn.
+    # The light for plain parameters, of points that may be rotated.
     base: LensLight
     changes: list[Shown]
 
     def path(self, pupil: Place, point: Any, wavelength: Any) -> Any:
-        """Return the path in waves, as `Light.path` does; the point must be the light's own."""
+        """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
         length, held = self.base.length(pupil), dr.detach(pupil)
         for change in self.changes:
             length += change.amount * change.aberration.value(held)
         return length * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Place, point: Any) -> Any:
-        """Return the amplitude, as `Light.amplitude` does; the point must be the light's own."""
+        """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
         result, held = self.base.amplitude(pupil, point), dr.detach(pupil)
         for change in self.changes:
             result += change.amount * change.brightness.value(held)
         return result
 
     def inside(self, pupil: Place) -> Any:
-        """Return how far within the edges a place lies, as `Light.inside` does; near the edges with its changes."""
+        """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
         least, held = None, dr.detach(pupil)
         for number, stop in enumerate(self.base.stops):
             away = replace(self.base, stops=[stop]).inside(pupil)
@@ -236,7 +236,7 @@ class VaryingLight:
                 _, x, y = stop.gradient(held)
                 slope = dr.detach(dr.rsqrt(dr.maximum(x * x + y * y, 1e-20)))
                 for change in self.changes:
-                    # An edge is where the square is 1, and moves by its change over its slope.
+                    # An edge is where the squared height is 1; it moves by the change of that square over its slope.
                     away -= change.amount * change.stops[number].value(held) * slope
             least = away if least is None else dr.minimum(least, away)
         return least

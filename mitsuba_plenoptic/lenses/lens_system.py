@@ -1,11 +1,11 @@
-r"""A real lens, surface by surface: its rays.
+r"""Rays through a real lens, traced surface by surface.
 
-The camera frame's origin is the front principal plane, z rises towards the scene, and the microlens array (MLA) is at
-the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal
-length scales the prescription as a whole, and its aperture's radius is that of the entrance pupil.
+The camera frame's origin is the front principal plane, z increases towards the scene, and the microlens array (MLA) is
+at the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal
+length scales the prescription as a whole, and its aperture radius is that of the entrance pupil.
 
-There is no :math:`\cos^4`: as with the thin lens a pixel is the mean radiance over its lens, and what surfaces and stop
-block is dark. Vignetting and the pupil's aberrations change which part of a micro-image is lit, and nothing else.
+There is no :math:`\cos^4` factor: as with the thin lens, a pixel is the mean radiance over its lens, and light that
+surfaces or the stop block is dark. Vignetting and pupil aberrations affect only which part of a micro-image is lit.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from . import sequential
 from .common import FiniteDistance
 
 _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
-"""Places on the array and points across the exit pupil that are tried for light; how far out, in its radii."""
+"""Positions on the array and points across the exit pupil that are tested for light, and the largest radius tested."""
 
 
 _SECANTS = 8
-"""Steps by which chief rays are found."""
+"""Secant iterations that find chief rays."""
 
 
 @dataclass(frozen=True, eq=False)
 class LensSystem(FiniteDistance):
-    """A lens of surfaces, stopped down and scaled, before an array.
+    """A lens of several surfaces, stopped down and scaled, before an array.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class LensSystem(FiniteDistance):
     wavelength : float, optional
         Wavelength in nanometres of the light. Default: the prescription's own.
     indices : sequence of float or Dr.Jit array, optional
-        For `trace`: the index behind each surface that each ray meets. Default: those at the wavelength.
+        For `trace`: the refractive index behind each surface for each ray. Default: the indices at the wavelength.
     """
 
     prescription: Prescription
@@ -77,6 +77,7 @@ class LensSystem(FiniteDistance):
         ------
         InputError
             If it has none.
+            If the camera has no prescription.
         """
         if camera.prescription is None:
             raise InputError("main_lens: the camera has none with surfaces")
@@ -84,23 +85,23 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def numbers(self) -> Paraxial:
-        """Paraxial numbers of the prescription as it is written, at its own wavelength."""
+        """Paraxial quantities of the unscaled prescription at its own wavelength."""
         return paraxial(self.prescription)
 
     @functools.cached_property
     def scale(self) -> Any:
-        """By how much the prescription is enlarged."""
+        """Scale factor of the prescription."""
         return self.focal_length / self.numbers.focal_length
 
     @functools.cached_property
     def stop_radius(self) -> Any:
-        """Radius of the stop before the scaling."""
+        """Radius of the stop before scaling."""
         full = self.prescription.surfaces[self.prescription.stop].semi_aperture
         return self.aperture_radius / self.scale * (full / self.numbers.entrance_radius)
 
     @property
     def is_round(self) -> bool:
-        """Off the axis a pupil that surfaces vignette is not round."""
+        """False: off the axis a vignetted pupil is not round."""
         return False
 
     @property
@@ -115,7 +116,7 @@ class LensSystem(FiniteDistance):
 
     @property
     def front(self) -> Any:
-        """Place z of the first surface's vertex in the camera frame."""
+        """Coordinate z of the first surface's vertex in the camera frame."""
         return self.scale * self.numbers.front_principal
 
     @property
@@ -125,7 +126,7 @@ class LensSystem(FiniteDistance):
 
     @property
     def front_bounds(self) -> tuple[float, tuple[float, float]]:
-        """Semi-aperture of the first surface, and the places z between which it lies."""
+        """Semi-aperture of the first surface, and the range of z that it occupies."""
         surface = self.prescription.surfaces[0]
         radius = surface.semi_aperture
         sag = height(surface, radius * radius)
@@ -133,17 +134,17 @@ class LensSystem(FiniteDistance):
         return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
 
     def pupil_reach(self, field: float) -> float:
-        """Return how far from the axis rays to the MLA pass the plane of the exit pupil.
+        """Return the largest distance from the axis at which rays to the MLA cross the plane of the exit pupil.
 
         Parameters
         ----------
         field : float
-            Distance from the axis up to which the MLA is looked at, in millimetres.
+            Largest distance from the axis on the MLA, in millimetres.
 
         Raises
         ------
         InputError
-            If no ray gets through the lens, even to the axis.
+            If no ray passes the lens, even from the axis.
         """
         radius, distance = self.pupil_radius, self.pupil_distance
         axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
@@ -154,9 +155,9 @@ class LensSystem(FiniteDistance):
         return float(np.max(np.hypot(Px, Py)[is_open])) + (axis[1] - axis[0])
 
     def vergence(self, distance: Any) -> Any:
-        """Return the reciprocal of the distance, behind the rear principal plane, of an object plane's image.
+        """Return the reciprocal of the distance from the rear principal plane to the image of an object plane.
 
-        At other wavelengths than the prescription's own the principal planes move, too.
+        At wavelengths other than the prescription's own the principal planes move, too.
 
         Parameters
         ----------
@@ -166,7 +167,7 @@ class LensSystem(FiniteDistance):
         if self._light == self.prescription.wavelength:
             return vergence(self.focal_length, distance)
         here = paraxial(self.prescription, self._light)
-        # How much farther behind the front principal plane an object is, and the rear one's image.
+        # Extra distances of the object from the front principal plane, and of the image from the rear one.
         front = self.scale * (here.front_principal - self.numbers.front_principal)
         rear = self.scale * (here.rear_principal - self.numbers.rear_principal)
         own = vergence(self.scale * here.focal_length, distance + front)
@@ -175,7 +176,7 @@ class LensSystem(FiniteDistance):
     def trace(
         self, place: tuple[Any, Any], slope: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Follow a ray from a place on the MLA to the scene, as `MainLens.trace` tells."""
+        """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
         point, direction, is_open, _ = self._follow(place, slope)
         return *self._in_camera(point, direction), is_open
 
@@ -185,23 +186,23 @@ class LensSystem(FiniteDistance):
         return (x, y, self.front + z), (L / N, M / N)
 
     def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Follow the ray that comes from a place on the MLA through a point of the exit pupil, as `trace` does."""
+        """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return self.trace(place, (tx, ty))
 
     def beside(
         self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
-        """Return where a ray goes that leaves the MLA from the same place by slopes a little different.
+        """Return the ray that leaves the MLA from the same position with slightly different slopes.
 
-        By paraxial optics: between the principal planes it keeps its height. Ray differentials need no more.
+        The optics are paraxial: the height is the same on both principal planes. Ray differentials need no more.
 
         Parameters
         ----------
         point, slope : tuple of array
-            The ray as `trace` returns it.
+            The ray in the form that `trace` returns.
         change : (array, array)
-            By how much the slopes differ on the MLA.
+            Differences of the slopes on the MLA.
         """
         moved, turned = [], []
         for x, t, d in zip(point[:2], slope, change, strict=True):
@@ -212,7 +213,7 @@ class LensSystem(FiniteDistance):
         return (moved[0], moved[1], point[2]), (turned[0], turned[1])
 
     def chief_slope(self, height: Any) -> Any:
-        """Return the slope on the MLA of the ray from heights on its y axis through the middle of the stop.
+        """Return the slope at the MLA of the ray from heights on its y axis through the centre of the stop.
 
         Parameters
         ----------
@@ -236,7 +237,7 @@ class LensSystem(FiniteDistance):
         return slope
 
     def _follow(self, place: tuple[Any, Any], slope: tuple[Any, Any], squares: list[Any] | None = None) -> Any:
-        """Return what `sequential.follow` does for rays from the MLA, in lengths of the prescription."""
+        """Return the result of `sequential.follow` for rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
         N = _rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in place)
@@ -256,7 +257,7 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def forwards(self) -> list[sequential.Element]:
-        """The surfaces in the order of the scene's light, stopped down, before the scaling."""
+        """The surfaces in the order in which light from the scene meets them, stopped down, before scaling."""
         return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius)
 
     def through(
@@ -274,17 +275,17 @@ class LensSystem(FiniteDistance):
         Returns
         -------
         place : (array, array)
-            Where it meets the MLA.
+            Where the ray meets the MLA.
         slope : (array, array)
-            Its slopes there.
+            Slopes of the ray there.
         open : array
-            Whether the lens lets it through.
+            Whether the ray passes the lens.
         path : array
-            Index times length from the point to the MLA, in millimetres.
+            Optical path from the point to the MLA, in millimetres.
         """
         (x, y, z), (tx, ty) = (tuple(value / self.scale for value in point), slope)
         N = _rsqrt(1 + tx * tx + ty * ty)
-        # Along the light z falls; the lens counts the other way.
+        # In the direction of the light z decreases, whereas the lens counts it in the opposite sense.
         start = (x, y, self.numbers.front_principal - z)
         (x, y, z), (L, M, N), is_open, path = sequential.follow(self.forwards, start, (-tx * N, -ty * N, N))
         left = (self.back_distance / self.scale - z) / N

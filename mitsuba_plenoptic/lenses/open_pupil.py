@@ -1,4 +1,4 @@
-"""How much of the exit pupil of a fitted lens is open to scene points."""
+"""The area of a fitted lens's exit pupil that is unvignetted for scene points."""
 
 from __future__ import annotations
 
@@ -15,20 +15,17 @@ if TYPE_CHECKING:
     from .fitted_lens import FittedLens
 
 _ACROSS, _EDGE = 192, 4.0
-"""Places across the pupil's bounding circle by which its open part is measured, and steps over which edges count."""
+"""Samples across the pupil's bounding circle for its open area, and the width of softened edges in samples."""
 
 _FIELDS, _DEPTHS = 17, 3
-"""Fields and distances at which it is measured for many points."""
+"""Fields and nearnesses of the table from which the open areas of many points are interpolated."""
 
 _TOGETHER = 16
-"""Points for which it is measured at once."""
+"""Points that are computed together."""
 
 
 def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the area of the exit pupil that is open to each point, in square millimetres; (n,).
-
-    Shapes: `points` (n, 3).
-    """
+    """Return the unvignetted area of the exit pupil for points (n, 3), in square millimetres, (n,)."""
 
     def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:
         step, edge, pupil = places(lens)
@@ -39,7 +36,7 @@ def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float
 
 
 def places(lens: FittedLens) -> tuple[float, float, Place]:
-    """Return the step of the places, the width of edges, and the places on the exit pupil."""
+    """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
     step, beyond = 2 * lens.pupil_radius / _ACROSS, round(_EDGE)
     axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.pupil_radius
     x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
@@ -47,7 +44,7 @@ def places(lens: FittedLens) -> tuple[float, float, Place]:
 
 
 def edges(light: LensLight, pupil: Place) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the number of the edge that is nearest to each place, and how far within it the place lies."""
+    """Return the index of the edge nearest to each position, and the position's distance from it, positive inside."""
     away = np.stack([replace(light, stops=[stop]).inside(pupil) for stop in light.stops])
     return away.argmin(0), away.min(0)
 
@@ -55,7 +52,7 @@ def edges(light: LensLight, pupil: Place) -> tuple[NDArray[np.int64], NDArray[np
 def at_all(
     lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return a measure of points: of many from that at some fields and distances, as lenses are round."""
+    """Return a measure of points; for many points it is interpolated over field and nearness, as lenses are round."""
     from scipy.interpolate import RegularGridInterpolator
 
     if len(points) <= _FIELDS * _DEPTHS:
@@ -63,7 +60,7 @@ def at_all(
         return np.concatenate([np.empty(0), *parts])
     field, nearness = lens.fitted.pupils.field(points)
     heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
-    # Ranges that are no points.
+    # The ranges are widened so that they are never empty.
     axes = (
         np.linspace(0, heights.max() + 1e-9 * scales.field, _FIELDS),
         np.linspace(nearness.min(), nearness.max() + 1e-9 * scales.half, _DEPTHS),

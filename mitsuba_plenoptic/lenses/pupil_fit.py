@@ -1,7 +1,7 @@
-"""Rays from scene points through a real main lens to the plane of its exit pupil, of which polynomials are fitted.
+"""Rays from scene points through a real main lens to the plane of its exit pupil, to which polynomials are fitted.
 
-A scene point is told by its field, X and Y over its distance from the entrance pupil, and by the reciprocal of that
-distance, its nearness: both go on smoothly through infinity, to light that converges to a point behind the lens.
+A scene point is described by its field, X and Y over its distance from the entrance pupil, and by its nearness, the
+reciprocal of that distance. Both are smooth through infinity, up to light that converges to a point behind the lens.
 """
 
 from __future__ import annotations
@@ -21,49 +21,49 @@ from .lens_system import LensSystem
 from .pupil_polynomials import Degrees, Polynomial, Scales, fit
 
 _BEYOND = 1.1
-"""How far beyond the surfaces' edges rays are followed, over their semi-apertures."""
+"""Largest accepted ray height, over the semi-aperture of each surface."""
 
 _STEP = 1e-4
-"""Distance of neighbouring rays over the pupil's radius, from which the density of rays is found."""
+"""Distance of neighbouring rays over the pupil's radius, from which the density of rays is computed."""
 
 _STEEPEST = 10.0
-"""Slope of the reference behind the lens, beyond which nothing is followed."""
+"""Largest accepted slope of rays behind the lens."""
 
 
 @dataclass(frozen=True)
 class PupilRays:
-    """Rays of points whose fields lie along y; all arrays have shape (n,) or (2, n)."""
+    """Rays from points whose fields lie along y; all arrays have shape (n,) or (2, n)."""
 
-    # Of the point that each ray comes from; the nearness in 1/mm; (n,).
+    # Field, and nearness in 1/mm, of the point from which each ray comes, (n,).
     field: NDArray[np.float64]
     nearness: NDArray[np.float64]
-    # Where they pass the planes of the exit and of the entrance pupil, in millimetres; (2, n).
+    # Positions in the planes of the exit and of the entrance pupil, in millimetres, (2, n).
     place: NDArray[np.float64]
     entrance: NDArray[np.float64]
-    # Path to the exit pupil less that of the ray through the middle of the entrance pupil, in millimetres; (n,).
+    # Path to the exit pupil less that of the ray through the centre of the entrance pupil, in millimetres, (n,).
     path: NDArray[np.float64]
-    # Modulus of the field there, but for a factor of each point; (n,).
+    # Modulus of the field on the exit pupil, up to a factor that depends on the point alone, (n,).
     amplitude: NDArray[np.float64]
-    # For each surface the square of the distance from the axis over that of its edge; (surfaces, n).
+    # Squared distance from the axis over the squared semi-aperture of each surface, (surfaces, n).
     stops: NDArray[np.float64]
 
     @property
     def open(self) -> NDArray[np.bool_]:
-        """Which of them all surfaces let through."""
+        """Mask of unvignetted rays."""
         return np.asarray((self.stops <= 1).all(axis=0))
 
     def take(self, which: NDArray[Any]) -> PupilRays:
-        """Return some of them."""
+        """Return a selection of the rays."""
         return PupilRays(*(np.asarray(getattr(self, name))[..., which] for name in self.__dataclass_fields__))
 
 
 def entrance_place(lens: LensSystem) -> float:
-    """Return the place z of the entrance pupil in the camera frame."""
+    """Return the z coordinate of the entrance pupil in the camera frame."""
     return float(lens.scale * (lens.numbers.front_principal - lens.numbers.entrance_pupil))
 
 
 def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
-    """Trace rays as `trace_all` does; those that miss a surface, or pass one far beyond its edge, are left out."""
+    """Trace rays as `trace_all` does, and drop those that miss a surface or pass one far beyond its edge."""
     rays, kept = trace_all(lens, field, nearness, entrance)
     return rays.take(kept)
 
@@ -71,13 +71,13 @@ def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
 def trace_all(
     lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
 ) -> tuple[PupilRays, NDArray[np.bool_]]:
-    r"""Trace rays, and tell which of them neither miss a surface nor pass one far beyond its edge.
+    r"""Trace rays, and return a mask of those that neither miss a surface nor pass one far beyond its edge.
 
-    The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the nearness, E the place
-    on the entrance pupil and P that on the exit pupil: what a thin lens in the entrance pupil takes (see
-    `ThinLens.amplitude`), carried along the rays.
+    The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the nearness, E the
+    position on the entrance pupil and P that on the exit pupil: the amplitude that a thin lens in the entrance pupil
+    receives (see `ThinLens.amplitude`), transported along the rays.
 
-    Shapes: `field`, `nearness` (n,), `entrance` (2, n); the result (n,).
+    `field` and `nearness` have the shape (n,), `entrance` (2, n), the mask (n,).
     """
     place, path, stops, slope = _follow(lens, field, nearness, entrance)
     middle = _follow(lens, field, nearness, np.zeros_like(entrance))[1]
@@ -98,9 +98,9 @@ def trace_all(
 def _follow(
     lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return places on the exit pupil, paths, the squares of the heights over the edges', and slopes behind the lens.
+    """Return exit pupil positions, paths, squared heights over squared semi-apertures, and slopes behind the lens.
 
-    All but the last are NaN where a ray misses a surface.
+    All except the slopes are NaN where a ray misses a surface.
     """
     scale, numbers = float(lens.scale), lens.numbers
     x, y = entrance[0] * nearness, entrance[1] * nearness - field
@@ -109,7 +109,7 @@ def _follow(
     before = (square * nearness - 2 * entrance[1] * field) / (length + np.sqrt(field * field + 1))
     start = (*(entrance / scale), np.full_like(field, numbers.entrance_pupil))
     heights: list[Any] = []
-    # No edge: only what misses a surface, or is reflected in whole, is lost.
+    # Edges are ignored: only rays that miss a surface or are totally reflected are lost.
     elements = [sequential.widened(element, np.inf) for element in lens.forwards]
     with np.errstate(all="ignore"):
         (x, y, z), (L, M, N), met, path = sequential.follow(
@@ -126,55 +126,55 @@ def _follow(
 
 _DEGREES = (Degrees(6, 4, 4), Degrees(8, 6, 4), Degrees(10, 8, 5))
 GOOD = 1e-3
-"""Degrees that are tried until the path is met to so many waves root mean square."""
+"""Polynomial degrees that are tried in turn, and the root mean square path error in waves that ends the search."""
 
 _STOPS = Degrees(4, 4, 2)
-"""Degrees of what surfaces leave of beams: low ones, which go on smoothly where no rays are."""
+"""Degrees of the polynomials of vignetting surfaces: low ones, which extrapolate smoothly."""
 
 _ACROSS, _WIDER = 21, 1.4
-"""Rays across the entrance pupil, and how far out, in its radii, they are tried."""
+"""Rays across the entrance pupil, and the radius up to which they are traced, in radii of the pupil."""
 
 _FIELDS, _DEPTHS = 11, 7
-"""Points of which rays are fitted, along the field and along the nearness."""
+"""Points whose rays are fitted, along the field and along the nearness."""
 
 _JUDGES, _JUDGING, _LEAST = 40, 300, 20
-"""Points that judge a fit, rays of each that are tried, and open ones of them from which on it is heard."""
+"""Points that check a fit, rays traced from each of them, and the fewest open rays with which a point counts."""
 
 _COVERED = 64
-"""Fields up to the largest one that are tried for light."""
+"""Fields, up to the largest one, that are tested for light."""
 
 Tracer = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], PupilRays]
-"""From fields, nearnesses and places on the entrance pupil to rays, see `pupil_rays.trace`."""
+"""Function from fields, nearnesses and positions on the entrance pupil to rays, see `trace`."""
 
 
 @dataclass(frozen=True)
 class Pupils:
-    """The pupils of a lens by paraxial optics, and with them the image of a scene point."""
+    """The paraxial pupils of a lens, and the paraxial images of scene points."""
 
-    # Place z of the entrance pupil in the camera frame, in millimetres.
+    # z coordinate of the entrance pupil in the camera frame, in millimetres.
     entrance: float
-    # Places on the exit pupil over those on the entrance pupil.
+    # Coordinates on the exit pupil over those on the entrance pupil.
     magnification: float
-    # Reciprocal of the distance from the exit pupil to the image of infinity.
+    # Reciprocal of the distance from the exit pupil to the image of a point at infinity.
     at_infinity: float
 
     @classmethod
     def of(cls, lens: LensSystem) -> Pupils:
-        """Take those of a lens."""
+        """Compute the pupils of a lens."""
         numbers = lens.numbers
-        # A ray near the axis tells whether the pupils are turned against each other.
+        # The sign of a ray near the axis shows whether the exit pupil is inverted relative to the entrance pupil.
         near = trace(lens, np.zeros(1), np.zeros(1), np.array([[1e-3 * float(lens.aperture_radius)], [0.0]]))
         size = numbers.exit_radius / numbers.entrance_radius
         image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil_distance) - float(lens.mla_distance)
         return cls(entrance_place(lens), float(math.copysign(size, near.place[0, 0])), 1 / image)
 
     def field(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return fields (n, 2) and nearnesses (n,) of scene points (n, 3)."""
+        """Return the fields (n, 2) and nearnesses (n,) of scene points (n, 3)."""
         nearness = 1 / (points[:, 2] - self.entrance)
         return points[:, :2] * nearness[:, None], nearness
 
     def slope(self, field: Any) -> Any:
-        """Return the slope from the middle of the exit pupil to the image."""
+        """Return the slope from the centre of the exit pupil to the image."""
         return -field / self.magnification
 
     def convergence(self, nearness: Any) -> Any:
@@ -182,7 +182,7 @@ class Pupils:
         return self.at_infinity - nearness / self.magnification**2
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
-        """Return the path to the exit pupil of a perfect wave towards the image, less that to its middle, (n,)."""
+        """Return the path to the exit pupil of a perfect wave towards the image, less that to its centre, (n,)."""
         (x, y), w, s = rays.place, self.convergence(rays.nearness), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
@@ -190,26 +190,23 @@ class Pupils:
 
 @dataclass(frozen=True)
 class PupilFit:
-    """What is fitted; `pupils` is what it is told with."""
+    """Polynomials fitted to the light on the exit pupil."""
 
-    # Paraxial pupils and images.
+    # Paraxial pupils and images, which are the reference of the polynomials.
     pupils: Pupils
     # Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
     aberration: Polynomial
     brightness: Polynomial
-    # Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
+    # Squared distance from the axis over the squared semi-aperture, for each vignetting surface.
     stops: tuple[Polynomial, ...]
-    # The numbers of these surfaces.
+    # Indices of these surfaces.
     cutting: tuple[int, ...]
-    # Root mean square error of the path, in waves, of the worst of the points that judge it.
+    # Root mean square error of the path, in waves, of the worst point that checks the fit.
     error: float
 
 
 def covered(tracer: Tracer, radius: float, field: float, nearness: tuple[float, float]) -> float:
-    """Return the largest field, up to a given one, from which light gets through at all distances.
-
-    Shapes: `nearness` (float, float).
-    """
+    """Return the largest field, up to `field`, from which light passes the lens at both limits of `nearness`."""
     fields, across = np.linspace(0, field, _COVERED), np.linspace(-_WIDER, _WIDER, 2 * _ACROSS) * radius
     least = field
     for near in nearness:
@@ -229,10 +226,7 @@ def fit_pupil(
     wavelength: float,
     good: float = GOOD,
 ) -> PupilFit:
-    """Trace rays and fit polynomials.
-
-    Shapes: `nearness` (float, float).
-    """
+    """Trace rays, and fit polynomials of rising degree until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, nearness)), tracer(*_random(radius, field, nearness))
     is_open = rays.open
     if not is_open.any():
@@ -251,16 +245,16 @@ def fit_pupil(
         error = _error(aberration, judges, left) / in_millimetres(wavelength)
         if error <= good:
             break
-    # What lets all rays through ends no light.
+    # A surface that lets all traced rays through does not vignette.
     cutting = np.flatnonzero(rays.stops.max(1) > 1)
     stops = fitted(_STOPS, *rays.stops[cutting])
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
 def nodes(radius: float, field: float, nearness: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, nearnesses and places of rays to fit, at the nodes of Chebyshev's polynomials and both ends.
+    """Return fields, nearnesses and positions of rays to fit, at Chebyshev nodes that include both ends.
 
-    What lies at one side of the plane through axis and point is the mirror image of the other.
+    Only one side of the plane through axis and point is sampled, since the other side is its mirror image.
     """
 
     def between(low: float, high: float, count: int) -> NDArray[np.float64]:
@@ -274,7 +268,7 @@ def nodes(radius: float, field: float, nearness: tuple[float, float]) -> tuple[N
 
 
 def _random(radius: float, field: float, nearness: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, nearnesses and places of rays that judge a fit, those of each point in a row."""
+    """Return fields, nearnesses and positions of rays that check a fit, with those of each point adjacent."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
     D = np.repeat(nearness[0] + (nearness[1] - nearness[0]) * random.random(_JUDGES), _JUDGING)
@@ -283,7 +277,7 @@ def _random(radius: float, field: float, nearness: tuple[float, float]) -> tuple
 
 
 def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -> float:
-    """Return the root mean square error of the path, but for a constant, of the worst point, in millimetres."""
+    """Return the path's root mean square error, apart from a constant, of the worst point, in millimetres."""
     worst = 0.0
     for field in np.unique(rays.field):
         some = rays.field == field

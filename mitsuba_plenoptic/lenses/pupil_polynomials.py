@@ -1,8 +1,8 @@
-r"""Polynomials over pupil, field and distance of a lens that is the same all around its axis.
+r"""Polynomials over pupil, field and distance for a lens that is rotationally symmetric.
 
-A scalar of such a lens depends on the place P on the pupil and on the field u of a scene point by the invariants
-:math:`P^2`, :math:`P \cdot u` and :math:`u^2` alone (Welford, "Aberrations of Optical Systems", section 7.1), and on
-the point's nearness v.
+A scalar of such a lens depends on the position P on the pupil and on the field u of a scene point only through the
+invariants :math:`P^2`, :math:`P \cdot u` and :math:`u^2` (Welford, "Aberrations of Optical Systems", section 7.1), and
+on the point's nearness v.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ Place = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Scales:
-    """What counts as 1, so that all powers are of numbers from -1 to 1."""
+    """Scales of the variables, so that the arguments of all powers lie between -1 and 1."""
 
-    # Of the pupil, in millimetres.
+    # Radius of the pupil, in millimetres, and largest field.
     radius: float
     field: float
-    # Middle of the nearnesses and half their range, in 1/mm.
+    # Centre of the range of nearnesses and half its width, in 1/mm.
     middle: float
     half: float
 
     def of_pupil(self, square: Any) -> Any:
-        """Return the invariant of the pupil alone from the square of a place."""
+        """Return the invariant of the pupil alone from the squared distance of a position from the axis."""
         return square * (2 / self.radius**2) - 1
 
     def of_points(self, square: Any, nearness: Any) -> tuple[Any, Any]:
-        """Return the invariant of the field alone, and the nearness, both from -1 to 1."""
+        """Return the invariant of the field alone and the scaled nearness, both from -1 to 1."""
         return square * (2 / self.field**2) - 1, (nearness - self.middle) * (1 / self.half)
 
     @property
     def mixed(self) -> float:
-        """Factor on the product of pupil and field."""
+        """Factor on the scalar product of pupil position and field."""
         return 1 / (self.radius * self.field)
 
 
 @dataclass(frozen=True)
 class Degrees:
-    """Largest powers: of the pupil's coordinates, of those of the field, and of the nearness."""
+    """Largest powers of the pupil coordinates, of the field coordinates, and of the nearness."""
 
     pupil: int
     field: int
@@ -55,35 +55,29 @@ class Degrees:
 
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
-        """Powers of the pupil's invariant and of the mixed one that occur."""
+        """Powers of the pupil's invariant and of the mixed invariant that occur."""
         each = range(min(self.pupil, self.field) + 1)
         return [(b, c) for c in each for b in range((self.pupil - c) // 2, -1, -1)]
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial; its coefficients, (depth, field, pairs), are those of the powers of all invariants."""
+    """A polynomial in the nearness and the invariants of field and pupil."""
 
     scales: Scales
     degrees: Degrees
-    # Of the powers; (depth + 1, field / 2 + 1, pairs).
+    # Coefficients of the powers, (depth + 1, field / 2 + 1, pairs).
     coefficients: NDArray[np.float64]
 
     def at(self, field: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the coefficients of the polynomials over the pupil of some points, (n, pairs).
-
-        Shapes: `field` (n, 2), `nearness` (n,).
-        """
+        """Return the coefficients (n, pairs) over the pupil for points with fields (n, 2) and nearnesses (n,)."""
         f, d = self.scales.of_points((field**2).sum(1), nearness)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
         return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
 
     def over_pupil(self, coefficients: list[Any], field: Place) -> PupilPolynomial:
-        """Return the polynomial over the pupil of points whose coefficients `at` has returned; likewise their fields.
-
-        Shapes: `field` (array, array).
-        """
+        """Return the polynomial over the pupil from coefficients as `at` returns them and the fields of the points."""
         return PupilPolynomial(self.scales, self.degrees, coefficients, field)
 
 
@@ -100,15 +94,15 @@ def fit(
     Parameters
     ----------
     scales : Scales
-        What counts as 1.
+        Scales of the variables.
     degrees : Degrees
         Largest powers.
     place : float64 array (2, n)
-        Places on the pupil, of points whose fields lie along y.
+        Positions on the pupil, for points whose fields lie along y.
     field, nearness : float64 array (n,)
-        Of these points.
+        Fields and nearnesses of these points.
     values : float64 array (k, n)
-        Of k functions.
+        Values of k functions.
 
     Returns
     -------
@@ -133,16 +127,16 @@ def fit(
 
 @dataclass(frozen=True)
 class PupilPolynomial:
-    """A polynomial over the pupil of one point, or of one point a lane."""
+    """A polynomial over the pupil for one point, or for one point per lane."""
 
     scales: Scales
     degrees: Degrees
-    # As of `Polynomial.over_pupil`.
+    # The arguments of `Polynomial.over_pupil`.
     coefficients: list[Any]
     field: Place
 
     def value(self, pupil: Place) -> Any:
-        """Return its values at places on the pupil, (x, y) in millimetres."""
+        """Return the values at positions on the pupil, (x, y) in millimetres."""
         s, t = self._invariants(pupil)
         total: Any = 0.0
         row: Any = 0.0
@@ -157,7 +151,7 @@ class PupilPolynomial:
         return total
 
     def gradient(self, pupil: Place) -> tuple[Any, Any, Any]:
-        """Return its values and its derivatives along x and y."""
+        """Return the values and their derivatives along x and y."""
         s, t = self._invariants(pupil)
         value, along_s, along_t = self._sum(s, t)
         along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
@@ -169,7 +163,7 @@ class PupilPolynomial:
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
     def _sum(self, s: Any, t: Any) -> tuple[Any, Any, Any]:
-        """Return value and derivatives along both invariants, by Horner's rule for each power of the mixed one."""
+        """Return value and derivatives by both invariants, with Horner's rule for each power of the mixed invariant."""
         rows: list[tuple[Any, Any]] = []
         value, slope = 0.0 * s, 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
@@ -186,57 +180,54 @@ class PupilPolynomial:
 
 @dataclass(frozen=True)
 class LensLight:
-    """The light of one scene point for each row of NumPy's arrays, or for each lane of Dr.Jit's."""
+    """The light of one scene point for each row of NumPy arrays, or for each lane of Dr.Jit arrays."""
 
     # Distance from the exit pupil to the MLA in millimetres.
     pupil_distance: float
-    # Of the ray from the middle of the exit pupil to the paraxial image; (array, array).
+    # Slopes of the ray from the centre of the exit pupil to the paraxial image, (array, array).
     slope: Place
     # Reciprocal of that image's distance from the exit pupil.
     convergence: Any
     # Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
     aberration: PupilPolynomial
     brightness: PupilPolynomial
-    # Squares of the distances from the axis, over those of the edges, for each surface that cuts beams.
+    # Squared distance from the axis over the squared semi-aperture, for each vignetting surface.
     stops: list[PupilPolynomial]
 
     def length(self, pupil: Place) -> Any:
-        """Return the path to a place on the exit pupil, less that of one place, in millimetres."""
+        """Return the path to a position on the exit pupil, less a constant of the point, in millimetres."""
         (x, y), (sx, sy), w = pupil, self.slope, self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
         return sphere / (self._secant(pupil) + _sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
 
     def path(self, pupil: Place, point: Any, wavelength: float) -> Any:
-        """Return the path in waves, as `Light.path` does; the point must be the light's own.
-
-        Shapes: `pupil` (array, array).
-        """
+        """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
         return self.length(pupil) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Place, point: Any) -> Any:
-        """Return the amplitude, as `Light.amplitude` does; the point must be the light's own."""
+        """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
         return self.brightness.value(pupil)
 
     def inside(self, pupil: Place) -> Any:
-        """Return how far within the edges of all surfaces a place lies, negative outside; right near the edges."""
+        """Return the distance of a position from the nearest edge, positive inside; accurate near the edges."""
         least: Any = None
         for stop in self.stops:
             square, along_x, along_y = stop.gradient(pupil)
-            # (1 - r) / |grad r| with r the root; the middle of the stop has no gradient
+            # (1 - r) / |grad r| with r the root; the centre of the stop has no gradient
             root = _sqrt(square)
             away = (1 - root) * 2 * root / _sqrt(along_x * along_x + along_y * along_y)
             least = away if least is None else _minimum(least, away)
         return least
 
     def is_open(self, pupil: Place) -> Any:
-        """Return whether light comes to a place, as `Light.is_open` does."""
+        """Return whether light passes a position, as `Light.is_open` does."""
         result: Any = True
         for stop in self.stops:
             result = (stop.value(pupil) <= 1) & result
         return result
 
     def cosines(self, pupil: Place, point: Any) -> Place:
-        """Return the direction cosines in which the light leaves the exit pupil, as `Light.cosines` does."""
+        """Return the direction cosines of the light at the exit pupil, as `Light.cosines` does."""
         secant = self._secant(pupil)
         _, *change = self.aberration.gradient(pupil)
         cx, cy = (
@@ -245,7 +236,7 @@ class LensLight:
         return cx, cy
 
     def land(self, pupil: Place, point: Any) -> Place:
-        """Return where on the MLA the rays through places of the exit pupil come, as `Light.land` does."""
+        """Return the positions on the MLA of rays through positions of the exit pupil, as `Light.land` does."""
         cosines = self.cosines(pupil, point)
         along = self.pupil_distance / _sqrt(1 - cosines[0] * cosines[0] - cosines[1] * cosines[1])
         x, y = (P + along * c for P, c in zip(pupil, cosines, strict=True))

@@ -1,4 +1,4 @@
-"""A real main lens before a detector: its rays, and the waves of points that are fitted to them."""
+"""A real main lens before a detector, for rays and for waves; the wave model uses fits to the rays of points."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from .pupil_fit import Pupils, covered, fit_pupil, trace
 from .round_pupil import RoundMap, round_map
 
 _FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
-"""Steps of the fitted range: of fields, by factors, and of nearnesses, over the power of the lens. Fits are kept."""
+"""Steps of the fitted range, so that fits are reused: a factor of fields; nearnesses over the power of the lens."""
 
 _NARROWEST = 0.1
-"""Range of fields that is fitted at least, over that of the detector."""
+"""Smallest range of fields that is fitted, over that of the detector."""
 
 _WIDER = 1.1
-"""Field that is asked for over that of the detector's corner: the lens may distort, and light is blurred."""
+"""Field that `farthest` covers, over that of the detector's corner, because of distortion and blur."""
 
 _LIGHTS = 16
-"""Lights of single points that are held."""
+"""Largest number of lights of single points that are cached."""
 
 _HEIGHTS, _ACROSS = 17, 151
-"""Distances from the axis at which the open part of the pupil is found, and rays across the pupil."""
+"""Distances from the axis at which the open part of the pupil is computed, and rays across the pupil."""
 
 _BEYOND = 1.05
-"""Up to where, over the corner of the detector: light of lenses farther out reaches it, too."""
+"""Largest distance from the axis, over that of the detector's corner: lenses farther out contribute light, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class RealLens(LensSystem):
-    """A lens of surfaces before a detector, which sees a part of its field; it holds its fits for waves."""
+    """A lens of several surfaces before a detector that sees a part of its field; it caches its fits for waves."""
 
     # Distance of the detector's corners from the axis in millimetres.
     corner: float = 0.0
@@ -55,22 +55,22 @@ class RealLens(LensSystem):
 
     @property
     def refraction(self) -> float:
-        """The wavelength, where the glasses disperse light."""
+        """The wavelength if the glasses are dispersive, else the focal length."""
         return self._light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
     def reach(self) -> float:
-        """Radius of a circle about the axis that holds the exit pupil, seen from anywhere on the detector."""
+        """Radius of a circle about the axis that contains the exit pupil as seen from anywhere on the detector."""
         return self._own.pupil_reach(self.corner)
 
     @property
     def _own(self) -> LensSystem:
-        """The lens at the wavelength of its prescription, for what is taken to be the same at all others."""
+        """The lens at the wavelength of its prescription, for properties that are assumed equal at all wavelengths."""
         return self if self.wavelength is None else replace(self, wavelength=None)
 
     @functools.cached_property
     def entrance(self) -> Entrance:
-        """The scene's side of it."""
+        """The scene side of the lens."""
         pupils = Pupils.of(self)
         return Entrance(pupils.entrance, max(self.front_bounds[1]), pupils.magnification)
 
@@ -79,7 +79,7 @@ class RealLens(LensSystem):
         return self.front_bounds
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of the circle of the radius `reach` that is open, seen from places on the MLA."""
+        """Return the unvignetted fraction of the circle of radius `reach`, as seen from positions on the MLA."""
         heights, fractions = self._fractions
         return np.interp(np.hypot(x, y), heights, fractions)
 
@@ -95,13 +95,13 @@ class RealLens(LensSystem):
 
     @functools.cached_property
     def round_map(self) -> RoundMap:
-        """The map from its exit pupil, as places off the axis see it, onto the round one near the axis."""
+        """Map from its exit pupil, as positions off the axis see it, to the round pupil near the axis."""
         return round_map(self, self.reach, self.corner)
 
     # -- waves ---------------------------------------------------------------------------------------
 
     def waves_of(self, points: NDArray[np.float64]) -> FittedLens:
-        """Return the lens as the waves of scene points pass it, as `MainLens.waves_of` does."""
+        """Return the lens for wave propagation from scene points, as `MainLens.waves_of` does."""
         front = self.entrance.front
         within = (points[:, 2] > 0) & (points[:, 2] <= front)
         if within.any():
@@ -118,7 +118,7 @@ class RealLens(LensSystem):
         return _checked(lens)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> ExitPupil:
-        """Return the light of a single scene point, from rays of its own."""
+        """Return the light of a single scene point, fitted to rays of this point alone."""
         x, y, g = np.asarray(point).tolist()
         if (x, y, g) not in self._lights:
             while len(self._lights) >= _LIGHTS:
@@ -127,14 +127,11 @@ class RealLens(LensSystem):
         return self._lights[x, y, g]
 
     def over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
-        """Return the lens for waves, fitted up to a field or as far as it lets light through.
-
-        Shapes: `nearness` (float, float).
-        """
+        """Return the lens for waves, fitted for nearnesses (low, high) up to a field, or to its own largest field."""
         return _checked(self._over_field(field, nearness))
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
-        """Return points as far from the axis as a detector sees through the lens, one at each distance; (n, 3)."""
+        """Return points (n, 3), one at each distance, at the largest field that a detector sees through the lens."""
         depths = np.array(distances)
         near = 1 / (depths - self.entrance.pupil)
         field = _WIDER * self.corner / self.mla_distance * depths * near
@@ -143,7 +140,7 @@ class RealLens(LensSystem):
         return np.column_stack([0 * depths, field / near, depths])
 
     def _over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
-        """Return a lens that is fitted so far; fits are kept, and their ranges grow by steps."""
+        """Return a lens fitted for a field and nearnesses; ranges grow in steps, so that fits can be reused."""
         least = _NARROWEST * self.corner / self.mla_distance
         steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
         power = _NEARNESS_STEP / self.focal_length
@@ -154,7 +151,7 @@ class RealLens(LensSystem):
         return self._fits[key]
 
     def _fit(self, field: float, low: float, high: float) -> FittedLens:
-        """Fit the lens up to a field, or as far as it covers, for a range of nearnesses."""
+        """Fit the lens for a range of nearnesses, up to a field or to the edge of its own field."""
         tracer, radius, nearness = functools.partial(trace, self), self.aperture_radius, (low, high)
         field = covered(tracer, radius, field, nearness)
         if not field > 0:
@@ -165,7 +162,7 @@ class RealLens(LensSystem):
 
 
 def _checked(lens: FittedLens) -> FittedLens:
-    """Return a lens whose path is fitted well enough."""
+    """Return a lens after a check of the error of its fitted path."""
     guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 

@@ -1,8 +1,8 @@
-"""A map from the exit pupil of a real main lens, as places off the axis see it, onto the round one near the axis.
+"""A map from a real lens's exit pupil, as positions off the axis see it, to the round pupil near the axis.
 
-How far the pupil spreads a ray depends on how near to its edge the ray passes it, and on which side. A pupil that
-surfaces vignette, or that stands elsewhere off the axis, is therefore described by a map onto the round one near the
-axis: to points as far from its edge, in the same direction.
+The spread of a ray by the pupil depends on the distance and the direction of the nearest edge. A pupil that is
+vignetted or displaced off the axis is therefore described by a map to the round pupil near the axis, to points at the
+same distance from its edge in the same direction.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from ..errors import InputError
 from .lens_system import LensSystem
 
 _FIELDS, _ANGLES, _DENSE, _ACROSS = 17, 256, 4096, 97
-"""Distances from the axis, directions in which edges are looked for and their interpolated ones, nodes of the map."""
+"""Distances from the axis, directions in which edges are searched and interpolated, and map nodes across the pupil."""
 
 _WIDER, _BISECTIONS, _TRIED = 1.1, 24, 65
-"""How far beyond the pupil and the detector's corner the map goes; steps by which edges are found; rays across the
-pupil by which its middle is."""
+"""Extent of the map over that of the pupil and of the detector's corner; bisections that find an edge; rays across the
+pupil that find its centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoundMap:
-    """Points of the round pupil that stand for points of it, seen from fields along x."""
+    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
 
-    # Distance from the axis, on the array, of the last field; the first is 0.
+    # Distance of the last field from the axis, on the array; the first is 0.
     field: float
-    # Distance of the outer nodes from the middle of the pupil's plane, along x and y.
+    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
     half: float
-    # At each node; (fields, rows, columns, 2).
+    # Corresponding point of each node, (fields, rows, columns, 2).
     points: NDArray[np.float32]
 
 
@@ -44,7 +44,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     heights = np.linspace(0, last, _FIELDS)
     axis = np.linspace(-half, half, _ACROSS)
     nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-    # Outside the round pupil.
+    # The initial value is a point outside the round pupil.
     result = np.full((_FIELDS, len(nodes), 2), 2 * radius, np.float32)
     for field, height in enumerate(heights):
         edge = _edge(lens, height, half)
@@ -56,7 +56,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
         outward = normals[nearest]
         inside = ((edge[nearest] - nodes) * outward).sum(1)
         result[field] = outward * (radius - inside)[:, None]
-        # Beyond the middle of a wide pupil there is no place for them.
+        # The round pupil has no points farther from its edge than its centre.
         result[field][inside > radius] = 0
     if not (np.hypot(*result[0].T) <= radius).any():
         raise InputError("main_lens: no ray gets through it to the middle of the array")
@@ -64,7 +64,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
 
 
 def _edge(lens: LensSystem, height: float, reach: float) -> NDArray[np.float64] | None:
-    """Return points of the edge of the pupil, seen from a place on the array's x axis; None if nothing is open."""
+    """Return points of the pupil's edge, seen from a position on the array's x axis; None if nothing is open."""
 
     def is_open(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
         return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])

@@ -1,7 +1,7 @@
-"""Rays through one surface after the other, and the paths along them.
+"""Ray tracing through a sequence of surfaces, with the optical paths.
 
-All functions take floats, NumPy arrays or Dr.Jit arrays, whose gradients the results carry. Lengths are those of the
-prescription; a caller that scales a lens scales what goes in and what comes out.
+All functions take floats, NumPy arrays or Dr.Jit arrays, and propagate the gradients that these carry. Lengths are
+those of the prescription; a caller that scales a lens scales the arguments and the results.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from ..prescription import Prescription
 from ..prescription.data import height, safe_sqrt
 
 NEWTON_STEPS = 5
-"""By which a ray's meeting with an asphere is found from that with its conic."""
+"""Newton iterations that find the intersection of a ray with an asphere from that with its conic."""
 
 
 @dataclass(frozen=True)
 class Element:
-    """A surface as light meets it that goes towards rising z.
+    """A surface, for light that travels towards increasing z.
 
     Parameters
     ----------
     gap : float
-        Distance along the axis from the surface before, or from where rays start.
+        Distance along the axis from the previous surface, or from where rays start.
     curvature : float
-        Positive where the centre lies at higher z.
+        Curvature, positive where the centre of curvature lies at higher z.
     conic : float
         Conic constant.
     asphere : tuple of float
-        Coefficients of the fourth, sixth, ... power of the distance from the axis.
+        Coefficients of the fourth, sixth, ... powers of the distance from the axis.
     semi_aperture : float or Dr.Jit array
-        Distance from the axis up to which light passes.
+        Largest distance from the axis at which light passes.
     before, after : float or Dr.Jit array
-        Indices on both sides.
+        Refractive indices on both sides.
     """
 
     gap: Any
@@ -48,7 +48,7 @@ class Element:
 
     @property
     def refracts(self) -> bool:
-        """Whether the indices on both sides differ; those of single rays are taken to."""
+        """Whether the surface refracts: its indices differ, or are given per ray."""
         plain = isinstance(self.before, float) and isinstance(self.after, float)
         return not plain or self.before != self.after
 
@@ -61,7 +61,7 @@ def elements(
     backwards: bool = False,
     indices: Sequence[Any] | None = None,
 ) -> list[Element]:
-    """Return a lens's surfaces in the order of its light, the gap before the first being 0.
+    """Return a lens's surfaces in the order in which light meets them; the gap before the first is 0.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ def elements(
     stop_radius : float or Dr.Jit array, optional
         Radius of the stop. Default: fully open.
     backwards : bool
-        Whether light goes from the array to the scene.
+        Whether light travels from the array to the scene.
     indices : sequence of float or Dr.Jit array, optional
-        Of what follows each surface. Default: those at the wavelength.
+        Refractive indices behind each surface. Default: those at the wavelength.
     """
     surfaces = prescription.surfaces
     index = [1.0, *(prescription.indices(wavelength) if indices is None else indices)]
@@ -99,14 +99,14 @@ def elements(
 
 
 def widened(surface: Element, factor: float) -> Element:
-    """Return a surface that lets light pass farther out.
+    """Return a surface with a larger semi-aperture.
 
     Parameters
     ----------
     surface : Element
         The surface.
     factor : float
-        By how much its semi-aperture grows.
+        Factor on the semi-aperture.
     """
     return dataclasses.replace(surface, semi_aperture=factor * surface.semi_aperture)
 
@@ -121,31 +121,32 @@ def follow(
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
     :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of
-    Optical Systems", section 4.3, with a conic constant); an asphere by Newton's steps from there. It is refracted by
+    Optical Systems", section 4.3, with a conic constant), and an asphere by Newton iterations from there. It is
+    refracted by
     :math:`\mathbf{d}' = \eta \mathbf{d} + (\cos\theta' - \eta \cos\theta) \mathbf{n}` with :math:`\eta = n / n'`
     (Snell's law as a vector; same, section 4.4).
 
     Parameters
     ----------
     lens : sequence of Element
-        The surfaces; that of the array's side first if light goes backwards.
+        The surfaces in the order in which light meets them.
     point : (array, array, array)
-        Where rays are; z is counted from the first surface's vertex, its `gap` less.
+        Start points of the rays; z is measured from the first surface's vertex, less its `gap`.
     direction : (array, array, array)
-        Their direction cosines, the third positive.
+        Direction cosines of the rays, of which the third is positive.
     squares : list, optional
-        Takes, for each surface, the squares of the distances from the axis at which rays meet it.
+        List that receives, for each surface, the squared distances from the axis at which rays meet it.
 
     Returns
     -------
     point : (array, array, array)
-        Where they leave the last surface; z is counted from its vertex.
+        Points where the rays leave the last surface; z is measured from its vertex.
     direction : (array, array, array)
-        Their direction cosines behind it.
+        Direction cosines of the rays behind it.
     open : array
-        Whether all surfaces let them through.
+        Whether the rays pass all surfaces.
     path : array
-        Index times length along them, from where they were to where they leave the last surface.
+        Optical path from the start point to the last surface.
     """
     (x, y, z), (L, M, N) = point, direction
     is_open: Any = True
@@ -195,7 +196,7 @@ def _slope(surface: Element, square: Any) -> Any:
 
 
 def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
-    """Return where along a ray from the vertex's plane it meets an asphere."""
+    """Return the parameter along a ray, measured from the vertex's plane, at which it meets an asphere."""
     (x, y), (L, M, N) = place, direction
     for _ in range(NEWTON_STEPS):
         X, Y = x + t * L, y + t * M

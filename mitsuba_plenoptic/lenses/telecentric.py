@@ -1,9 +1,9 @@
-r"""A microscope's objective and tube lens, as rays and waves see them: telecentric, by Abbe's sine condition.
+r"""A microscope's objective and tube lens for rays and waves: telecentric, with Abbe's sine condition.
 
 The camera frame's origin is the native object plane, and a point (X, Y, d) with d > 0 lies beyond it, farther from the
 objective. Its light that passes the stop at P, in the back focal plane, has left it at the angle :math:`\theta` to the
-axis with :math:`n \sin\theta = |P| / f`: the sine condition. Beside the light of the origin its path to the stop is
-longer by
+axis with :math:`n \sin\theta = |P| / f`: the sine condition. Compared with the light of the origin, its path to the
+stop is longer by
 
 .. math:: \Phi(P) = n d (\cos\theta - 1) - \frac{X P_x + Y P_y}{f}, \qquad
           n \cos\theta = n \sqrt{1 - (|P| / n f)^2}
@@ -14,9 +14,8 @@ over angles, whose measure is :math:`\sin\theta \cos\theta d\theta`, this is the
 an aplanatic lens (Gu, "Advanced Optical Imaging Theory", section 6.1; Broxton et al. 2013, "Wave optics theory and
 3-D deconvolution for the light field microscope", equation 2).
 
-Behind the tube lens light from P comes to the native image plane in the direction with the cosines
-:math:`s = -P / f_T`, from all points of the object alike. A further lens turns these directions into places
-:math:`f_F s` on the image of the stop.
+Behind the tube lens, light from P arrives at the native image plane with the direction cosines :math:`s = -P / f_T`,
+whatever the object point. A further lens turns these directions into positions :math:`f_F s` on the image of the stop.
 """
 
 from __future__ import annotations
@@ -37,12 +36,12 @@ from .common import UniformLens
 _Pair = tuple[Any, Any]
 
 _ROUNDING = 1e-9
-"""How far outside the stop, over its radius, a point counts as on its edge."""
+"""Distance outside the stop, over its radius, up to which a point counts as on its edge."""
 
 
 @dataclass(frozen=True)
 class TelecentricLens(UniformLens):
-    """An objective before a microlens array; `MainLens` says what its methods do.
+    """An objective before a microlens array; `MainLens` documents its methods.
 
     Parameters
     ----------
@@ -54,7 +53,7 @@ class TelecentricLens(UniformLens):
 
     @property
     def is_round(self) -> bool:
-        """It is."""
+        """Always True."""
         return True
 
     @property
@@ -69,15 +68,15 @@ class TelecentricLens(UniformLens):
 
     @property
     def pupil_distance(self) -> float:
-        """Focal length of the tube lens: places on the stop over it are directions in the native image plane."""
+        """Focal length of the tube lens: a position on the stop over it is a direction in the native image plane."""
         return self.objective.tube_focal_length
 
     def _sines(self, pupil: _Pair) -> _Pair:
-        """Return the sines of the angles at which light to a point of the stop has left the object, times n."""
+        """Return the index n times the sines of the angles at which light to a point of the stop leaves the object."""
         return pupil[0] * (1 / self.objective.focal_length), pupil[1] * (1 / self.objective.focal_length)
 
     def _cosine(self, pupil: _Pair) -> Any:
-        """Return the cosine of that angle; beyond the stop it goes on as it is at an angle of 90 degrees."""
+        """Return the cosine of that angle, continued by a small constant where the sine would exceed 1."""
         x, y = self._sines(pupil)
         square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
         return dr.sqrt(dr.maximum(square, 1e-6)) if dr.is_array_v(square) else np.sqrt(np.maximum(square, 1e-6))
@@ -85,7 +84,7 @@ class TelecentricLens(UniformLens):
     def vergence(self, distance: Any) -> Any:
         r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
 
-        Of a parabolic wave that differs from the one in focus as much at the edge of the stop.
+        It is that of the parabolic wave with the same difference from the wave in focus at the edge of the stop.
 
         Parameters
         ----------
@@ -106,39 +105,39 @@ class TelecentricLens(UniformLens):
         return field / self.objective.magnification - self.front * steepest, (self.front,)
 
     def chief_point(self, place: Any, detector_distance: Any) -> Any:
-        """Return the place itself: chief rays are parallel to the axis."""
+        """Return the position itself: chief rays are parallel to the axis."""
         return place
 
     def pupil_distance_from(self, behind: Any) -> float:
-        """Return the focal length of the tube lens, from everywhere: the stop is seen at infinity."""
+        """Return the focal length of the tube lens for every plane: the stop is imaged to infinity."""
         return self.pupil_distance
 
     def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the stop, the same for all places."""
+        """Return one coordinate on the stop, which does not depend on the position."""
         return self.pupil_distance * slope
 
     def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
-        """Return the slope in which light of a point of the stop comes to all places."""
+        """Return the slope of light from a point of the stop, which is the same at all positions."""
         return pupil / self.pupil_distance
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return where the light from scene points lands: there is no pupil at a finite distance to start from."""
+        """Return the positions where light from scene points meets the array: the pupil is at infinity."""
         return np.stack(np.broadcast_arrays(*self.land((pupil[0], pupil[1]), point)))
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the places of the chief rays of points in the native image plane, (n, 2)."""
+        """Return the positions (n, 2) of the chief rays of points in the native image plane."""
         return -self.objective.magnification * points[:, :2]
 
     def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the depths of scene points, in which wavefronts are even; (n,)."""
+        """Return the depths (n,) of scene points, in which wavefronts change uniformly."""
         return points[:, 2]
 
     def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        """Return the scene points (n, 3) with these `images` and this `nearness`."""
         return np.column_stack([images * (-1 / self.objective.magnification), nearness])
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return 0: wavefronts of all points of a plane differ by their tilts alone.
+        """Return 0: wavefronts of all points of an object plane differ by their tilts alone.
 
         Parameters
         ----------
@@ -173,11 +172,11 @@ class TelecentricLens(UniformLens):
 
     @property
     def front(self) -> float:
-        """Place z in the camera frame of the plane where rays start: the objective's front principal plane."""
+        """Coordinate z in the camera frame of the plane where rays start: the objective's front principal plane."""
         return -self.objective.immersion * self.objective.focal_length
 
     def trace(self, place: _Pair, slope: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
-        """Follow a ray from a place on the array to the scene; the image side is paraxial."""
+        """Follow a ray from a position on the array to the scene; the image side is paraxial."""
         if self.objective.images_stop:
             f = self.objective.last_focal_length
             place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
@@ -185,13 +184,13 @@ class TelecentricLens(UniformLens):
         return self.ray(pupil, place)
 
     def ray(self, pupil: _Pair, place: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
-        """Return the ray that comes from a place in the native image plane through a point of the stop."""
+        """Return the ray from a position in the native image plane through a point of the stop."""
         behind = self.aim(pupil, place)
         x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
         return (x, y, self.front), behind, self.is_open(pupil)
 
     def aim(self, pupil: _Pair, place: _Pair) -> _Pair:
-        """Return the slopes in the scene of the ray through a point of the stop, the same from all places."""
+        """Return the slopes in the scene of the ray through a point of the stop, the same for all image positions."""
         x, y = self._sines(pupil)
         scale = -1 / (self.objective.immersion * self._cosine(pupil))
         return x * scale, y * scale
@@ -203,12 +202,12 @@ class TelecentricLens(UniformLens):
         return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
 
     def inside(self, pupil: _Pair) -> Any:
-        """Return how far within the edge of the stop a point lies."""
+        """Return the distance of a point from the edge of the stop, positive inside."""
         square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
         return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
 
     def is_open(self, pupil: _Pair) -> Any:
-        """Return whether a point lies within the stop, or but for rounding on its edge."""
+        """Return whether a point lies inside the stop or, up to rounding, on its edge."""
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cone(self, distances: Any) -> float:
@@ -216,12 +215,12 @@ class TelecentricLens(UniformLens):
         return self.objective.image_aperture
 
     def from_array(self, cosine: _Pair, image: _Pair) -> tuple[_Pair, Any, Any]:
-        """Return the same points of the stop for all places, the tube lens's focal length, and the waves' tilt."""
+        """Return points of the stop (the same for all positions), the tube lens's focal length, and the tilt."""
         (sx, sy), (x, y), f = cosine, image, self.pupil_distance
         return (-f * sx, -f * sy), f + 0 * sx, sx * x + sy * y
 
     def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction cosines in the native image plane, the same at all places."""
+        """Return the direction cosines in the native image plane, which are the same at all positions."""
         return np.asarray(-pupil / self.pupil_distance + 0 * image)
 
     def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -240,15 +239,15 @@ class TelecentricLens(UniformLens):
         return -pupil[0] / self.pupil_distance, -pupil[1] / self.pupil_distance
 
     def land(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
-        """Return the place on the array of the light from a scene point through a point of the stop."""
+        """Return the position on the array of the light from a scene point through a point of the stop."""
         if self.objective.images_stop:
             growth = -self.objective.last_focal_length / self.pupil_distance
-            # Adding 0 gives it the shape of the points.
+            # Adding 0 broadcasts the result to the shape of the points.
             return pupil[0] * growth + 0 * point[0], pupil[1] * growth + 0 * point[0]
         return self._image(pupil, point)
 
     def _image(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
-        r"""Return the place in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
+        r"""Return the position in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
         scale = 1 / (self.objective.immersion * self._cosine(pupil))
         x, y = self._sines(pupil)
         M, (X, Y, d) = self.objective.magnification, point
@@ -257,5 +256,5 @@ class TelecentricLens(UniformLens):
 
 @builds(Objective)
 def telecentric_lens(numbers: LensNumbers) -> TelecentricLens:
-    """Return the main lens of a camera behind an objective."""
+    """Return the main lens of a camera that has an objective."""
     return TelecentricLens(cast(Objective, numbers.camera.main_lens))

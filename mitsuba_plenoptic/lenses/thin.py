@@ -1,4 +1,4 @@
-"""A thin main lens, with aberrations, and for rays with distortion; `MainLens` says what its methods are for."""
+"""A thin main lens with aberrations and, in the ray model, with distortion; `MainLens` documents its methods."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .distortion import undistort
 from .wavefront import Wavefront
 
 _ROUNDING = 1e-9
-"""How far outside a round pupil, over its radius, a point counts as on its edge."""
+"""Distance outside a round pupil, over its radius, up to which a point counts as on its edge."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class ThinLens(UniformLens, FinitePupil):
     pupil_distance : float or Dr.Jit array
         Distance b to the MLA.
     model : {"ideal", "parabolic"}
-        How rays refract: by slopes, stigmatically, or by direction cosines, as the parabolic phase element that waves
-        always pass.
-    aberrations : floats or Dr.Jit numbers
+        Refraction of rays: ``"ideal"`` by slopes, which is stigmatic, or ``"parabolic"`` by direction cosines, as
+        by the parabolic phase element that the wave model always uses.
+    aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
     """
 
@@ -49,12 +49,12 @@ class ThinLens(UniformLens, FinitePupil):
     _wavefront: Wavefront = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # At once: what is first made where Dr.Jit suspends gradients would carry none later.
+        # Computed at once: a value first computed while Dr.Jit suspends gradients would never carry any.
         object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil_radius))
 
     @property
     def is_round(self) -> bool:
-        """Without aberrations it is."""
+        """True for a lens without aberrations."""
         return len(self.aberrations) == 0
 
     @property
@@ -69,7 +69,7 @@ class ThinLens(UniformLens, FinitePupil):
     def trace(
         self, place: tuple[Any, Any], slope: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Follow a ray from a place on the MLA to the scene."""
+        """Follow a ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
         if self.model == "ideal":
             behind = self.refract(slope, (Px, Py))
@@ -78,7 +78,7 @@ class ThinLens(UniformLens, FinitePupil):
         return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
 
     def refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the direction before the lens, in slopes or in cosines, from that between lens and MLA."""
+        """Return the direction before the lens, as slopes or cosines, from that between lens and MLA."""
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
@@ -90,40 +90,40 @@ class ThinLens(UniformLens, FinitePupil):
         return self.vergence(distance)
 
     def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Return the ray to the conjugate of a place on the MLA; its own aberrations are not followed."""
+        """Return the ray from a position on the MLA through a pupil point; the pupil's edge is not applied."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return (*pupil, 0.0), self.refract((tx, ty), pupil), True
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
-        """Return the lens of Dr.Jit's parameters."""
+        """Return the lens with Dr.Jit parameters."""
         f1, radius, b = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
         return replace(self, focal_length=f1, pupil_radius=radius, pupil_distance=b, aberrations=numbers["wavefront"])
 
     def opaque(self, number: Callable[[Any], Any]) -> ThinLens:
-        """Return the lens of parameters that are not compiled into kernels."""
+        """Return the lens with parameters that are not compiled into kernels."""
         names = "focal_length", "pupil_radius", "pupil_distance"
         aberrations = [number(value) for value in self.aberrations]
         return replace(self, **{name: number(getattr(self, name)) for name in names}, aberrations=aberrations)
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return the bounds of the pupil, in which all rays start."""
+        """Return the bounds of the pupil, where all rays start."""
         return self.pupil_radius, (0.0,)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where on the MLA the rays from scene points (n, 3) through the pupil's middle come; (n, 2)."""
+        """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
         return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
 
     def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the reciprocals of the distances of scene points; (n,)."""
+        """Return the reciprocals (n,) of the distances of scene points."""
         return np.asarray(1 / points[:, 2])
 
     def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) that have these `images` and this `nearness`."""
+        """Return the scene points (n, 3) with these `images` and this `nearness`."""
         distance = 1 / nearness[:, None]
         return np.hstack([images * (-distance / self.pupil_distance), distance])
 
     def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        """Return the place on the MLA of the ray from a scene point through a pupil point, without aberrations."""
+        """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         b, f1, g = self.pupil_distance, self.focal_length, point[2]
         x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
         if not self.is_round:
@@ -132,7 +132,7 @@ class ThinLens(UniformLens, FinitePupil):
         return x, y
 
     def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, the paths' difference without cancellation.
+        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
 
         The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
         aberrations W.
@@ -159,15 +159,15 @@ class ThinLens(UniformLens, FinitePupil):
         return abs(point[2]) / (length * length)
 
     def inside(self, pupil: tuple[Any, Any]) -> Any:
-        """Return how far within the edge of the pupil a point lies."""
+        """Return the distance of a point from the edge of the pupil, positive inside."""
         return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: tuple[Any, Any]) -> Any:
-        """Return whether a point lies within the edge of the pupil, or but for rounding on it."""
+        """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
-        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, and the slope of the aberrations."""
+        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations."""
         length = _distance(pupil, point)
         sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
         if not self.is_round:
@@ -176,7 +176,7 @@ class ThinLens(UniformLens, FinitePupil):
         return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of the third order (a: pupil's radius, d: step).
+        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ def _sqrt(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
-    """A thin lens whose rays go on as if they came from another point of the MLA's plane; for rays only.
+    """A thin lens whose rays continue as if they came from another point of the MLA's plane, for the ray model only.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class DistortedLens(ThinLens):
     def trace(
         self, place: tuple[Any, Any], slope: tuple[Any, Any]
     ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
-        """Follow a ray from a place on the MLA to the scene: through the same point of the pupil."""
+        """Follow a ray from a position on the MLA through the same pupil point to the scene."""
         source = undistort(*place, self.distortion)
         moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))
@@ -228,7 +228,7 @@ class DistortedLens(ThinLens):
 
 @builds(type(None))
 def thin_lens(numbers: LensNumbers) -> ThinLens:
-    """Return the main lens of a camera that has no other."""
+    """Return the main lens of a camera without an objective or prescription."""
     own = (numbers.focal_length, numbers.aperture_radius, numbers.mla_distance, numbers.model, numbers.wavefront)
     if any(numbers.camera.distortion):
         return DistortedLens(*own, numbers.camera.distortion)

@@ -1,4 +1,4 @@
-"""Which cameras waves can be followed through, and by which methods: others are refused by name."""
+"""Checks that the wave model supports a camera, with errors that name the unsupported parameter."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ..errors import InputError
 
 
 def require_ideal(camera: PlenopticCamera) -> None:
-    """Refuse, for waves of points, a camera with what they know nothing of, such as a tilted or irregular array."""
+    """Refuse a camera with features that the wave model of points does not support, such as an irregular array."""
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ")
 
 
 def require_no_glass(camera: PlenopticCamera, what: str) -> None:
-    """Refuse, for work that knows no dispersion, a camera whose thin lenses are of glass."""
+    """Refuse a camera whose thin lenses are of dispersive glass, for computations without dispersion."""
     for name in ("glass", "mla_glass"):
         glass = getattr(camera, name)
         if glass is not None:

@@ -1,7 +1,7 @@
 r"""Aberrations of the main lens: Zernike polynomials over its pupil.
 
-In Noll's order, each of root mean square 1 over the pupil (R. J. Noll, "Zernike polynomials and atmospheric
-turbulence", 1976). They are summed as polynomials of x and y, of which the derivatives are polynomials, too.
+The polynomials are in Noll's order, each with root mean square 1 over the pupil (R. J. Noll, "Zernike polynomials and
+atmospheric turbulence", 1976). They are evaluated as polynomials of x and y, whose derivatives are again polynomials.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..optics.phase import in_millimetres
 
 
 def noll(j: int) -> tuple[int, int]:
-    """Return radial order n and azimuthal order m, negative for sines, of the Zernike polynomial of Noll's number j."""
+    """Return radial order n and azimuthal order m, negative for sines, of the Zernike polynomial with Noll index j."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     place = j - n * (n + 1) // 2 - 1
     m = (-1) ** j * (n % 2 + 2 * ((place + (n + 1) % 2) // 2))
@@ -27,7 +27,7 @@ def noll(j: int) -> tuple[int, int]:
 
 @functools.cache
 def zernike(j: int) -> NDArray[np.float64]:
-    """Return the coefficients of a Zernike polynomial: [a, b] is that of x^a y^b."""
+    """Return the coefficients of a Zernike polynomial; element [a, b] belongs to x^a y^b."""
     n, m = noll(j)
     order = abs(m)
     result = np.zeros((n + 1, n + 1))
@@ -49,9 +49,9 @@ class Wavefront:
 
     def __init__(
         self,
-        # In waves of 633 nm, from Noll's number 1 on.
+        # In waves of 633 nm, from Noll index 1 on.
         coefficients: Any,
-        # Of the pupil, in millimetres.
+        # Radius of the pupil, in millimetres.
         radius: Any,
     ) -> None:
         self._radius = radius
@@ -68,7 +68,7 @@ class Wavefront:
         return _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
 
     def slope(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the derivatives of `path` along x and y: by how much directions change."""
+        """Return the derivatives of `path` along x and y, which are the changes of direction."""
         u, v = x / self._radius, y / self._radius
         scale = in_millimetres(WAVEFRONT_UNIT) / self._radius
         along_x = _sum([_sum([a * term for term in row], v) for a, row in enumerate(self._terms)][1:], u)
@@ -77,7 +77,7 @@ class Wavefront:
 
 
 def _sum(terms: list[Any], x: Any) -> Any:
-    """Return the polynomial of these coefficients, by Horner's rule."""
+    """Return the value of a polynomial, by Horner's rule."""
     total: Any = 0.0
     for term in reversed(terms):
         total = total * x + term

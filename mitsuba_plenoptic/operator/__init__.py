@@ -1,1 +1,1 @@
-"""Wave captures of explicit points as a linear operator: its sums, its adjoint and its derivatives."""
+"""Wave captures of explicit points as a linear operator: forward sums, the adjoint, and derivatives."""

@@ -1,7 +1,7 @@
-"""What an allowed error of an image permits: how much light to cut, and how unlike wavefronts may be that count as one.
+"""Rules from the allowed error of an image: how much light to discard, and which wavefronts may count as equal.
 
-The two rules are fitted to captures of walls and scenes by the camera of the paper, measured against images in which
-nothing is shared and nothing but the last 0.1 % of the light is cut (the case `speed.sharing` of `tools/bench`).
+The two rules are fitted to captures of walls and scenes by the camera of the paper, compared with images in which no
+point spreads are shared and only the last 0.1 % of the light is discarded (the case `speed.sharing` of `tools/bench`).
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from ..lenses.base import MainLens
 from .grid import Band
 
 DEFAULT_ACCURACY = 0.01
-"""Relative error, L2 over the image, that is allowed by default."""
+"""Default allowed relative error, L2 over the image."""
 
 _BANDS = (
     (0.004, Band(cone=2.5, margin=120, bends=3.45, orders=22)),
     (0.02, Band(cone=1.8, margin=60, bends=2.3, orders=10)),
     (1.0, Band(cone=1.5, margin=45, bends=1.8, orders=8)),
 )
-"""Bands, each with the allowed error of many points below which it is used."""
+"""Bands, each with the allowed error for many points below which it is used."""
 
 _FINEST = Band(cone=2.5, margin=200, bends=5, orders=32, edge=3.0, smooth=True)
-"""Band of derivatives that are judged one by one (`tools/bench/cases/derivatives.py`)."""
+"""Band of derivatives at high accuracy (`tools/bench/cases/derivatives.py`)."""
 
 _EXACT = 0.004
-"""Allowed error below which it is used."""
+"""Allowed error below which `_FINEST` is used."""
 
 _FEW = 512
-"""Points up to which the light that is cut does not average out."""
+"""Number of points up to which the errors by discarded light do not average out."""
 
 _FEW_STRICTER = 5.0
 
@@ -43,13 +43,13 @@ _SHARP = 1 / 4
 """Samples over which edges of the pupil are softened for many points: walls lose 0.3 % of the light, not 1.2 %."""
 
 WAVES_PER_ERROR = 10.0
-"""Waves across one microlens by which wavefronts may differ, over the allowed error of the sum of many."""
+"""Waves across a microlens by which wavefronts may differ, over the allowed error of a sum of many points."""
 
 _NEIGHBOURHOOD = 25
-"""Lenses whose points have overlapping spreads, about."""
+"""Approximate number of lenses whose points have overlapping spreads."""
 
 _MANY = 1600
-"""Overlapping point spreads from which on the allowed error is reached by `WAVES_PER_ERROR`."""
+"""Number of overlapping point spreads above which `WAVES_PER_ERROR` gives the allowed error."""
 
 
 def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
@@ -61,20 +61,20 @@ def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
 
 
 def band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to keep for an allowed error of the sum of some points."""
+    """Choose how much of the diffracted light to retain for an allowed error of the sum of some points."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
     if count <= _FEW:
         return band
-    # What many points send farther than their orders averages out: nothing is gained by keeping it.
+    # Light that many points send beyond these orders averages out, so that retaining it gains nothing.
     return replace(band, edge=_SHARP, beyond=math.inf if allowed < _EXACT else band.orders)
 
 
 def derivative_band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to keep for derivatives.
+    """Choose how much of the diffracted light to retain for derivatives.
 
-    They weigh light that goes far: its phase changes fastest. What a hard edge of the pupil folds back changes fastest
-    of all, so that edges are softer.
+    Derivatives give more weight to light at large angles, whose phase changes fastest. Light of a hard pupil edge that
+    is aliased changes fastest of all, so that edges are softer than for images.
     """
     if accuracy < _EXACT:
         return _FINEST
@@ -82,17 +82,17 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
 
 
 def derivatives_share(accuracy: float, count: int) -> bool:
-    """Return whether derivatives of the sum of some points share point spreads, as its image does."""
+    """Return whether derivatives of the sum of some points share point spreads, as images do."""
     return accuracy >= _EXACT and count > _FEW
 
 
 def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]) -> float:
-    """Choose by how much wavefronts that count as one may differ across a microlens, in waves.
+    """Choose the largest difference, in waves across a microlens, of wavefronts that count as equal.
 
-    The errors of point spreads that overlap average out, so fewer of them must each be truer.
+    The errors of overlapping point spreads average out, so that fewer of them must each be more accurate.
 
-    The positions are in the camera frame, or, behind a round lens, in one that is turned about the axis. The result is
-    0 where nothing may be shared.
+    The positions are in the camera frame or, behind a round lens, in one that is rotated about the axis. The result is
+    0 if nothing may be shared.
     """
     if not len(positions):
         return 0.0

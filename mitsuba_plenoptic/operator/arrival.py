@@ -1,4 +1,4 @@
-"""The field of one scene point on its way to the MLA: behind the exit pupil, and just before the microlenses."""
+"""The field of one scene point behind the exit pupil, and just before the microlenses."""
 
 from __future__ import annotations
 
@@ -27,43 +27,43 @@ from ..system.sampling import bundle_footprint, check_memory, fast_length, footp
 from .pupil_weights import PupilWeights
 
 _WINDOW_MARGIN = 1.2
-"""Window over what it must hold, on the way to the MLA."""
+"""Width of the window between pupil and MLA over the extent that it must contain."""
 
 _AIRY_WIDTHS = 110
-r"""Least width of that window in units of :math:`\lambda b / D_1`: it must hold what the pupil's edge diffracts."""
+r"""Least width of that window in units of :math:`\lambda b / D_1`, to contain diffraction by the pupil's edge."""
 
 _WINDOW_PER_BLUR = 20
-"""Least width of the window behind an objective, over the radius of the image of a point out of focus."""
+"""Least width of the window behind an objective, over the radius of a point's defocused image."""
 
 _PUPIL_BAND = 1.5
-"""Sampled directions on the way to the MLA over the steepest ray: the pupil's edge diffracts beyond that."""
+"""Sampled directions between pupil and MLA over the steepest ray, to contain diffraction by the pupil's edge."""
 
 _PUPIL_SAMPLES = 250
-"""Samples across the pupil's radius at least: an edge softened over one of them loses a third of a sample's light."""
+"""Least samples across the pupil's radius: an edge softened over one sample loses a third of a sample's light."""
 
 _KEPT_BENDS = 3.3
-"""Steepest direction from the microlenses that is kept, over those that a wide one scatters to, at least."""
+"""Lower bound of the band retained behind the microlenses, over the scattering of a wide microlens."""
 
 _KEPT_ORDERS = 20
-"""The same, in orders of the diffraction by the aperture of a microlens."""
+"""Lower bound of the same band, in diffraction orders of the aperture of a microlens."""
 
 BLOCK = 512
-"""Rows that are transformed together."""
+"""Number of rows that are transformed together."""
 
 
 @dataclass(frozen=True)
 class FieldGrids:
-    """Sizes and places of the grids; pairs are along x and y."""
+    """Sizes and positions of the grids; pairs are along x and y."""
 
-    pitch: float  # after the MLA: a whole fraction of a pixel
+    pitch: float  # behind the MLA: an integer fraction of a pixel
     per_pixel: int
-    wide_origin: tuple[float, float]  # of the window that holds pupil, image and detector
+    wide_origin: tuple[float, float]  # of the window that contains pupil, image and detector
     wide_pupil: int  # samples across it, at the pupil's pitch
     wide_mla: int  # samples across it, at the MLA's pitch
-    offset: tuple[int, int]  # of the detector's window in it, in samples of the MLA
+    offset: tuple[int, int]  # of the detector's window in the wide window, in MLA samples
     count: tuple[int, int]  # samples of the detector's window
-    bend: float  # largest change of direction cosine by a microlens that the grid holds
-    margin: int  # pixels of the detector's window before the first recorded one
+    bend: float  # largest change of direction cosine by a microlens that the grid represents
+    margin: int  # pixels between the window's edge and the first recorded pixel
 
 
 def field_grids(
@@ -72,7 +72,7 @@ def field_grids(
     refinement: float,
     growth: float,
 ) -> FieldGrids:
-    """Choose the grids of one scene point's field; parameters as of `full_field`."""
+    """Choose the grids of one scene point's field, with the parameters of `full_field`."""
     camera, wavelength, lens = system.camera, system.wavelength, system.waves_of_one(position)
     p, lam = camera.pixel_size, in_millimetres(wavelength)
     radius = lens.pupil_radius
@@ -86,21 +86,21 @@ def field_grids(
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
-    # The recorded window on the detector, with room for light that moves sideways between MLA and detector.
+    # The recorded window on the detector, with a margin for light that travels sideways between MLA and detector.
     reach = growth * camera.detector_distance * bent / math.sqrt(max(1e-3, 1 - bent**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
-    # The window of the way to the MLA, square and on the same grid of pixels.
+    # The window between pupil and MLA, which is square and aligned with the pixels.
     low = np.minimum(place - half_width, start)
     high = np.maximum(place + half_width, start + np.array(pixels) * p)
     if camera.lens_data.converges:
         low, high = np.minimum(-radius, low), np.maximum(radius, high)
         diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
     else:
-        # The samples of the stop are as many as the window holds waves of the steepest direction; softening its edge
-        # over one of them darkens what the edge diffracts far from the image of the point.
+        # The number of samples of the stop is that of waves of the steepest direction across the window. Softening its
+        # edge over one sample reduces the light that the edge diffracts far from the point's image.
         blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not camera.lens_data.images_stop)
         diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(position[2]), blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
@@ -110,7 +110,7 @@ def field_grids(
     coarse = min(wide, fast_length(wide * pitch * finest * refinement))
     detector_samples = pixels[0] * pixels[1] * per_pixel**2
     check_memory(
-        # at the pupil, on the way to the MLA, or with the doubled grid of the detector
+        # at the pupil, during propagation to the MLA, or with the doubled grid of the detector
         8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
         + 32.0 * BLOCK * wide,
         f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})",
@@ -132,8 +132,8 @@ def field_grids(
 class SampledField:
     r"""A complex field on a square grid in a plane of the camera."""
 
-    # Scaled so that the sum of squared moduli times the squared pitch is the fraction of the power through the pupil.
-    # Without the carrier :math:`\exp(i k d)` of the path from the main lens; (rows, columns).
+    # The sum of squared moduli times the squared pitch is the fraction of the power through the pupil. The carrier
+    # :math:`\exp(i k d)` of the path from the main lens is omitted. The shape is (rows, columns).
     samples: Field
     # Camera-frame x and y of the first sample, in millimetres.
     origin: tuple[float, float]
@@ -152,7 +152,7 @@ def pupil_field(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> SampledField:
-    """Return the field of a scene point behind the exit pupil; parameters as of `full_field`."""
+    """Return the field of a scene point behind the exit pupil, with the parameters of `full_field`."""
     types = backend().types
     count = grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
@@ -162,7 +162,7 @@ def pupil_field(
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
-    # The edge is softened over one sample, so that it is round; the power is that of the hard edge.
+    # The edge is softened over one sample to make it round; the normalisation is that of the hard edge.
     cover = types.Float(soft_edge(lens.inside(pupil) / step))
     bright = types.Float(lens.amplitude(pupil, point))
     density = types.Float64(bright * bright * cover)
@@ -181,7 +181,7 @@ def pupil_field(
 
 
 def at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField) -> SampledField:
-    """Propagate a field to the MLA, onto the finer grid there, and keep the detector's window."""
+    """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
     guards.judge(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
@@ -190,12 +190,12 @@ def at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil:
 
 
 def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
-    """Transform the spectrum of a field at the MLA onto the finer grid there, and keep the detector's window."""
+    """Transform the spectrum of a field at the MLA to the finer grid there, and crop it to the detector's window."""
     (left, top), (columns, rows) = grids.offset, grids.count
     arrays = backend().arrays
     samples = arrays.empty((rows, columns), np.complex64)
     with resting_drjit():
-        # axis by axis, so that rows and columns outside the spectrum and the window are never transformed
+        # one axis at a time, so that rows and columns outside the spectrum and the window are not transformed
         partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
         width, in_rim = rim(grids.wide_mla), 0.0
         for block in blocks(spectrum.shape[1]):
@@ -211,13 +211,13 @@ def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """Cut a range into slices, so that what is made of each stays small."""
+    """Divide a range into slices, which limits the memory of their intermediate results."""
     for start in range(0, count, BLOCK):
         yield slice(start, min(count, start + BLOCK))
 
 
 def interpolate(spectrum: Field, count: int, axis: int) -> Field:
-    """Transform a spectrum back along one axis onto `count` samples of the same window: zero-padded."""
+    """Transform a spectrum back along one axis to `count` samples of the same window, by zero padding."""
     size = spectrum.shape[axis]
     shape = list(spectrum.shape)
     shape[axis] = count
@@ -238,9 +238,9 @@ def telecentric_arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> tuple[SampledField, SampledField]:
-    """Return the field on the stop, and that on the array just before the microlenses.
+    """Return the field on the stop, and that on the array just before the microlenses, for a scene point (3,).
 
-    `position` is that of a scene point, (3,). Both have the power 1, except for what misses the detector's window.
+    Both have the power 1, except for light that misses the detector's window.
     """
     if lens.objective.images_stop:
         return _at_stop_image(lens, position, wavelength, grids, weights)
@@ -260,16 +260,16 @@ def _at_native_image(
     numbers = []
     row, column = rows_and_columns(types, count, count)
     for place in (column, row):
-        # Zero frequency first, as transforms have it.
+        # Zero frequency comes first, as in transforms.
         number = types.Float64(place)
         numbers.append(dr.select(number < (count + 1) // 2, number, number - count))
     reach = lens.pupil_distance * step
     pupil = -numbers[0] * dr.opaque(types.Float64, reach), -numbers[1] * dr.opaque(types.Float64, reach)
     field = _stop_field(lens, position, wavelength, pupil, reach, weights)
-    # The grid's first sample is at its corner.
+    # The first sample is at the corner of the grid.
     to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.wide_origin]
     spectrum = field * phasor(numbers[0] * to_corner[0] + numbers[1] * to_corner[1])
-    # The field on the stop is a density over places; over directions it is larger by the focal length.
+    # The field on the stop is a density in position; the density in direction is larger by the focal length.
     scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
     shape = count, count
     packed = as_field(pack(spectrum * types.Float(scale)), shape)
@@ -314,7 +314,7 @@ def _stop_field(
     sample: float,
     weights: PupilWeights | None,
 ) -> Any:
-    """Return the field at places on the stop, of the power 1, softened over a sample at the edge."""
+    """Return the field at positions on the stop, with power 1 and an edge that is softened over one sample."""
     types = backend().types
     point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     cover = types.Float(soft_edge(lens.inside(pupil) / sample))

@@ -1,4 +1,4 @@
-r"""The field of one scene point through the whole camera, without shortcuts: the reference of the other routes.
+r"""The field of one scene point through the whole camera, computed in full: the reference for the other methods.
 
 Behind the main lens, at the pupil point P, a point source at X has the field
 
@@ -86,7 +86,7 @@ def full_field(
 
 
 def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
-    """Propagate one scene point's field, as `full_field` does, and keep it at every plane."""
+    """Propagate one scene point's field, as `full_field` does, and return it at every plane."""
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, mla = _arrival(system, position, grids)
     spectrum = _detector_spectrum(system, grids, mla.samples.copy(), microlenses)
@@ -178,7 +178,7 @@ def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids
 
 
 def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
-    """Integrate rows of the doubled grid over the recorded pixels, by their spectrum times the pixel's sinc."""
+    """Integrate rows of the doubled grid over the recorded pixels: multiply their spectrum by the pixel's sinc."""
     size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
     spectrum = rfft(intensity, axis=1)
     pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
@@ -190,7 +190,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """One point: a batch."""
+    """A batch of a single point."""
 
     system: OpticalSystem
     position: NDArray[np.float64]
@@ -199,11 +199,11 @@ class _FullField:
 
     @property
     def samples(self) -> int:
-        """Samples on the detector."""
+        """Number of samples on the detector."""
         return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
-        """Do all of it."""
+        """Compute the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
         part = Part(_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
@@ -214,7 +214,7 @@ def _pixels(camera: PlenopticCamera) -> Box:
 
 
 class FullFieldPlan:
-    """The operator by full fields; parameters as of `PatchPlan`, of which `accuracy` is of no use here."""
+    """The operator by full fields, with the parameters of `PatchPlan`, of which `accuracy` is not used."""
 
     def __init__(
         self,
@@ -247,13 +247,13 @@ class FullFieldPlan:
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes of the image, or refuse them; those of the fields are judged point by point."""
+        """Return the memory in bytes of the image, or refuse it; the fields are checked point by point."""
         memory = 8.0 * channels * math.prod(self._camera.shape)
         check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
         return memory
 
     def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate what a sum takes from its first point."""
+        """Estimate the cost of a sum from its first point."""
         count, memory = len(self._points), self.check_memory(batch_map)
         start = time.perf_counter()
         if count:
@@ -262,7 +262,7 @@ class FullFieldPlan:
 
 
 class FullFieldSum:
-    """A sum of full fields; what it must offer is said in `runtime.jobs.LongSum`."""
+    """A sum of full fields, with the interface of `runtime.jobs.LongSum`."""
 
     def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights.astype(np.float32)
@@ -272,9 +272,9 @@ class FullFieldSum:
         self.items = np.ones(len(self._lit), np.int64)
 
     def batches(self, first: int) -> Iterator[_FullField]:
-        """Yield one batch a point."""
+        """Yield one batch for each point."""
         return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Put the channels last; what a full field loses is judged where it is computed."""
+        """Move the channels to the last axis; the loss of a full field is checked where it is computed."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

@@ -1,9 +1,8 @@
-"""Where point spreads lie, and how finely and widely they are sampled.
+"""Sampling of point spreads: the common grid, and the size and position of each patch.
 
-All intensities are sampled on one grid of the detector, whatever the patch: there they can be added, and they are
-integrated over the pixels once, at the end. The grid lies in the frame that is turned with the microlens lattice about
-the axis, and a whole number of its samples lies between neighbouring micro-images, so that a point spread can be moved
-from lens to lens.
+All intensities are sampled on one grid of the detector, so that they can be added and integrated over the pixels once,
+at the end. The grid lies in the frame that is rotated with the microlens lattice about the axis. An integer number of
+its samples separates neighbouring micro-images, so that a point spread can be moved from lens to lens.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_samples, fast_length, footprint
 
 _PITCH_PER_PIXEL = 1.1
-"""Distance of samples over a pixel, at most, within `_FINER`: larger pixels average the fringes of steep light."""
+"""Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""
 
 _FINER = 1.2
 _WIDTH_PER_BLUR = 1.2
@@ -36,34 +35,35 @@ _BLOCK = 4096
 
 @dataclass(frozen=True)
 class Band:
-    """How much of the diffracted light a patch holds."""
+    """The extent of the diffracted light that a patch represents."""
 
     cone: float
-    """Directions that are held on the detector over those of the geometric cone, pupil plus microlens, at least."""
+    """Least directions represented on the detector over those of the geometric cone, pupil plus microlens."""
     margin: float
     r"""Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern."""
     bends: float
-    """Directions that are held besides the pupil's cone, over those that a wide microlens scatters to, at least."""
+    """Least directions represented besides the pupil's cone, over those to which a wide microlens scatters."""
     orders: float
-    """The same, in orders of the diffraction by a microlens's aperture (see `microlenses.diffraction`)."""
+    """The same, in diffraction orders of a microlens's aperture (see `microlenses.diffraction`)."""
     beyond: float = math.inf
-    """Directions that are held beyond the geometric cone, in the same orders, at most where lenses leave no gaps."""
+    """Most directions represented beyond the geometric cone, in the same orders, where lenses leave no gaps."""
     edge: float = 1.0
-    """Samples over which the edges of the pupil, and of what hides parts of it, are softened. What a hard edge
-    diffracts beyond the patch is folded back into it; what an edge softened over one sample diffracts there is lost. A
-    single spread is truer without that light. A sum of many is truer with it, since what one point sends away comes to
-    another's patch: its power is right, and so are the rims of micro-images."""
-    smooth: bool = False  # whether the softened edges have no kinks: less of what they diffract is then folded back
+    """Samples over which the edges of the pupil, and of occluders of it, are softened. Light that a hard edge diffracts
+    beyond the patch is aliased into it; with an edge softened over one sample that light is lost. A single spread is
+    more accurate without that light. A sum of many is more accurate with it, since points exchange such light: the
+    total power
+    and the rims of micro-images are then right."""
+    smooth: bool = False  # whether the softened edges have no kinks, which reduces aliasing
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The grid of the detector on which intensities are sampled, and what patches on it have in common."""
+    """The grid of the detector on which intensities are sampled, and the data common to patches on it."""
 
     camera: PlenopticCamera  # in the frame of its lattice
-    lens: MainLens  # as the waves of the points pass it
+    lens: MainLens  # for wave propagation from the points
     microlenses: MicrolensArray  # in the frame of the lattice
-    rotation: float  # degrees by which that frame is turned, counter-clockwise
+    rotation: float  # rotation of that frame in degrees, counter-clockwise
     wavelength: float
     band: Band
     cosine: float  # half the range of direction cosines of one scene point's light at the MLA
@@ -72,7 +72,7 @@ class Grid:
 
     @property
     def lens_samples(self) -> NDArray[np.int64]:
-        """Samples along x and y, in columns, from one micro-image to the next along both lattice vectors, in rows."""
+        """Samples along x and y (columns) between adjacent micro-images along either lattice vector (rows)."""
         camera = self.camera
         growth = camera.micro_image_pitch / camera.mla_pitch
         return np.rint(np.array(camera.lattice.basis) * growth / self.pitch).astype(np.int64)
@@ -84,10 +84,10 @@ class Grid:
         band: Band,
         positions: NDArray[np.float64],
     ) -> Grid:
-        """Lay the grid of a camera for some scene points.
+        """Choose the grid of a camera for some scene points.
 
-        Its pitch holds the directions of the band, and along both axes a whole number of samples lies between
-        neighbouring micro-images.
+        Its pitch represents the directions of the band, and an integer number of samples lies between neighbouring
+        micro-images along both axes.
         """
         rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)
@@ -115,7 +115,7 @@ class Grid:
         )
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Turn scene points of the camera frame, (n, 3), into the frame of the lattice."""
+        """Transform scene points (n, 3) from the camera frame to the frame of the lattice."""
         if self.rotation == 0:
             return positions
         return np.column_stack([*turn(positions[:, 0], positions[:, 1], -self.rotation), positions[:, 2]])
@@ -123,25 +123,22 @@ class Grid:
 
 @dataclass(frozen=True)
 class Placement:
-    """Sizes and places of patches. Arrays have shape (n,) or, for x and y, (n, 2)."""
+    """Sizes and positions of patches. Arrays have the shape (n,) or, for x and y, (n, 2)."""
 
     samples: NDArray[np.int64]  # across each patch, on the detector and of its spectrum
-    corner: NDArray[np.int64]  # place of each patch's first sample on the grid
+    corner: NDArray[np.int64]  # index of each patch's first sample on the grid
     image: NDArray[np.float64]  # centre of the geometric image on the MLA
-    first: NDArray[np.int64]  # number of the first direction from the pupil
-    last: NDArray[np.int64]  # number of the last one
+    first: NDArray[np.int64]  # index of the first direction from the pupil
+    last: NDArray[np.int64]  # index of the last direction
 
     def take(self, which: NDArray[Any]) -> Placement:
-        """Return some of them."""
+        """Return a selection of the patches."""
         return Placement(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
-    """Choose size and place of the patches of some points.
-
-    The points are in the frame of the lattice.
-    """
-    # Rays are traced for some points at a time, so that memory does not grow with their number.
+    """Choose the size and position of the patches of points in the frame of the lattice."""
+    # Rays are traced for a limited number of points at a time, which limits the memory.
     starts = range(0, max(1, len(positions)), _BLOCK)
     parts = [_place(grid, positions[start : start + _BLOCK]) for start in starts]
     return Placement(
@@ -153,12 +150,12 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     camera, lens, lam = grid.camera, grid.lens, in_millimetres(grid.wavelength)
     image = footprint(lens, positions)
     a, b = lens.pupil_radius, lens.pupil_distance
-    # Between MLA and detector the light moves sideways: the patch lies half-way.
+    # Between MLA and detector the light moves sideways: the patch is centred half-way.
     aside = camera.detector_distance * lens.chief_slope(image.centre)
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
-    # What goes sideways on the way to the detector is held on both sides.
+    # A margin on both sides contains the light that moves sideways between MLA and detector.
     reach = camera.detector_distance * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
     width = np.maximum(_WIDTH_PER_BLUR * blur + max(spread / 3, 2 * reach), spread) + np.abs(aside).max(1)
     check_samples(
@@ -181,10 +178,10 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 
 def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round sample counts up to one of few that the FFT does quickly, so that points share them."""
+    """Round sample counts up to one of few fast FFT lengths, so that points share them."""
     counts = [fast_length(16)]
     while counts[-1] < minimum.max(initial=0):
         length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
-        # rows a multiple of 2 KiB apart fall into the same few lines of the processor's cache
+        # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
         counts.append(length if length % 256 else fast_length(length + 1))
     return np.array(counts)[np.searchsorted(counts, minimum)]

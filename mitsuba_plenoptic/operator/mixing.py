@@ -1,4 +1,4 @@
-"""Columns of weights, one for each wavelength, the channels of an image that record them, and plans for wavelengths."""
+"""Weights of points for each wavelength, the image channels that record them, and the plans for all wavelengths."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from ..system.optical_system import OpticalSystem
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT, _ROUNDING = 0.1, 1e-6
-"""Part of the accuracy that spectra may be simplified for, and relative error that single precision makes anyway."""
+"""Fraction of the accuracy used for simplifying spectra, and relative rounding error of single precision."""
 
 
 @dataclass(frozen=True)
 class SpectralSum:
-    """The sum of point spreads at one wavelength, of which an image has some."""
+    """A sum of point spreads at one wavelength, several of which make an image."""
 
     wavelength: float  # in nanometres
-    before: NDArray[np.float64]  # (columns, k): what the columns of the weights are multiplied by
-    after: NDArray[np.float32]  # (channels, k): from what the sum makes of them to the channels of the image
+    before: NDArray[np.float64]  # factors on the columns of the weights, (columns, k)
+    after: NDArray[np.float32]  # factors from the sum's channels to those of the image, (channels, k)
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
         """Return it with the fewest columns that determine the weights of some points: one if all have one spectrum.
 
-        Spectra that change little between nodes give channels nearly the same weights except for a factor, and every
-        column is added to the image copy by copy.
+        Spectra that change little between nodes give channels with weights that are nearly proportional, and every
+        column costs one addition for each copy.
 
-        In each of the channels of the image weights of the root sum square `errors` may be left out.
+        `errors` are the allowed root sum square errors of the weights in each channel of the image.
         """
         given = weights @ self.before
-        # In a fixed order: a checkpoint of a sum under way is of these very columns.
+        # The order is fixed, because a checkpoint of a sum in progress refers to these very columns.
         powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
         left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
         dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
@@ -48,7 +48,7 @@ class SpectralSum:
 
 
 class WeightChannels:
-    """The wavelengths of columns of weights, of which there is one or a spectrum, and the image's channels."""
+    """The wavelengths of columns of weights, from one wavelength or a spectrum, and the channels of the image."""
 
     def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
         self._wavelength, self.spectrum = wavelength, spectrum
@@ -60,17 +60,17 @@ class WeightChannels:
 
     @property
     def sums(self) -> int:
-        """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
+        """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
         return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
 
     def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
-        """Return the wavelength of each column of the weights, and the matrix (channels, columns) to the image's."""
+        """Return the wavelength of each column of weights, and the matrix (channels, columns) to image channels."""
         if self.spectrum is None:
             return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
         return self.spectrum.wavelengths, self.spectrum.matrix()
 
     def parts(self, columns: int) -> Iterator[SpectralSum]:
-        """Yield the sums that add up to an image, for a number of columns of weights (channels without a spectrum)."""
+        """Yield the sums that make an image, for `columns` columns of weights (channels without a spectrum)."""
         wavelengths, matrix = self.mixing(columns)
         if self.spectrum is None or not self.spectrum.nodes:
             for wavelength, some in groups(wavelengths):
@@ -85,7 +85,7 @@ class WeightChannels:
                 yield SpectralSum(node, np.diag(share), matrix)
 
     def reduced_parts(self, weights: NDArray[np.float64], accuracy: float) -> Iterator[SpectralSum]:
-        """Yield the sums for some weights, (n, columns), those of nodes simplified within an allowed error."""
+        """Yield the sums for weights (n, columns), simplified at nodes within an allowed error."""
         _, matrix = self.mixing(weights.shape[1])
         whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
         errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * whole
@@ -93,7 +93,7 @@ class WeightChannels:
             yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
 
     def check_image(self, image: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return an image of some (rows, columns) as (rows, columns, channels), or refuse it."""
+        """Return an image of shape (rows, columns, ...) as (rows, columns, channels), or refuse it."""
         try:
             pixels = np.asarray(image, np.float32)
         except (TypeError, ValueError, OverflowError):
@@ -127,7 +127,7 @@ class WeightChannels:
 
 
 class WavelengthPlans:
-    """The plans of some points at each wavelength, made when they are first asked for."""
+    """The plans of some points at each wavelength, computed on first use."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class WavelengthPlans:
         return self._plans[wavelength]
 
     def checked(self, wavelength: float, job: Job, channels: int) -> Any:
-        """Return the plan at a wavelength, or refuse what it takes."""
+        """Return the plan at a wavelength, or refuse it if it needs too much memory."""
         plan = self.at(wavelength)
         plan.check_memory(job.workers, channels)
         return plan
@@ -171,6 +171,6 @@ def mix(image: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.f
 
 
 def groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:
-    """Yield each distinct wavelength and the columns that have it: they share their point spreads."""
+    """Yield each distinct wavelength and its columns, which share point spreads."""
     for wavelength in dict.fromkeys(wavelengths):
         yield wavelength, [column for column, other in enumerate(wavelengths) if other == wavelength]

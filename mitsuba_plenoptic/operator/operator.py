@@ -1,4 +1,4 @@
-"""The wave camera as a linear operator: from weights of incoherent points to the detector's image, and back."""
+"""The wave camera as a linear operator from weights of incoherent points to the detector's image, with its adjoint."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
-"""Methods to compute point spreads at one wavelength, by name: the types of their plans.
+"""Methods of computing point spreads at one wavelength, by name: the types of their plans.
 
-A plan takes an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`, `check_memory`
-and `cost`, as `PatchPlan` does.
+A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`,
+`check_memory` and `cost`, as `PatchPlan` does.
 """
 
 METHODS = tuple(PLANS)
 
 
 class CaptureOperator:
-    r"""The image that a camera's detector records of incoherent point sources: linear in their weights.
+    r"""The image that a camera's detector records from incoherent point sources, which is linear in their weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
-    where psf is the fraction of the power through the visible pupil that lands in the pixel p. Everything that does not
-    depend on the weights is planned when it is first needed, and retained.
+    where psf is the fraction of the power through the visible pupil that falls on the pixel p. All data that do not
+    depend on the weights are planned on first use, and cached.
 
     Parameters
     ----------
@@ -53,25 +53,26 @@ class CaptureOperator:
     points : array (n, 3)
         Scene points (X, Y, g) in the camera frame, in millimetres, in front of the main lens.
     wavelength : float, optional
-        Wavelength in nanometres, the same for all channels of the weights; or give `spectrum`.
+        Wavelength in nanometres, the same for all channels of the weights. Give either this or `spectrum`.
     spectrum : Spectrum, optional
-        Wavelengths, and the channels that record them. Weights then have a value for each wavelength, and so have point
-        spreads, or for each of the spectrum's nodes.
+        Wavelengths, and the channels that record them. Weights then have a value for each wavelength. Point spreads are
+        computed for each wavelength, or for each of the spectrum's nodes.
     method : {"patch", "full_field"}
-        Way to compute point spreads: on the part of the array that each lights, or without shortcuts.
+        Method of computing point spreads: each on the part of the array that its point lights, or on the whole field,
+        without shortcuts.
     accuracy : float
-        Relative error (L2, over the image) that is allowed for speed, below 1. By method "patch" points of nearly the
-        same wavefront at neighbouring lenses then share a point spread. 0: every point has a spread of its own, and the
+        Allowed relative error (L2, over the image), below 1. With the method "patch", points of nearly the same
+        wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its own, and
         most of the diffracted light is retained.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
-        along x of the camera frame; booleans for what is visible. What passes is normalised anew, so that each point
-        spread still sums to its weight.
+        along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
+        still sums to its weight.
     virtual : bool
         Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
         after a lens of the scene.
     system : OpticalSystem, optional
-        The camera bound to the wavelength, where other sums use it, too: what it holds is then found only once.
+        The camera bound to the wavelength, if other sums use it, too, so that its data are computed only once.
 
     Raises
     ------
@@ -116,7 +117,7 @@ class CaptureOperator:
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
         """Add the point spreads of all points, each with a weight.
 
-        The bits of the result depend neither on the number of threads or workers nor on whether the sum was continued.
+        The bits of the result do not depend on the number of threads or workers, or on whether the sum was resumed.
 
         Parameters
         ----------
@@ -124,7 +125,7 @@ class CaptureOperator:
             Factors on the point spreads, of any sign. With a spectrum of several wavelengths one column for each of
             them, or one for all.
         job : Job, optional
-            Who computes, what reports the progress, where the work is stored. Default: threads of this process.
+            Executor of the work, progress report and checkpoint. Default: threads of this process.
 
         Returns
         -------
@@ -153,14 +154,14 @@ class CaptureOperator:
         Parameters
         ----------
         image : array (rows, columns) or (rows, columns, channels)
-            Of the recorded pixels.
+            Values of the recorded pixels.
         job : Job, optional
-            Who computes, and what reports the progress.
+            Executor of the work and progress report.
 
         Returns
         -------
         float64 array (n,) or (n, channels)
-            With a spectrum of several wavelengths one column for each of them.
+            Products with the point spreads; with a spectrum of several wavelengths one column for each of them.
 
         Raises
         ------
@@ -182,30 +183,30 @@ class CaptureOperator:
 
     @one_at_a_time
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
-        """Differentiate `forward` in the direction of changes of the camera's numbers.
+        """Differentiate `forward` in the direction of changes of the camera's parameters.
 
-        Points, weights and the relative power over each pupil are held, and so is that of all light through the pupil.
-        Behind a real main lens, for up to 512 points, or at accuracies below 0.004, each has a spread of its own; more
-        share them as `forward` does, each copy with what its own lenses change. By method "patch" only, and not for
-        cameras behind an objective.
+        Points, weights, the relative power over each pupil and the total power through it are fixed. Behind a real main
+        lens, for up to 512 points, or at accuracies below 0.004, each point has a spread of its own; otherwise points
+        share spreads as in `forward`, and each copy includes the changes by its own lenses. The method must be "patch",
+        and cameras with an objective are not supported.
 
         Parameters
         ----------
         weights : array (n,) or (n, channels)
             As for `forward`.
         changes : dict
-            Change of each number that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
+            Change of each parameter that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
             ``mla_focal_length`` (one, or each of three), ``mla_pitch`` (of both, or of each), ``mla_rotation`` (in
             degrees), ``mla_offset`` (two), ``mla_fill``, ``detector_distance``, ``detector_width``, ``wavelength`` (in
             nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
             the ``pupil_radius`` of its exit pupil).
         job : Job, optional
-            What reports the progress; the work is done by threads of this process.
+            Progress report; the work is done by threads of this process.
 
         Returns
         -------
         float32 array
-            Of the shape of the image.
+            Derivative, of the shape of the image.
 
         Raises
         ------
@@ -224,9 +225,9 @@ class CaptureOperator:
         Parameters
         ----------
         weights, job
-            As of `derivative`.
+            As for `derivative`.
         directions : sequence of dict
-            Each the changes of the camera's numbers, as of `derivative`.
+            For each direction the changes of the camera's parameters, as for `derivative`.
 
         Returns
         -------
@@ -236,7 +237,7 @@ class CaptureOperator:
         Raises
         ------
         InputError
-            As of `derivative`, or if there is no direction.
+            As for `derivative`, or if there is no direction.
         """
         factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
         if not checked:
@@ -251,32 +252,33 @@ class CaptureOperator:
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Apply the transpose of `derivative`: take the gradient of a figure back from the image to the camera.
+        """Apply the transpose of `derivative`: propagate the gradient of a scalar back from the image to the camera.
 
-        One pass back through all point spreads, whatever the count of numbers.
+        All parameters together take one reverse pass through all point spreads.
 
         Parameters
         ----------
         weights : array (n,) or (n, channels)
             As for `forward`.
         image_gradient : array
-            Derivatives of the figure with respect to the pixels, of the shape of the image.
+            Derivatives of the scalar by the pixels, of the shape of the image.
         names : iterable of str, optional
-            The numbers. Default: all.
+            The parameters. Default: all.
         job : Job, optional
-            What reports the progress; the work is done by threads of this process.
+            Progress report; the work is done by threads of this process.
 
         Returns
         -------
         dict
-            By name the derivatives of the figure, float64 arrays: two of ``mla_pitch`` (along the rows and across
-            them; where they are one number, add the two) and of ``mla_offset``, of ``mla_focal_length`` as many as
-            there are, of ``wavefront`` 36 or more, of all others one. `adjoint` gives those of the weights.
+            The derivatives of the scalar by name, float64 arrays: two for ``mla_pitch`` (along the rows and across
+            them; add the two if both pitches are one parameter) and for ``mla_offset``, one for each
+            ``mla_focal_length``, 36 or more for ``wavefront``, and one for all others. `adjoint` gives the derivatives
+            by the weights.
 
         Raises
         ------
         InputError
-            As of `derivative`.
+            As for `derivative`.
         """
         factors, chosen = self._check(weights), check_names(names)
         channels = self._channels.check_image(image_gradient, self.camera.shape)
@@ -286,7 +288,7 @@ class CaptureOperator:
         return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
 
     def _for_derivatives(self) -> Differentials:
-        """Return the derivatives of the sums, or refuse methods that have none."""
+        """Return the derivatives of the sums, or refuse methods that do not support them."""
         if self._method != "patch":
             raise InputError(f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
@@ -300,12 +302,12 @@ class CaptureOperator:
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
-        """Estimate what `forward` takes, by doing a little of it at the middle one of the wavelengths.
+        """Estimate the cost of `forward` from a small part of it at the middle wavelength.
 
         Parameters
         ----------
         job : Job, optional
-            Who would compute.
+            Executor of the work.
 
         Raises
         ------
@@ -349,7 +351,7 @@ class CaptureOperator:
 
     @property
     def sums(self) -> int:
-        """Sums of point spreads that make an image: one for each distinct wavelength, or node."""
+        """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
         return self._channels.sums
 
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
@@ -364,11 +366,11 @@ class CaptureOperator:
 
     @property
     def _items(self) -> int:
-        """Point spreads of all sums."""
+        """Number of point spreads in all sums."""
         return self.sums * len(self.points)
 
     def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
-        """Return by what a sum is known as the same."""
+        """Return the data that identify a sum."""
         pupils = self._pupil_weights
         arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
         return {

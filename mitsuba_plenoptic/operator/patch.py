@@ -1,8 +1,8 @@
-r"""Fields of points on a patch of the detector, many at a time.
+r"""Fields of many points together, each on a patch of the detector.
 
 A scene point lights a small patch of the MLA. There its field is a sum of plane waves, one for each direction
 cosine s from a pupil point P to the centre Mc of the patch, times a common curvature (the Debye integral with its
-quadratic term kept; Born and Wolf, "Principles of Optics", section 8.8):
+quadratic term retained; Born and Wolf, "Principles of Optics", section 8.8):
 
 .. math:: u(M_c + \mu) = \frac{ds^2}{\lambda} e^{i k \mu^2 / 2 R_0}
           \sum_s A(s) \, e^{i k (|P - X| - P^2 / 2 f_1 + R - R_0)} \, e^{i k s \cdot \mu},
@@ -11,15 +11,15 @@ quadratic term kept; Born and Wolf, "Principles of Optics", section 8.8):
 with :math:`A = \mathrm{pupil}(P) \, g R^2 / (|P - X|^2 b)`, so that :math:`\sum |A|^2 ds^2` is the power through the
 pupil. The sum is an inverse FFT of which few inputs are not zero. Curvature and, on square lattices,
 the transmission of the microlenses are products of a function of x and one of y, so the transforms to the MLA and back
-to the spectrum are done axis by axis, and rows outside the pupil never. Behind other microlenses the field is on the
-MLA along both axes at once, which costs about twice the time. The transfer function to the detector is that of the
+to the spectrum are done axis by axis, and rows outside the pupil are omitted. Behind other microlenses the field is on
+the MLA along both axes at once, which costs about twice the time. The transfer function to the detector is that of the
 angular spectrum.
 
 All of this is done in the frame that is turned with the microlens lattice about the axis, in which the main lens is
 the same.
 
-The tilt of the chief ray is rounded to a whole number of frequency samples and left out: it shifts the spectrum,
-and the intensity does not feel it. So the pitch has to hold only the cone of the pupil and the microlens, and
+The tilt of the chief ray is rounded to an integer number of frequency samples and omitted: it shifts the spectrum,
+without an effect on the intensity. The pitch must therefore represent only the cone of the pupil and the microlens, and
 some of the light that the edges of the microlenses scatter.
 """
 

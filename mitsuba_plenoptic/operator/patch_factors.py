@@ -1,7 +1,7 @@
 """The factors of fields on a patch, from pupil to detector: pupil, microlens array with curvature, free space.
 
-These are all that the field depends on, besides Fourier transforms of fixed sizes (see `patch`). The parameters of the
-camera that they are made of may be floats, or Dr.Jit numbers with gradients, while grids and positions are fixed.
+Besides these, a field depends only on Fourier transforms of fixed sizes (see `patch`). The camera parameters that enter
+the factors may be floats or Dr.Jit arrays with gradients, while grids and positions are fixed.
 """
 
 from __future__ import annotations
@@ -30,35 +30,35 @@ from .pupil_weights import PupilWeights
 
 @dataclass(frozen=True)
 class Elements:
-    """The optical elements that a field passes, by floats or by Dr.Jit numbers, which may carry gradients.
+    """The optical elements that a field passes, with float parameters or Dr.Jit arrays, which may carry gradients.
 
-    There is one Dr.Jit number for each parameter, or one for each lane of the factor that is made of it.
+    A Dr.Jit array has one entry for each parameter, or one for each lane of the factor that depends on it.
     """
 
     lens: MainLens | VaryingLens
     array: Sequence[ArrayFactor | VaryingArrayFactor]  # in the frame of the lattice
     wavelength: Any  # in nanometres
     detector_distance: Any  # in millimetres
-    turned: Any = 0.0  # degrees by which the lattice is turned, counter-clockwise, against its frame
+    turned: Any = 0.0  # counter-clockwise rotation of the lattice relative to its frame, in degrees
     growth: Any = 1.0
-    """Factor on all distances of samples on the MLA and the detector, and on the positions of patches. It follows the
+    """Factor on all sample distances on the MLA and the detector, and on the positions of patches. It follows the
     wavelength, so that directions and points of the pupil are fixed."""
     aberration: Callable[[Any, Any], Any] | None = None
-    """A further path of the main lens, in millimetres, at points x and y of its pupil in the camera frame."""
+    """An additional path of the main lens, in millimetres, at points x and y of its pupil in the camera frame."""
 
 
 @dataclass(frozen=True)
 class Fields:
-    """What the fields of some points are made of, whose patches have one size."""
+    """The data from which the fields of points with patches of one size are computed."""
 
     grid: Grid
     placement: Placement
-    positions: NDArray[np.float64]  # (n, 3), in the frame of the lattice
+    positions: NDArray[np.float64]  # scene points in the frame of the lattice, (n, 3)
     pupil_weights: PupilWeights | None
 
     @property
     def samples(self) -> int:
-        """Samples of all patches."""
+        """Total number of samples of all patches."""
         return int((self.placement.samples**2).sum())
 
 
@@ -66,7 +66,7 @@ class PatchFactors:
     """The factors of fields on patches of one size, in the order in which the fields pass them.
 
     These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on the
-    array's samples along their `axes`; and the transfer function to the detector, of the directions of all points.
+    array's samples along their `axes`; and the transfer function to the detector, for the directions of all points.
     """
 
     def __init__(
@@ -76,10 +76,11 @@ class PatchFactors:
         elements: Callable[[float, int], Elements] | None = None,
         types: Any = None,
     ) -> None:
-        """Lay out the factors of fields with some amplitudes.
+        """Prepare the factors of fields with some amplitudes.
 
-        `elements` makes the elements, with microlenses up to a direction cosine, for a number of lanes; by default the
-        grid's camera has them. `types` is the module of Dr.Jit's arrays, by default those without gradients.
+        `elements` is a function from the largest direction cosine of the microlenses and the number of lanes to the
+        elements; the default is those of the grid's camera. `types` is the module of Dr.Jit's arrays, by default
+        without gradients.
         """
         self._grid, self._placement, self._positions = fields.grid, fields.placement, fields.positions
         self._amplitudes, self._weights = amplitudes, fields.pupil_weights
@@ -88,12 +89,13 @@ class PatchFactors:
         self.samples = int(placement.samples[0])
         finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
         half = 2 * grid.cosine / finest
-        # Orders that would fold back into the band are cut; a few more samples hold those of use.
+        # Orders that would be aliased into the band are omitted; a few more samples represent the others.
         self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
-        # Each axis has a factor, the curvature, with the microlenses of its coordinate; those of both are separate.
+        # Each axis has a factor: the curvature and the microlenses' factor of its coordinate. A factor of both is
+        # separate.
         self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
-        self.chief = (placement.first + placement.last) // 2  # number of the middle direction of each, (n, 2)
+        self.chief = (placement.first + placement.last) // 2  # index of the central direction of each point, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
         self._low, count = self.chief.min(0), len(self._positions)
         columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
@@ -101,20 +103,20 @@ class PatchFactors:
         self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
 
     def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
-        """Return one point's part of each factor, or of what belongs to the factors; None where there is none."""
+        """Return one point's part of each factor, or of data of the same layout; None where there is none."""
         *own, transfer = parts
         mine = [None if part is None else part[point] for part in own]
         return [*mine, None if transfer is None else transfer[self.directions_of(point)]]
 
     def directions_of(self, point: int) -> tuple[slice, slice]:
-        """Return which of the directions of the transfer function, along y and x, the field of one point has."""
+        """Return the range of directions of the transfer function, along y and x, that one point's field contains."""
         x, y = (self.chief[point] - self._low).tolist()
         return slice(y, y + self.samples), slice(x, x + self.samples)
 
     def values(self) -> Iterator[Any]:
-        """Yield the factors as flat arrays Complex2f of Dr.Jit."""
+        """Yield the factors as flat Dr.Jit arrays Complex2f."""
         pupil, power = self._pupil(self._elements(self.shapes[0]))
-        dr.schedule(power)  # with the pupil, of which it is a sum
+        dr.schedule(power)  # together with the pupil, since it is a sum over it
         yield pupil
         scale = self._scale(self._elements(self.shapes[0][:1]), power)
         for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
@@ -129,7 +131,7 @@ class PatchFactors:
         return Elements(grid.lens, array, grid.wavelength, grid.camera.detector_distance)
 
     def _elements(self, shape: tuple[int, ...]) -> Elements:
-        """Return the elements for a factor of some shape."""
+        """Return the elements for a factor of the given shape."""
         return self._elements_of(self._highest, math.prod(shape))
 
     @property
@@ -138,11 +140,11 @@ class PatchFactors:
         return (in_millimetres(self._grid.wavelength) / (self.samples * self._grid.pitch)).tolist()
 
     def _constant(self, number: Any) -> Any:
-        """Return a number that is no part of the kernel's code."""
+        """Return a value that is not compiled into kernels."""
         return number if dr.is_array_v(number) else dr.opaque(self._types.Float64, number)
 
     def _each(self, numbers: Any, number: Any) -> Any:
-        """Return for each lane the number of its point."""
+        """Return for each lane the value of its point."""
         if isinstance(numbers, np.ndarray):
             numbers = self._types.Float64(np.ascontiguousarray(numbers, np.float64))
         return dr.gather(self._types.Float64, numbers, number)
@@ -171,7 +173,7 @@ class PatchFactors:
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / self._constant(self.samples * grid.pitch[0])
-        # The power is that of the hard edge; the width of the soft one is a matter of the grid.
+        # The power is that of the hard edge; the width of the soft edge depends on the grid.
         width = math.sqrt(math.prod(steps)) * grid.band.edge
         sample = dr.detach(R) * self._constant(width)
         soften = smooth_edge if grid.band.smooth else soft_edge
@@ -202,11 +204,11 @@ class PatchFactors:
         return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
-        """Turn a vector of the lattice's frame into one of the camera's."""
+        """Transform a vector from the frame of the lattice to that of the camera."""
         return turn(x, y, self._grid.rotation + elements.turned)
 
     def _scale(self, elements: Elements, power: Any) -> Any:
-        """Return the factor on each field that makes its intensity the density of a fraction of the power."""
+        """Return the factor on each field that makes its intensity a density of the fraction of the power."""
         lit = power > 0
         steps = self._constant(math.prod(self._steps))
         lam = self._constant(in_millimetres(elements.wavelength))
@@ -214,7 +216,7 @@ class PatchFactors:
         return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
     def _position(self, number: Any, sample: Any, axis: int) -> Any:
-        """Return the coordinate on the MLA of samples of some points."""
+        """Return the coordinate on the MLA of samples of points."""
         grid = self._grid
         corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
         step = float(self.samples * grid.pitch[axis] / self.mla_samples)
@@ -223,7 +225,7 @@ class PatchFactors:
     def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
         """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
 
-        The tilt of the chief ray is left out.
+        The tilt of the chief ray is omitted.
         """
         types, placement = self._types, self._placement
         shape = len(self._positions), self.mla_samples
@@ -231,7 +233,7 @@ class PatchFactors:
         m = self._position(number, sample, axis)
         image, growth = self._each(placement.image[:, axis], number), elements.growth
         mu = (m - image) * growth
-        # path from the pupil: (mu^2 - (s mu)^2) / 2 R, of which the part along the other axis is tiny
+        # path from the pupil: (mu^2 - (s mu)^2) / 2 R, where the part along the other axis is negligible
         b = self._constant(elements.lens.pupil_distance)
         square = self._each((placement.image**2).sum(1), number) * growth * growth + b * b
         own = image * image * growth * growth

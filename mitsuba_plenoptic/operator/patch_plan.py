@@ -1,4 +1,4 @@
-"""Which point spreads are computed for some points, together with which, and where each of their copies goes."""
+"""Plan of the point spreads to compute for some points: their batches, and the shifts of their copies."""
 
 from __future__ import annotations
 
@@ -29,46 +29,45 @@ from .sharing import ZONES, find_patterns
 from .tile import Copies, Gather, Scatter, aperture_power, reached
 
 _CHUNK = 64
-"""Point spreads that are prepared together and added into one tile, at most."""
+"""Largest number of point spreads that are computed together and added into one tile."""
 
 _FEW, _CHUNKS = 4, 32
-"""Point spreads of a chunk, at most, where there are few, and into how many chunks these are cut, so that all threads
-have some."""
+"""Smallest limit on the point spreads of a chunk, and the least number of chunks if there are few point spreads, so
+that all threads have work."""
 
 _PATCH_LIMIT = 2**26
-"""Bytes of one point's field above which many are refused: blurred over thousands of pixels, they take days."""
+"""Bytes of one point's field above which many are refused: if each covers thousands of pixels, they take days."""
 
 _CHUNK_BYTES = 2**26
 
 _TILE = 1024
-"""Samples across the part of the detector on which the corners of a chunk's patches lie, about."""
+"""Approximate number of samples across the region in which the corners of a chunk's patches lie."""
 
 _FIRST, _TRIAL_SECONDS = 2, 0.1
-"""Point spreads that are timed at least, for an estimate, and how long those of one patch size are timed, about."""
+"""Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
 
 _JUDGED = 16
-"""Patterns whose loss stands for that of all: where gaps between the microlenses take some of the light, and for
-`PatchPlan.gain`."""
+"""Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain` is."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a capture takes."""
+    """Cost of a capture."""
 
-    points: int  # points whose light reaches the recorded window; 0 where none are found
-    patterns: int  # point spreads that are computed for them
-    seconds: float  # time, from that of a few of them on this machine now
-    memory: float  # bytes at most
+    points: int  # number of points whose light reaches the recorded window; 0 if not determined
+    patterns: int  # number of point spreads that are computed for them
+    seconds: float  # time, extrapolated from a few point spreads on this machine
+    memory: float  # largest memory in bytes
 
 
 class PatchPlan:
-    """Points gathered into patterns, and patterns into chunks of one patch size and neighbourhood.
+    """Points grouped into patterns, and patterns into chunks of one patch size and neighbourhood.
 
-    A pattern is a point spread that several points share; each has it at a place of its own, as a copy. Each chunk
-    is a batch: it is added into a tile of its own, in the order of its patterns.
+    A pattern is a point spread that several points share; each point has a copy at its own position. Each chunk is a
+    batch, which is added into a tile of its own, in the order of its patterns.
 
-    At the allowed error `accuracy` points may share patterns, unless `shared` is false; `band` is by default what suits
-    that error for images.
+    Unless `shared` is false, points may share patterns within the allowed error `accuracy`; the default `band` is that
+    of images for this error.
     """
 
     def __init__(
@@ -94,7 +93,7 @@ class PatchPlan:
         self._recorder = Recorder(camera, self._grid, low, high)
         box = self._recorder.box
         start, size = np.array([box.left, box.top]), np.array([box.columns, box.rows])
-        # The points that are seen, pattern by pattern.
+        # The points whose light reaches the recorded window, pattern by pattern.
         order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
         self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
         self._shifts = shifts[order]
@@ -105,7 +104,7 @@ class PatchPlan:
         self._chunks = self._sort()
 
     def _sort(self) -> list[NDArray[np.int64]]:
-        """Cut the patterns into chunks."""
+        """Divide the patterns into chunks."""
         samples, corner = self._placement.samples, self._placement.corner
         if not len(samples):
             return []
@@ -127,13 +126,13 @@ class PatchPlan:
     # -- forward ---------------------------------------------------------------------------------------
 
     def sum(self, weights: NDArray[np.float64]) -> PatchSum:
-        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+        """Return the sum, not yet computed, of the point spreads with weights (n, channels)."""
         return PatchSum(self, weights)
 
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
-        """Describe a chunk: its fields are scaled by their largest weights, and the weights relative to these.
+        """Describe a chunk: fields are scaled by their largest weights, and copies have weights relative to these.
 
-        Patterns without weight are left out, but not those whose weights cancel: a batch is never empty.
+        Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
         """
         kept, amplitudes, copies = [], [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
@@ -146,7 +145,7 @@ class PatchPlan:
     def _lit_copies(
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64]
     ) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield those patterns of a chunk that have any weight, and the shifts and summed weights of their copies."""
+        """Yield the patterns of a chunk with nonzero weights, and the shifts and summed weights of their copies."""
         for pattern in chunk.tolist():
             members = slice(self._first[pattern], self._last[pattern])
             given = weights[self._order[members]]
@@ -160,11 +159,11 @@ class PatchPlan:
 
     @cached_property
     def gain(self) -> float:
-        """Factor on all power that puts back on the patches what is diffracted beyond them.
+        """Factor on all power that compensates for light diffracted beyond the patches.
 
-        In sums of many points that light is an even veil, of which about as much comes as goes. It is that of open
-        pupils, which differs little from pattern to pattern. 1 where patches hold what a few points, or strict ones,
-        need.
+        In sums of many points that light is a uniform background, exchanged between neighbouring patches. The factor is
+        that of open pupils, since it differs little from pattern to pattern. It is 1 where bands for few points or high
+        accuracy are used.
         """
         if math.isinf(self._grid.band.beyond) or not self._camera.lattice.fills or not len(self._positions):
             return 1.0
@@ -177,14 +176,14 @@ class PatchPlan:
         return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
     def _fields(self, which: NDArray[np.int64]) -> Fields:
-        """Describe the fields of some patterns."""
+        """Describe the fields of a selection of patterns."""
         weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
         if weights is not None and self._slant is not None:
             weights = replace(weights, slant=self._slant[which])
         return Fields(self._grid, self._placement.take(which), self._positions[which], weights)
 
     def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
-        """Return the chunks that have any weight, and how many points each of them stands for."""
+        """Return the chunks that have nonzero weights, and the number of points in each of them."""
         if not self._chunks:
             return [], np.zeros(0, np.int64)
         lit = np.add.reduceat(weights[self._order].any(1), self._first) > 0
@@ -193,11 +192,12 @@ class PatchPlan:
         return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
 
     def loss(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64], arrived: float) -> float | None:
-        """Return the fraction of the power behind the microlenses' apertures that is not on the patches.
+        """Return the fraction of the power behind the microlenses' apertures that falls outside the patches.
 
-        Where there are gaps between the apertures, that of a few patterns stands for all.
+        If there are gaps between the apertures, it is estimated from a few patterns.
 
-        `arrived` is the sum of all samples, without the `gain`. None is returned where weights cancel each other.
+        `arrived` is the sum of all samples, without the `gain`. The result is None if there is nothing to sum or a
+        weight is negative.
         """
         if not chunks or weights.min() < 0:
             return None
@@ -209,12 +209,12 @@ class PatchPlan:
         return 1 - arrived / sent if sent else None
 
     def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
-        """Compute a chunk here and now."""
+        """Compute a chunk immediately, in this thread."""
         with resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
     def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
-        """Compute a chunk and return the seconds that it takes, too."""
+        """Compute a chunk, and return the part and the seconds that it took."""
         backend().synchronize()
         start = time.perf_counter()
         part = self._sum_of(chunk, weights)
@@ -222,7 +222,7 @@ class PatchPlan:
         return part, time.perf_counter() - start
 
     def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
-        """Return the sum of all samples if all the power behind the apertures were on the patches."""
+        """Return the sum of all samples for the case that all power behind the apertures falls on the patches."""
         power = weights[self._order].sum(1)
         if self._pupil_weights is not None:
             power = power * self._pupil_weights.lit()[self._order]
@@ -237,7 +237,7 @@ class PatchPlan:
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return for every point the image weighted by its point spread.
 
-        `done` points of the `total` of a job are done before.
+        `done` of the `total` points of a job are already complete.
         """
         samples = self._recorder.spread(image)
         result = np.zeros((self._count, image.shape[2]))
@@ -258,7 +258,7 @@ class PatchPlan:
         return result
 
     def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
-        """Describe a chunk, with the samples of its tile; what lies beyond the recorded ones is zero."""
+        """Describe a chunk with the samples of its tile; samples outside the recorded ones are zero."""
         fields = self._fields(chunk)
         placement = fields.placement
         copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
@@ -266,7 +266,7 @@ class PatchPlan:
         return Gather(fields, copies, self._tile(samples, box))
 
     def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
-        """Cut a rectangle of the grid out of recorded samples, (channels, rows, columns); beyond these it is zero."""
+        """Extract a rectangle of the grid from recorded samples (channels, rows, columns), padded with zeros."""
         own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
         top, left = box.top - own.top, box.left - own.left
         rows = slice(max(top, 0), min(top + box.rows, own.rows))
@@ -279,18 +279,18 @@ class PatchPlan:
     # -- cost ------------------------------------------------------------------------------------------
 
     def memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes that a sum takes in this process."""
+        """Return the memory in bytes that a sum takes in this process."""
         samples = float(self._placement.samples.max(initial=0))
         across = samples + float(_areas(samples)) + ZONES[-1] * float(self._grid.lens_samples.max())
         tile = 4 * channels * across**2
         fields = (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
         tiles = batch_map.workers + 1
         if (self._last - self._first > 1).any():
-            tiles += 2 * batch_map.threads  # in cells: what has been added, and what is
+            tiles += 2 * batch_map.threads  # with cells: buffers of patterns and of their sum
         return channels * self._recorder.memory + tiles * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes that a sum takes, or refuse them."""
+        """Return the memory in bytes that a sum takes, or refuse it."""
         memory = self.memory(batch_map, channels)
         largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
         what = f"{self._count} points by patches of {largest} x {largest} samples"
@@ -304,7 +304,7 @@ class PatchPlan:
         return memory
 
     def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate what a sum takes from a few patterns of each patch size."""
+        """Estimate the cost of a sum from a few patterns of each patch size."""
         memory = self.check_memory(batch_map)
         samples = self._placement.samples
         ones = np.ones((self._count, 1))
@@ -312,10 +312,10 @@ class PatchPlan:
         for size in np.unique(samples):
             of_size = [chunk for chunk in self._chunks if samples[chunk[0]] == size]
             upto = np.cumsum([len(chunk) for chunk in of_size])
-            chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # as most patterns have it
-            self._timed(chunk[:_FIRST], ones)  # compiles the kernels; those of one pattern are others
+            chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # the chunk of the median pattern
+            self._timed(chunk[:_FIRST], ones)  # compiles the kernels, which differ from those of a single pattern
             _, taken = self._timed(chunk[:_FIRST], ones)
-            # What a chunk takes besides its patterns counts little where it is whole.
+            # Overheads of a chunk are small relative to a whole chunk.
             some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
             part, taken = self._timed(some, ones)
             arrived += float(part.sums.sum(dtype=np.float64))
@@ -326,17 +326,17 @@ class PatchPlan:
 
 
 def _areas(samples: Any) -> Any:
-    """Return across how many samples the corners of patches of some size lie that are added into one tile."""
+    """Return the width in samples of the region of patch corners that are added into one tile, by patch size."""
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of `count` patterns, evenly, each by itself."""
+    """Return a few of `count` patterns at regular intervals, each in its own array."""
     return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 
 class PatchSum:
-    """A sum of point spreads, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
+    """A sum of point spreads, batch by batch, with the interface of `runtime.jobs.LongSum`."""
 
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights
@@ -345,11 +345,11 @@ class PatchSum:
         self.box, self.channels = plan._recorder.box, weights.shape[1]
 
     def batches(self, first: int) -> Iterator[Scatter]:
-        """Yield the batches from one on, in their order."""
+        """Yield the batches from index `first` on, in order."""
         return (self._plan.scatter(chunk, self._weights) for chunk in self._chunks[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Judge how much of the light has arrived, and integrate the sum over the recorded pixels."""
+        """Check the fraction of light that has arrived, and integrate the sum over the recorded pixels."""
         loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
         if loss is not None:
             guards.judge(guards.PATCH, loss)

@@ -1,8 +1,8 @@
-"""Integrals over pixels of an intensity that is sampled on a grid of its own, and how they change as pixels move.
+"""Integrals over pixels of an intensity that is sampled on a different grid, and their derivatives as pixels move.
 
-Between its samples the intensity is a sum of sinc functions under a Kaiser window (Kaiser and Schafer 1980), each
-integrated over each pixel by Gauss's rule; outside the samples it is zero. An integral is a product of weights along x
-and along y, and so is its change where pixels move: by the intensity along their edges.
+Between samples the intensity is a sum of sinc functions with a Kaiser window (Kaiser and Schafer 1980), each integrated
+over each pixel by Gauss-Legendre quadrature; outside the samples it is zero. An integral is a product of weights along
+x and y, and so is its derivative as pixels move, which is the intensity along their edges.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..runtime.backend import backend_of
 
 HALF_WIDTH = 6
-"""Samples on each side of a position of which the intensity there is interpolated."""
+"""Samples on each side of a position from which the intensity there is interpolated."""
 
 _KAISER = 7.0
 _NODES = 8
@@ -27,13 +27,13 @@ _NODES = 8
 
 @dataclass(frozen=True)
 class PixelAxis:
-    """Pixels and samples of an intensity along one axis, and weights (pixels, samples) by which it is integrated."""
+    """Pixels and intensity samples along one axis, with the weights (pixels, samples) of the integrals."""
 
-    count: int  # of pixels
+    count: int  # number of pixels
     pixel_size: float
-    start: float  # where the first pixel begins, from the first sample, in millimetres
-    edge: float  # the same in the coordinate of the caller
-    pitch: float  # distance of samples
+    start: float  # start of the first pixel relative to the first sample, in millimetres
+    edge: float  # the same in the coordinate system of the caller
+    pitch: float  # distance between samples
     samples: int
 
     @cached_property
@@ -42,7 +42,7 @@ class PixelAxis:
         return self._integrals(moment=False)
 
     def moments(self, origin: float) -> scipy.sparse.csr_array:
-        """Return weights of the integrals over the pixels of the intensity times the distance from an origin."""
+        """Return the weights of integrals over the pixels of the intensity times the distance from an origin."""
         return self._integrals(moment=True) - self.weights * np.float32(origin)
 
     def _integrals(self, moment: bool) -> scipy.sparse.csr_array:
@@ -57,18 +57,18 @@ class PixelAxis:
         return _interpolation(place, node_weights, self.samples)
 
     def at_edges(self, speed: NDArray[np.float64]) -> scipy.sparse.csr_array:
-        """Return weights of the intensity at each pixel's last edge less that at its first, times the edges' speeds."""
+        """Return the weights of the intensity at each pixel's last edge less that at its first, times edge speeds."""
         place = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
         both = np.stack([place[:-1], place[1:]], -1)
         return _interpolation(both, np.stack([-speed[:-1], speed[1:]], -1), self.samples)
 
     def edges_from(self, origin: float) -> NDArray[np.float64]:
-        """Return the distances from an origin at which pixels begin and the last one ends, (count + 1,)."""
+        """Return the distances of all pixel edges from an origin, (count + 1,)."""
         return np.asarray(self.edge + np.arange(self.count + 1) * self.pixel_size - origin, np.float64)
 
 
 def _interpolation(place: NDArray[np.float64], factors: NDArray[np.float64], samples: int) -> scipy.sparse.csr_array:
-    """Return weights, (rows, samples), of the sum along rows of what is interpolated at positions, times factors."""
+    """Return the weights (rows, samples) of sums along rows of interpolated values at positions, times factors."""
     below = np.floor(place).astype(np.int64)
     pixel = np.broadcast_to(np.arange(len(place))[:, None], place.shape)
     entries = []
@@ -87,7 +87,7 @@ def windowed_sinc(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class PixelIntegrals:
-    """A sum of products of weights along y and along x: integrals over pixels, or their changes as the pixels move."""
+    """A sum of products of weights along y and x: integrals over pixels, or their derivatives as the pixels move."""
 
     def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[tuple[Any, Any]] | None = None) -> None:
         self._axes = along_x, along_y
@@ -103,9 +103,9 @@ class PixelIntegrals:
         first_edge: tuple[float, float],
         shape: tuple[int, int],
     ) -> PixelIntegrals:
-        """Integrate over square pixels; `samples` and `shape` are (rows, columns), of samples and of pixels.
+        """Return the integrals over square pixels; `samples` and `shape` are (rows, columns) of samples and of pixels.
 
-        `origin` is the first sample, `first_edge` the outer corner of the first pixel, (x, y) as `pitch`.
+        `origin` is the first sample and `first_edge` the outer corner of the first pixel, both (x, y), as is `pitch`.
         """
         along_x, along_y = (
             PixelAxis(pixels, pixel_size, first_edge[axis] - origin[axis], first_edge[axis], pitch[axis], count)
@@ -114,14 +114,14 @@ class PixelIntegrals:
         return cls(along_x, along_y)
 
     def shifted(self, axis: int) -> PixelIntegrals:
-        """Return the changes as all pixels move by 1 along x (axis 0) or y."""
+        """Return the derivatives by a motion of all pixels along x (axis 0) or y."""
         along_x, along_y = self._axes
         speed = np.ones(self._axes[axis].count + 1)
         moved = (along_y.weights, along_x.at_edges(speed)) if axis == 0 else (along_y.at_edges(speed), along_x.weights)
         return PixelIntegrals(*self._axes, [moved])
 
     def widened(self, middle: tuple[float, float], width: float) -> PixelIntegrals:
-        """Return the changes as the detector grows about its middle, by 1 for its width."""
+        """Return the derivatives by the width of the detector, which grows about its middle."""
         along_x, along_y = self._axes
         edges_x, edges_y = (
             axis.at_edges(axis.edges_from(centre) / width) for axis, centre in zip(self._axes, middle, strict=True)
@@ -129,28 +129,28 @@ class PixelIntegrals:
         return PixelIntegrals(*self._axes, [(along_y.weights, edges_x), (edges_y, along_x.weights)])
 
     def shrunk(self, middle: tuple[float, float], scale: float) -> PixelIntegrals:
-        """Return the changes as samples move apart from the middle, by one part in `scale`, with their values fixed."""
+        """Return the derivatives by `scale`, by which sample distances from the middle grow, at fixed values."""
         along_x, along_y = self._axes
         growth = along_y.weights, along_x.weights * np.float32(2 / scale)
         return PixelIntegrals(*self._axes, [*self.widened(middle, -scale)._terms, growth])
 
     def turned(self, middle: tuple[float, float]) -> PixelIntegrals:
-        """Return the changes as the detector turns clockwise by one degree, as a lattice that turns the other way."""
+        """Return the derivatives by a clockwise rotation of the detector in degrees, against that of the lattice."""
         moment_x, moment_y = (axis.moments(centre) for axis, centre in zip(self._axes, middle, strict=True))
         edges_x, edges_y = (axis.at_edges(np.full(axis.count + 1, math.pi / 180)) for axis in self._axes)
         return PixelIntegrals(*self._axes, [(moment_y, edges_x), (edges_y, -moment_x)])
 
     def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Integrate samples per square millimetre, (rows, columns), over the pixels, where the samples lie."""
+        """Integrate samples (rows, columns) per square millimetre over the pixels, on the device of the samples."""
         return _sum_of_products(self._terms, intensity)
 
     def adjoint(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return for each sample the pixels weighted by what the sample contributes to each of them."""
+        """Return for each sample the sum of the pixels, weighted by its contribution to each of them."""
         return _sum_of_products([(along_y.T.tocsr(), along_x.T.tocsr()) for along_y, along_x in self._terms], pixels)
 
 
 def _sum_of_products(terms: list[tuple[Any, Any]], values: Any) -> Any:
-    """Multiply values, (rows, columns), by sparse weights along y and along x, and add the products of all terms."""
+    """Multiply values (rows, columns) by sparse weights along y and x, and sum the products of all terms."""
     libraries, total = backend_of(values), None
     for along_y, along_x in terms:
         if libraries.is_cuda:

@@ -1,4 +1,4 @@
-"""Point spread of one scene point through the camera, and its fields on the way."""
+"""Point spread of one scene point through the camera, and its fields at the planes in between."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def point_spread_function(
 
 @one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
-    """Propagate the light of one scene point and keep its complex field at the pupil, the MLA and the detector."""
+    """Propagate the light of one scene point and return its complex field at the pupil, the MLA and the detector."""
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)

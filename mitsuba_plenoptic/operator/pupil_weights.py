@@ -1,4 +1,4 @@
-"""Cubic B-splines, by which values at regular places are spread and joined (Unser 1999, "Splines")."""
+"""Relative power over the pupil for many points, and its interpolation by cubic B-splines (Unser 1999, "Splines")."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from ..errors import InputError
 
 
 def spline_parts(place: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the cubic B-splines of the four nearest knots, one apart, at places between the middle two."""
+    """Return the cubic B-splines of the four nearest knots, at positions from 0 to 1 between the middle two."""
     left = 1 - place
     return left**3 / 6, 2 / 3 - place**2 + place**3 / 2, 2 / 3 - left**2 + left**3 / 2, place**3 / 6
 
 
 STEEPEST = 0.98
-"""Largest slant: of surfaces seen more slantwise the pupil sees both sides, and what it sees of one is hidden."""
+"""Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden."""
 
 
 @dataclass(frozen=True)
 class PupilWeights:
-    """Relative power over the pupil, for many points of which most have the same.
+    """Relative power over the pupil for many points, most of which share the same weights.
 
     The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
     """
 
-    table: NDArray[np.float32]  # (k, m, m): distinct weights, not negative
-    index: NDArray[np.int64]  # (n,): which of them each point has
+    table: NDArray[np.float32]  # distinct nonnegative weights, (k, m, m)
+    index: NDArray[np.int64]  # index of the weights of each point, (n,)
     slant: NDArray[np.float64]
-    """(n, 2): by how much the power grows besides from the pupil's centre to its rim, along x and along y of the camera
-    frame."""
+    """Relative growth of the power from the pupil's centre to its rim, along x and y of the camera frame, (n, 2)."""
     sampled: bool = False
-    """Whether the weights are those of points in the middle of the cells, between which the power changes smoothly; if
-    not, each holds for the whole of its cell."""
+    """Whether the weights are samples at cell centres, between which the power is smooth; otherwise each weight
+    holds for its whole cell."""
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
-        """Gather the weights of some points.
+        """Collect the weights of `count` points.
 
-        They are relative power, or booleans for what is visible, (points, m, m). None is the same over all the pupil.
+        The weights have the shape (points, m, m): relative power, or booleans for the visible part. None means uniform
+        power.
         """
         if weights is None:
             return None
@@ -65,25 +65,25 @@ class PupilWeights:
 
     @classmethod
     def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:
-        """Gather masks of cells x cells booleans, each packed into a row of bits."""
+        """Collect masks of cells x cells booleans, each packed into a row of bits."""
         rows, index = np.unique(bits, axis=0, return_inverse=True)
         table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
         return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
 
     def take(self, which: NDArray[Any] | slice) -> PupilWeights:
-        """Return those of some points."""
+        """Return the weights of a selection of points."""
         kept, index = np.unique(self.index[which], return_inverse=True)
         return replace(self, table=self.table[kept], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
-        """Whether any light of each point passes."""
+        """Return for each point whether any light passes its pupil."""
         return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
-        """Average the weights, and their square roots, over samples of the pupil.
+        """Return the weights, and their square roots, averaged over samples of the pupil.
 
-        A hard border of a cell would fold its steep spectrum back into the band of the samples. Samples wider than a
-        cell are taken as wide as one.
+        The steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider than a
+        cell are treated as one cell wide.
         """
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
@@ -108,7 +108,7 @@ class PupilWeights:
         return power * cosine, amplitude * dr.sqrt(cosine)
 
     def means(self, points: int) -> NDArray[np.float64]:
-        """Return the mean of each point's weights over the pupil; (n,)."""
+        """Return the mean of each point's weights over the pupil, (n,)."""
         cells = self.table.shape[1]
         place = (np.arange(cells * points) + 0.5) / points
         near = _splines(place) if self.sampled else [(np.floor(place), 1.0)]
@@ -125,24 +125,24 @@ class PupilWeights:
 
 
 def _border(place: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
-    """Return the two cells that a sample of some half width lies on, and what part of it is on each."""
+    """Return the two cells that a sample of some half width overlaps, and the fraction of the sample on each."""
     low, high = (dr.floor(dr.clip(place + side * half, 0, cells - 1)) for side in (-1, 1))
-    # The part of the sample beyond the border between the two cells.
+    # The fraction of the sample beyond the border between the two cells.
     beyond = dr.clip((place + half - high) / (2 * half), 0, 1)
     return [(low, 1 - beyond), (high, beyond)]
 
 
 def _splines(place: Any) -> list[tuple[Any, Any]]:
-    """Return the four cells around a place, and the cubic B-splines of their middles there."""
+    """Return the four cells around a position, and the cubic B-splines centred on them, evaluated there."""
     before = np.floor(place - 0.5) if isinstance(place, np.ndarray) else dr.floor(place - 0.5)
     parts = spline_parts(place - 0.5 - before)
     return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]
 
 
 def slants(normals: NDArray[np.floating[Any]], positions: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Return the slants of surfaces.
+    """Return the relative growth of power over the pupil for surfaces with normals in the camera frame.
 
-    The slant is that of power over the pupil, for normals in the camera frame; these are 0 where there is no surface.
+    Normals are 0 where there is no surface.
     """
     height = (normals * positions).sum(1)
     slant = -radius * normals[:, :2] / np.where(height == 0, np.inf, height)[:, None]

@@ -1,14 +1,15 @@
-r"""Points that share one pattern by the symmetry of the microlens lattice.
+r"""Points that share one pattern because of the symmetry of the microlens lattice.
 
-Move a scene point so that its image on the MLA moves by one lens: the pattern on the detector stays the same but
-for the aberrations of a thin lens far from the axis, and moves by one micro-image, :math:`D_2 (b + z) / b`. So
-points of the same wavefront at the same place of their lenses need one propagation for a zone of lenses.
+If a scene point moves so that its image on the MLA moves by one lens, the pattern on the detector moves by one
+micro-image, :math:`D_2 (b + z) / b`, and is otherwise unchanged except for the aberrations of a thin lens far from the
+axis. Points of the same wavefront at the same position within their lenses therefore need one propagation for a zone
+of lenses.
 
-"The same" is a matter of what one microlens sees. Out of focus it sees a part of the pupil only, one of
-:math:`n = 2 a |\Delta b| / b D_2` across, and of a changed wavefront the changed tilt of this part, which moves its
-spot: for a change by :math:`\delta` waves at the pupil's edge :math:`4 \delta / n` waves across a lens, for an image
-that moves by :math:`\mu` :math:`\mu D_1 / \lambda b n`. So the farther from focus, the wider the steps of place and
-distance within which points share.
+Wavefronts count as equal if one microlens cannot distinguish them. Out of focus a microlens sees only a part of the
+pupil, one of :math:`n = 2 a |\Delta b| / b D_2` across. Of a changed wavefront it sees the changed tilt of this part,
+which moves its spot: a change by :math:`\delta` waves at the pupil's edge gives :math:`4 \delta / n` waves across a
+lens, and a motion of the image by :math:`\mu` gives :math:`\mu D_1 / \lambda b n`. The steps of position and distance
+within which points share a pattern therefore increase with the defocus.
 """
 
 from __future__ import annotations
@@ -25,32 +26,32 @@ from ..optics.phase import in_millimetres
 from .pupil_weights import PupilWeights
 
 ZONES = (2, 3, 4, 6, 8, 12, 16)
-"""Lenses along an axis over which patterns may be shared, besides one."""
+"""Numbers of lenses along an axis over which patterns may be shared, besides one."""
 
 _LENS_PER_WAVE = 2.5
-"""Largest step of place, in lens pitches, over the allowed step of the wavefront in waves: the blur has an edge."""
+"""Largest step of position in pitches over the allowed wavefront step in waves; it is finite as blur has an edge."""
 
 _ZONE_PER_WAVE = 0.6
-"""Width of a zone in steps of the wavefront from lens to lens, over the allowed one."""
+"""Width of a zone, in wavefront changes from lens to lens, over the allowed wavefront step."""
 
 _SLANT_PER_WAVE = 1.5
-"""Range of slants of which the mean is taken, over the allowed step of the wavefront in waves."""
+"""Step of slants that are averaged, over the allowed wavefront step in waves."""
 
 _FARTHEST = 1e12
-"""Distance, in millimetres, from which on light counts as collimated."""
+"""Distance, in millimetres, beyond which light counts as collimated."""
 
 _OFF_LATTICE = 0.38196601
-"""Fraction of a step by which the bounds between steps are moved off the places that regular samples take."""
+"""Fraction of a step by which the bounds of steps are offset from the positions of regular samples."""
 
 
 @dataclass(frozen=True)
 class Patterns:
-    """Patterns, and which point takes which."""
+    """Patterns, and the pattern of each point."""
 
-    positions: NDArray[np.float64]  # (patterns, 3): the scene point that each is computed for
-    slant: NDArray[np.float64] | None  # (patterns, 2): mean of the points' slants (see `PupilWeights`)
-    pattern: NDArray[np.int64]  # (n,): for each point its pattern
-    shift: NDArray[np.int64]  # (n, 2): for each point the lenses, along x and y, from the pattern's place to its own
+    positions: NDArray[np.float64]  # scene point for which each pattern is computed, (patterns, 3)
+    slant: NDArray[np.float64] | None  # mean slant of the points (see `PupilWeights`), (patterns, 2)
+    pattern: NDArray[np.int64]  # index of each point's pattern, (n,)
+    shift: NDArray[np.int64]  # lenses along x and y from the pattern's position to each point's, (n, 2)
 
 
 def find_patterns(
@@ -63,8 +64,8 @@ def find_patterns(
 ) -> Patterns:
     """Find points that share patterns.
 
-    Wavefronts count as the same if they differ by less than `step` waves across a microlens; with 0 nothing is shared.
-    Camera and positions are in the frame of the lattice. Points whose pupils pass different powers never share.
+    Wavefronts count as equal if they differ by less than `step` waves across a microlens; with 0 nothing is shared.
+    Camera and positions are in the frame of the lattice. Points with different pupil weights never share a pattern.
     """
     if step == 0:
         alone = np.zeros((len(positions), 2), np.int64)
@@ -85,7 +86,7 @@ def find_patterns(
         keys += [pupil_weights.index[:, None], slants]
     _, first, pattern = np.unique(np.hstack(keys), axis=0, return_index=True, return_inverse=True)
     pattern = pattern.reshape(-1)
-    # A pattern is computed for the mean of its points, in the middle lens of those that have it.
+    # A pattern is computed for the mean of its points, in the middle of the lenses that use it.
     low, high = np.full((2, len(first), 2), np.iinfo(np.int64).max)
     high = -high
     np.minimum.at(low, pattern, cell)
@@ -101,14 +102,14 @@ def find_patterns(
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
-    # Light that diverges and light that converges may share a pattern, and their mean be collimated.
+    # If a pattern is shared by diverging and converging light, their mean may be collimated.
     nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
     found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, nearness)
     return Patterns(found, slant, pattern, cell - middle[pattern])
 
 
 def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Express places on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
+    """Express positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
     (width, _), (aside, height) = camera.lattice.basis
     x, y = (place - np.array(camera.mla_offset)).T
     j = y / height
@@ -116,7 +117,7 @@ def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArr
 
 
 def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
-    """Express steps along the lattice vectors, (n, 2), as places on the MLA in pitches."""
+    """Express steps along the lattice vectors, (n, 2), as positions on the MLA in pitches."""
     basis, offset = np.array(camera.lattice.basis), np.array(camera.mla_offset)
     return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
 
@@ -124,14 +125,14 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.floa
 def _depth_steps(
     camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the number of each distance's step, and into how many parts a lens is cut along an axis there."""
+    """Return the index of each distance's step, and the number of parts into which a lens is divided along an axis."""
     lam = in_millimetres(wavelength)
     a, b = lens.pupil_radius, lens.pupil_distance
     defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)
     pitch = max(camera.mla_pitches)
     lenses_per_wave = 4 * b * lam / (a * pitch)
     lenses = np.maximum(1, lenses_per_wave * np.abs(defocus))
-    # even where the blur is below one lens, logarithmic beyond
+    # linear where the blur is below one lens, logarithmic beyond
     scale = np.where(lenses > 1, np.sign(defocus) * (1 + np.log(lenses)) / lenses_per_wave, defocus)
     depth = np.floor(4 * scale / step + _OFF_LATTICE)
     middle = np.abs(depth + 0.5 - _OFF_LATTICE) * step / 4 * lenses_per_wave
@@ -143,9 +144,9 @@ def _depth_steps(
 def _zones(
     camera: PlenopticCamera, lens: MainLens, cell: NDArray[np.int64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first lens and size of each lens's zone, of as many steps along both lattice vectors.
+    """Return the first lens and the size of each lens's zone, the same along both lattice vectors.
 
-    In it the wavefront changes little enough.
+    The wavefront changes by an allowed amount within a zone.
     """
     pitch = max(camera.mla_pitches)
     size = np.ones(len(cell), np.int64)

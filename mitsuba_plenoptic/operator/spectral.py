@@ -27,10 +27,10 @@ def with_enough_nodes(
 ) -> Spectrum:
     """Return a spectrum with as few nodes as its point spreads need.
 
-    The count is raised in steps until images of each point, by every channel, change by no more than half of the
-    error: the other half is for what is then still left.
+    The number of nodes is raised in steps until images of each point, by every channel, change by no more than half
+    of the error; the other half allows for the error that remains.
 
-    `points` are a few that stand for all, `error` is relative (L2) and holds for the image of each channel.
+    `points` are a few representative points; `error` is relative (L2) and applies to the image of each channel.
     """
     error = require_number("error", error, positive=True)
     weights = PupilWeights.of(pupil_weights, len(points))
@@ -65,7 +65,7 @@ def with_enough_nodes(
 
 
 def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
-    """Return rows and columns that hold all light of some images, or all where there is none."""
+    """Return the rows and columns that contain all light of some images, or all rows and columns without light."""
     lit = np.any([image.any(2) for image in images], axis=0)
     found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
     rows, columns = (slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(None) for some in found)

@@ -1,8 +1,8 @@
-"""Many copies of patterns, each moved by whole lenses, added at once: a product with a sparse matrix.
+"""Sums of many copies of patterns, each moved by whole lenses, as products with a sparse matrix.
 
-Where all copies are moved by multiples of some width, patterns and what they are added to are cut into cells of that
-width. Each copy then adds whole cells, so that for all samples of a cell the same weights of the same cells are summed:
-a sparse matrix, of which each row is a cell of the sum, times the cells of the patterns.
+If all copies are moved by multiples of some width, patterns and their sum are divided into cells of that width. Each
+copy then adds whole cells, with the same weights for all samples of a cell. The sum is a product of a sparse matrix,
+each row of which is a cell of the sum, with the cells of the patterns.
 """
 
 from __future__ import annotations
@@ -25,57 +25,57 @@ from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields
 
 _FEWEST_COPIES = 3
-"""Copies of a pattern, in the mean, from which on cutting it pays."""
+"""Mean number of copies of a pattern above which cells are faster."""
 
 _SMALLEST_CELL = 64
 """Samples of a cell below which the matrix would be as large as the patterns."""
 
 _MOST_PADDING = 4
-"""Samples of a pattern's cells over its own, at most: small patterns are added one by one."""
+"""Largest ratio of the samples of a pattern's cells to its own; smaller patterns are added one by one."""
 
 _TOGETHER = 2**20
-"""Samples of the patterns that are multiplied together, which a core's caches hold."""
+"""Samples of the patterns that are multiplied together, which fit into a core's caches."""
 
 
 @dataclass(frozen=True)
 class CopyCells:
-    """Patterns of one size, and their sum, cut into cells."""
+    """Patterns of one size, and their sum, divided into cells."""
 
-    width: NDArray[np.int64]  # (2,): samples of a cell along x and y
-    count: NDArray[np.int64]  # (2,): cells that a pattern reaches, wherever it begins
+    width: NDArray[np.int64]  # samples of a cell along x and y, (2,)
+    count: NDArray[np.int64]  # largest number of cells that a pattern overlaps, (2,)
 
     @classmethod
     def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> CopyCells | None:
-        """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if it does not pay.
+        """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if they are slower.
 
-        `shifts` has for each pattern those of its copies along x and y, (copies, 2).
+        `shifts` has an array (copies, 2) for each pattern, along x and y.
         """
         every = np.concatenate([shift - shift[0] for shift in shifts])
         width = np.gcd.reduce(every, axis=0)
-        # Along an axis that no copy is moved along, one cell holds the pattern.
+        # Along an axis without motion, one cell contains the pattern.
         width = np.where(width > 0, width, samples).astype(np.int64)
         count = (samples + 2 * width - 2) // width
         pays = len(every) >= _FEWEST_COPIES * len(shifts) and width.prod() >= _SMALLEST_CELL
         return cls(width, count) if pays and (count * width).prod() <= _MOST_PADDING * samples**2 else None
 
     def sum(self, size: NDArray[np.int64], channels: int, patterns: int) -> CellSum:
-        """Return an empty sum of some samples along x and y, which holds at least `patterns` at a time."""
+        """Return an empty sum of the given size along x and y, which buffers at least `patterns` at a time."""
         return CellSum(self, size, channels, patterns)
 
     def cut(self, planes: Any) -> Any:
-        """Cut planes (n, x, y), of whole cells, into (cells of all planes, samples)."""
+        """Divide planes (n, x, y) of whole cells into (cells of all planes, samples)."""
         shape = np.array(planes.shape[1:]) // self.width
         cut = planes.reshape(len(planes), shape[0], self.width[0], shape[1], self.width[1])
         return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
 
     def join(self, cells: Any, planes: int, shape: NDArray[np.int64]) -> Any:
-        """Undo `cut` of a number of planes, of `shape` cells each."""
+        """Invert `cut` for planes of `shape` cells each."""
         cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
         return cells.reshape(planes, *(shape * self.width).tolist())
 
 
 class CellSum:
-    """A sum of copies of patterns; they are collected, and multiplied some at a time."""
+    """A sum of copies of patterns, which are buffered and added several at a time."""
 
     def __init__(self, cells: CopyCells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
         self._cells, self._size, self._channels = cells, size, channels
@@ -88,10 +88,10 @@ class CellSum:
         self._entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
 
     def plane(self, pattern: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
-        """Return where the intensity of a pattern is to be written, (samples along x, along y) and some beyond.
+        """Return the buffer for the intensity of a pattern, along x and y, with some samples to spare.
 
-        `places` are the first samples of each copy along x and y. A pattern is known by its index when its next part is
-        written.
+        `places` are the first samples of each copy along x and y. When another part of the pattern is written, its
+        index identifies it.
         """
         if pattern not in self._held:
             self._held[pattern] = len(self._held)
@@ -100,11 +100,11 @@ class CellSum:
         return self._planes[self._held[pattern], x:, y:]
 
     def _enter(self, number: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> None:
-        """Enter the copies of a plane into the matrix."""
+        """Add the copies of a plane to the matrix."""
         inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
         x, y = places.T[..., None] + inner[:, None]
         copy, channel = np.nonzero(weights)
-        # One channel after the other of the same cell: what is added to them stays in the processor's cache.
+        # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
         rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
         columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
         values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
@@ -112,11 +112,11 @@ class CellSum:
 
     @property
     def free(self) -> int:
-        """How many more patterns can be written before the next `add`."""
+        """Number of patterns that can be written before the next `add`."""
         return len(self._planes) - len(self._held)
 
     def add(self) -> None:
-        """Add what has been written."""
+        """Add the patterns in the buffer to the sum."""
         if not self._held:
             return
         rows, columns, values = (np.concatenate(entries) for entries in zip(*self._entries, strict=True))
@@ -140,17 +140,17 @@ class CellSum:
 
 @dataclass(frozen=True)
 class Copies:
-    """Where and how strongly the intensity of one point spread is added: at its own place, and at copies of it."""
+    """Shifts and weights with which the intensity of one point spread is added several times."""
 
-    shifts: NDArray[np.int64]  # (copies, 2): samples along x and y by which each copy is moved
-    weights: NDArray[np.float32]  # (copies, channels): factors on the intensity
+    shifts: NDArray[np.int64]  # samples along x and y by which each copy is moved, (copies, 2)
+    weights: NDArray[np.float32]  # factors on the intensity, (copies, channels)
 
 
 class CopySum:
-    """A sum of the copies of patterns of one size, with their weights: by cells where these pay, else copy by copy.
+    """A weighted sum of copies of patterns of one size, by cells where these are faster, else copy by copy.
 
-    `places` are the first samples of each pattern's copies along both axes of a sum of some size. Parts of `together`
-    patterns come in turns.
+    `places` are the first samples of each pattern's copies along both axes of the sum. Parts of `together` patterns may
+    be added alternately.
     """
 
     def __init__(
@@ -163,13 +163,13 @@ class CopySum:
     ) -> None:
         self._places, self._weights, self._together, self._last = places, [own.weights for own in copies], together, 0
         channels, self._arrays = self._weights[0].shape[1], backend().arrays
-        # Of the distances between copies only their common divisors matter, along the axes of the places.
+        # Cells depend only on the distances between copies, along the axes of `places`.
         cells = CopyCells.of([place - place[0] for place in places], samples)
         self._cells = None if cells is None else cells.sum(size, channels, together)
         self._sums: Any = None if self._cells else self._arrays.zeros((channels, *size.tolist()), np.float32)
 
     def add(self, pattern: int, part: tuple[slice, slice], intensity: Any, work: Any = None) -> None:
-        """Add the copies of a part of a pattern; `work` is memory of the size of the part."""
+        """Add the copies of a part of a pattern; `work` is a buffer of the size of the part."""
         if self._cells is not None:
             if pattern // self._together != self._last and self._cells.free < self._together:
                 self._cells.add()
@@ -188,7 +188,7 @@ class CopySum:
 
 
 class PatchTile:
-    """The part of the grid that the point spreads of one batch reach."""
+    """The rectangle of the grid that the point spreads of one batch cover."""
 
     def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
         self._batch, self._copies = batch, copies
@@ -201,7 +201,7 @@ class PatchTile:
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
     def sum(self) -> NDArray[np.float32]:
-        """Add the weighted intensities of all copies; (channels, rows, columns)."""
+        """Return the sum of the weighted intensities of all copies, (channels, rows, columns)."""
         size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
         sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
         for point, along_x, along_y, intensity, weighted in self._intensities():
@@ -215,13 +215,13 @@ class PatchTile:
         for point, along_x, along_y, intensity, _ in self._intensities():
             for copy, (x, y) in enumerate(self._places[point].tolist()):
                 part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
-                # Row by row in single precision, so that few numbers are added in it.
+                # Only rows are summed in single precision, which limits rounding errors.
                 rows = self._arrays.einsum("cij,ij->ci", part, intensity).sum(1, dtype=np.float64)
                 products[point][copy] += self._batch.libraries.to_host(rows)
         return products
 
     def _intensities(self) -> Iterator[tuple[int, slice, slice, Any, Any]]:
-        """Yield the intensities of all points in parts, (along x, along y), and as much memory for work."""
+        """Yield the intensities of all points in parts, (along x, along y), each with a buffer of equal size."""
         batch, arrays = self._batch, self._arrays
         work = PatchWorkspace(batch)
         for first in range(0, len(self._copies), batch.together):
@@ -239,14 +239,14 @@ class PatchTile:
 
 
 def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
-    """Return what square patches and their copies reach of a grid that is finer than they are."""
+    """Return the rectangle of a grid, `finer` than the patches by a factor, that patches and their copies cover."""
     corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
     return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Point spreads to be added, each with factors on its field and on its copies."""
+    """Point spreads to be added, with factors on the field and on the copies of each."""
 
     fields: Fields
     amplitudes: NDArray[np.float64]
@@ -254,11 +254,11 @@ class Scatter:
 
     @property
     def samples(self) -> int:
-        """Samples of all patches."""
+        """Total number of samples of all patches."""
         return self.fields.samples
 
     def prepare(self) -> Callable[[], Part]:
-        """Make the fields, and return the function that adds their intensities."""
+        """Compute the factors of the fields, and return the function that adds the intensities."""
         return partial(_sum, PatchBatch(self.fields, self.amplitudes), self.copies)
 
 
@@ -269,7 +269,7 @@ def _sum(batch: PatchBatch, copies: list[Copies]) -> Part:
 
 @dataclass(frozen=True)
 class Gather:
-    """Point spreads to be multiplied with the samples of the tile that they reach."""
+    """Point spreads to be multiplied with the samples of the tile that they cover."""
 
     fields: Fields
     copies: list[Copies]
@@ -277,11 +277,11 @@ class Gather:
 
     @property
     def samples(self) -> int:
-        """Samples of all patches."""
+        """Total number of samples of all patches."""
         return self.fields.samples
 
     def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
-        """Make the fields, and return the function that multiplies their intensities with the tile."""
+        """Compute the factors of the fields, and return the function that multiplies the intensities with the tile."""
         return partial(_products, PatchBatch(self.fields, np.ones(len(self.copies))), self.copies, self.tile)
 
 
@@ -290,7 +290,7 @@ def _products(batch: PatchBatch, copies: list[Copies], tile: NDArray[np.float32]
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:
-    """Return the fraction of each point's power on the microlens array that is within apertures; (n,).
+    """Return the fraction (n,) of each point's power on the microlens array that falls on apertures.
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
     """

@@ -1,4 +1,4 @@
-"""Samples of an intensity on a grid that is turned against its own, and the adjoint."""
+"""Resampling of an intensity on a rotated grid, and its adjoint."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ..runtime.fft import split
 from .pixels import HALF_WIDTH, windowed_sinc
 
 _PARTS = 4096
-"""Positions between two samples for which the weights of those around are held."""
+"""Number of positions between two samples for which interpolation weights are tabulated."""
 
 _TAPS = 2 * HALF_WIDTH
 _BLOCK = 2**22
 
 
 class TurnedSamples:
-    """Samples of an intensity on a grid against which its own is turned, counter-clockwise about the axis.
+    """Samples of an intensity on a new grid, relative to which its own is rotated counter-clockwise about the axis.
 
-    `samples` and `shape` are rows and columns of the intensity's own samples and of the new ones, `pitch` and `origin`
-    (x, y) those of the own samples in their own frame. Outside its own samples the intensity is zero.
+    `samples` and `shape` are the rows and columns of the intensity's own samples and of the new ones; `pitch` and
+    `origin` (x, y) are those of its own samples in their own frame. Outside its own samples the intensity is zero.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class TurnedSamples:
         self._weights = windowed_sinc(parts[:, None] - np.arange(1 - HALF_WIDTH, 1 + HALF_WIDTH)).astype(np.float32)
 
     def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Interpolate the intensity, (rows, columns), at the new samples."""
+        """Interpolate the intensity (rows, columns) at the new samples."""
         libraries = backend_of(intensity)
         types, arrays = libraries.types, libraries.arrays
         values = types.Float(arrays.pad(intensity, HALF_WIDTH).reshape(-1))
@@ -64,9 +64,9 @@ class TurnedSamples:
         return result
 
     def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return for each of the intensity's own samples the new ones weighted by its part in each of them.
+        """Return for each of the intensity's own samples the new ones, weighted by its contribution to each of them.
 
-        Their last bits depend on the order in which threads add them.
+        The rounding of the result depends on the order in which threads add.
         """
         libraries = backend_of(samples)
         types = libraries.types
@@ -89,7 +89,7 @@ class TurnedSamples:
     def _visited(
         self, libraries: Backend
     ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
-        """Yield lines of the new grid, which of their samples count, weights across, and a loop over rows around."""
+        """Yield lines of the new grid, a mask of their samples, weights across, and a loop over the rows around."""
         types = libraries.types
         table = types.Float(self._weights.reshape(-1))
         rows, columns = self._samples

@@ -14,9 +14,9 @@ from ..system.optical_system import OpticalSystem
 
 
 def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
-    r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, of the weight of a point what depends on the camera.
+    r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, the part of a point's weight that depends on the camera.
 
-    The rest is its radiance times the solid angle :math:`A_c / b^2` that it stands for.
+    The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that it represents.
     """
     pupil = math.pi * pupil_radius**2
     return pupil * detector_distance**2 / (lattice.lens_area * pixel_size**2)
@@ -33,5 +33,5 @@ def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray
 
 
 def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
-    r"""Return what all pixels together record of a small area of radiance 1: `brightness` times :math:`A_c / b^2`."""
+    r"""Return the total signal of a small area of radiance 1 in all pixels: `brightness` times :math:`A_c / b^2`."""
     return area / lens.pupil_distance**2 * brightness_of(camera, lens)

@@ -33,7 +33,7 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
     Raises
     ------
     InputError
-        If the values are not finite or have another shape, or the corners are none.
+        If the values are not finite or have a wrong shape, or the corners do not define a box.
     """
     try:
         grid = np.array(values, np.float64)

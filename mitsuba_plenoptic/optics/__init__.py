@@ -1,1 +1,1 @@
-"""Formulas of rays and waves, each in one place; no plugins, files or screens."""
+"""Formulas of ray and wave optics, each defined once, independent of plugins, files and displays."""

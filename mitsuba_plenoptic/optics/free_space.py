@@ -2,11 +2,11 @@ r"""Free-space propagation of a sampled scalar field by its angular spectrum.
 
 Every plane wave of the field, of transverse wave vector :math:`(k_x, k_y)`, advances by the phase
 :math:`k_z d` with :math:`k_z = (k^2 - k_x^2 - k_y^2)^{1/2}`: an exact solution of the scalar wave equation
-(Goodman, "Introduction to Fourier Optics", section 3.10), without a paraxial step. The carrier
-:math:`\exp(i k d)`, the same for the whole field, is left out; evanescent waves are cut.
+(Goodman, "Introduction to Fourier Optics", section 3.10), without the paraxial approximation. The carrier
+:math:`\exp(i k d)`, the same for the whole field, is omitted, and evanescent waves are set to zero.
 
-The field is periodic: what leaves the window on one side comes back in on the other. Callers choose
-the window.
+The field is periodic: light that leaves the window on one side re-enters it on the other. The caller chooses a window
+that is wide enough.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ from .phase import in_millimetres, phasor
 from .power import band_edge_fraction, fraction, frequencies_of, power, rim, weighted
 
 _ROWS = 32
-"""Rows of a large field that are looked at, about."""
+"""Approximate number of rows that are checked in a large field."""
 
 _SMALL = 2**18
-"""Samples up to which a field is looked at whole."""
+"""Largest number of samples for which a field is checked completely."""
 
 _UNSEEN = 0.01
-"""Power that those rows may hold too much or too little; beyond that all are looked at."""
+"""Relative error of the power in those rows beyond which all rows are checked."""
 
 
 class StepGuard:
-    """Looks at one step of the angular spectrum: at the field before, at its spectrum, and at the field after.
+    """Checks of one propagation step: of the field before it, of its spectrum, and of the field after it.
 
-    Some 32 rows of each are looked at if it is large, which takes about a hundredth of the step's time. Where they do
-    not hold their part of the power, because it is in few places or in few waves, all rows of the spectrum are.
+    About 32 rows of each large array are checked, which takes about a hundredth of the step's time. If they do not
+    contain their fraction of the power, because the power is concentrated in few rows, all rows of the spectrum are
+    checked.
 
     `pitch` is the distance between samples in millimetres.
     """
@@ -53,9 +54,9 @@ class StepGuard:
         self._representative = True
 
     def see_spectrum(self, packed: Any) -> None:
-        """Look at the spectrum, zero frequency first, held as 64-bit words."""
+        """Check the spectrum, zero frequency first, given as 64-bit words."""
         count = self._shape[0]
-        # every one of the lowest frequencies, which hold most of a smooth field
+        # all of the lowest frequencies, which contain most of the power of a smooth field
         order = np.rint(np.fft.fftfreq(count) * count).astype(int)
         chosen = np.flatnonzero((np.abs(order) <= self._step) | (np.arange(count) % self._step == 0))
         weight = np.where(np.abs(order[chosen]) <= self._step, 1, self._step)
@@ -73,16 +74,16 @@ class StepGuard:
             self._evanescent = fraction(weighted(weight, waves * lost), weighted(weight, waves))
 
     def see_result(self, field: Field) -> None:
-        """Look at the field after the step, and judge it all."""
+        """Check the field after the step, and report all findings."""
         after, rim = self._of_field(field)
         with guards.watch():
             guards.judge(guards.EVANESCENT, self._evanescent)
             guards.judge(guards.UNDERSAMPLED, self._band_edge)
-            # where few rows do not represent the field, nothing is known about it before the step
+            # if the rows do not represent the field, its power in the rim before the step is unknown
             guards.judge_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
     def _of_field(self, field: Field) -> tuple[float, float]:
-        """Power in all and in the rim of the window."""
+        """Total power, and power in the rim of the window."""
         rows = _some_rows(field)
         high, wide = (rim(size) for size in field.shape)
         place = np.arange(len(rows)) * self._step
@@ -97,12 +98,12 @@ def _some_rows(field: Field) -> Field:
 
 
 def _row_step(field: Field) -> int:
-    # odd, so that the rows keep no step with what repeats by powers of two
+    # odd, so that the rows do not align with structures that repeat by powers of two
     return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
 def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> Field:
-    """Return some or all rows of a field held as 64-bit words."""
+    """Return some or all rows of a field that is stored as 64-bit words."""
     field = as_field(packed, shape)
     return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]
 
@@ -113,8 +114,8 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
-    Lengths are in millimetres. The result is without the carrier :math:`\exp(i k d)` and where `field` is; with
-    `overwrite` the memory of the field is used. A field that is under-sampled or leaves its window raises a
+    Lengths are in millimetres. The carrier :math:`\exp(i k d)` is omitted. The result is on the device of `field`; with
+    `overwrite` it reuses the memory of the field. A field that is under-sampled or leaves its window raises a
     PhysicsError (see `guards`).
     """
     libraries = backend()
@@ -130,7 +131,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     packed = _advance(packed, shape, pitch, distance, wavelength)
     result = as_field(fft2_packed(packed, shape, inverse=True), shape)
     result = result if on_device else libraries.to_host(result)
-    # Every sample of a transform depends on every other: one that is not finite leaves none that is.
+    # Every sample of a transform depends on all others: a single sample that is not finite makes them all so.
     if not np.isfinite(complex(result[0, 0])):
         raise InputError("field: its samples must be finite")
     guard.see_result(result)
@@ -148,8 +149,9 @@ def advance(
 ) -> Field:
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
-    The spectrum has zero frequency first. `shift` is how far down and across the new samples lie from the old ones, in
-    millimetres; of some rows of a spectrum `part` is the first one and how many there are in all.
+    The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
+    ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
+    spectrum.
     """
     packed = array_module().UInt64(as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
@@ -185,7 +187,7 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
         return waves if dr.is_array_v(waves) else dr.opaque(types.Float64, waves)
 
     square = sx * sx + sy * sy
-    # The root of 0 has no derivative.
+    # The derivative of the square root does not exist at 0.
     waves = in_waves(distance) * (dr.sqrt(dr.select(square < 1, 1 - square, 1)) - 1)
     if any(shift):
         waves = waves + sy * in_waves(shift[0]) + sx * in_waves(shift[1])
@@ -193,7 +195,7 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
 
 
 def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
-    """Direction cosine of a plane wave, by its place in a spectrum with zero frequency first."""
+    """Direction cosine of a plane wave, from its index in a spectrum with zero frequency first."""
     place, size = types.Int32(index), dr.opaque(types.Int32, count)
     order = dr.select(2 * place < size, place, place - size)
     return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))

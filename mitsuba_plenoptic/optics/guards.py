@@ -1,7 +1,7 @@
-"""Guards of the physics: what a computation loses or folds, measured on its own data, warned of or refused.
+"""Guards of the physics: the light that a computation loses or aliases, measured on its own data, with bounds.
 
-Grids and windows are chosen beforehand, by geometry or by the caller. The guards look at the fields that come out,
-and tell by one fraction of the power each whether the choice was good. All bounds are here, with their reasons.
+Grids and windows are chosen beforehand, from geometry or by the caller. Each guard measures one fraction of the power
+in the computed fields and thus checks that choice. All bounds are defined here, with their reasons.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from pathlib import Path
 from ..errors import InputError
 
 _DIGITS = 3
-"""Of the measured fractions: what is beyond differs with the number of threads."""
+"""Digits of reported fractions: further digits vary with the number of threads."""
 
 
 class PhysicsWarning(UserWarning):
-    """A result is less true than its sampling promises; the message holds the fraction of the power that tells."""
+    """A result is less accurate than its sampling promises; the message contains the fraction of power concerned."""
 
 
 class PhysicsError(InputError):
-    """A result would be false, because its sampling loses or folds too much of the light."""
+    """A result would be false, because its sampling loses or aliases too much of the light."""
 
 
 @dataclass(frozen=True)
 class Guard:
-    """A fraction of the power, and how much of it is too much.
+    """A fraction of the power, and its bounds.
 
     Attributes
     ----------
     name : str
-        What metadata call it.
+        Name in metadata.
     fault : str
-        Words after the fraction.
+        Text after the fraction in messages.
     remedy : str
-        What the user can do.
+        Advice to the user.
     warn, refuse : float
-        Fractions above which a result is warned of, and refused.
+        Fractions above which a warning is issued, and an error is raised.
     """
 
     name: str
@@ -51,8 +51,8 @@ class Guard:
     refuse: float
 
 
-# A field that the grid resolves fades before the grid's band limit; the hard edge of a pupil leaves 0.1 % in the outer
-# eighth. Samples that know nothing of each other have 23 %: of such a field nothing is known between the samples.
+# The spectrum of a field that the grid resolves decays before the grid's band limit; the hard edge of a pupil leaves
+# 0.1 % in the outer eighth. Uncorrelated samples have 23 %: such a field is undetermined between its samples.
 UNDERSAMPLED = Guard(
     "undersampled",
     "of a field's power is in the outer eighth of its spectrum, next to what its pitch can hold: it is under-sampled",
@@ -61,7 +61,7 @@ UNDERSAMPLED = Guard(
     refuse=0.2,
 )
 
-# Waves shorter than the wavelength do not propagate, and the angular spectrum cuts them.
+# Waves with components finer than the wavelength do not propagate, and the angular spectrum omits them.
 EVANESCENT = Guard(
     "evanescent",
     "of a field's power is in detail finer than the wavelength, which does not propagate",
@@ -70,8 +70,8 @@ EVANESCENT = Guard(
     refuse=0.5,
 )
 
-# Light that crosses the edge of a window comes in on the other side. The rim must stay dark for that not to happen. A
-# periodic field rightly lights it, but the same before and after.
+# Light that crosses the edge of a window re-enters it on the other side. The rim must be dark to exclude that. A
+# periodic field correctly has light in the rim, but equally before and after propagation.
 WINDOW = Guard(
     "window_rim",
     "of a field's power is in the outer eighth of its window, from where light comes in on the other side",
@@ -80,7 +80,7 @@ WINDOW = Guard(
     refuse=1.0,
 )
 
-# Light that has come round from all sides lights the window evenly: 23 %.
+# Light that has re-entered from all sides fills the window uniformly: 23 % of it is then in the rim.
 WRAPPED = Guard(
     "wrapped",
     "of a field's power has come into the outer eighth of its window on the way: it has gone round the window's edges",
@@ -89,9 +89,9 @@ WRAPPED = Guard(
     refuse=0.2,
 )
 
-# The default accuracy cuts 0.4 to 1.7 % of the light, which the edges of microlenses scatter far, and the coarsest
+# The default accuracy loses 0.4 to 1.7 % of the light, which the edges of microlenses scatter far, and the coarsest
 # one up to 4 %, for microlens Fresnel numbers from 0.4 to 13; apertures with gaps between them lose 2 to 4 %. A quarter
-# is lost where a part of the cone of geometry does not fit the grid.
+# is lost if a part of the geometric cone does not fit the grid.
 PATCH = Guard(
     "patch_loss",
     "of the power behind the microlenses is lost by the patches of the point spreads",
@@ -100,8 +100,8 @@ PATCH = Guard(
     refuse=0.25,
 )
 
-# The same light, cut by the grid of the full field, which keeps all but 0.2 %; of a point in focus beside an aperture,
-# whose light passes its edge only, all but 3 %.
+# The same light, lost at the band limit of the full field's grid, which retains all except 0.2 %, or except 3 % for a
+# point in focus near an aperture, where only the edge is lit.
 MICROLENS = Guard(
     "microlens_loss",
     "of the power behind the microlenses is sent into directions that the grid does not hold",
@@ -110,8 +110,8 @@ MICROLENS = Guard(
     refuse=0.25,
 )
 
-# Evenly grey pixels lose what lies beside the round micro-images: 65 % by the default camera. More is not a capture of
-# this camera.
+# Uniformly grey pixels lose the light outside the round micro-images: 65 % with the default camera. If more is lost,
+# the capture is not from this camera.
 PUPIL = Guard(
     "outside_pupil",
     "of the capture's light does not go back through the main lens",
@@ -120,7 +120,7 @@ PUPIL = Guard(
     refuse=0.999,
 )
 
-# The planned window is wider than the geometric image, by bins that only what the pupil's edge diffracts reaches.
+# The planned window is wider than the geometric image by bins that only light diffracted by the pupil's edge reaches.
 OBJECT = Guard(
     "object_window",
     "of the light through the main lens misses the window that is kept of the object plane, or comes to its rim",
@@ -129,8 +129,8 @@ OBJECT = Guard(
     refuse=0.5,
 )
 
-# The lenses that can light a pixel follow from geometry; that of a wide field is approximate. 16 samples a pixel are
-# noisier than the one bound; a single lens at f/3 would lose 28 %.
+# The lenses that can light a pixel follow from geometry, which is approximate for a wide field. With 16 samples a pixel
+# the noise exceeds the first bound; a single lens at f/3 would lose 28 %.
 CROSSTALK = Guard(
     "crosstalk_missed",
     "of the light comes through microlenses that are too far from a pixel to be tried",
@@ -140,8 +140,8 @@ CROSSTALK = Guard(
 )
 
 
-# A real main lens's path is a polynomial over its exit pupil. Its error, root mean square in waves, takes
-# (2 pi error)^2 from the peak of a point: 0.4 % for a hundredth of a wave.
+# The path through a real main lens is a polynomial over its exit pupil. A root mean square error of it, in waves,
+# reduces the peak of a point by (2 pi error)^2: 0.4 % for a hundredth of a wave.
 MAIN_LENS = Guard(
     "main_lens_fit",
     "of a point's peak is uncertain, since the path through the main lens is too uneven for its polynomial",
@@ -152,7 +152,7 @@ MAIN_LENS = Guard(
 
 
 class _Findings(dict[Guard, float]):
-    """Worst fraction so far, by guard."""
+    """Largest fraction so far, by guard."""
 
 
 _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
@@ -160,13 +160,13 @@ _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
 
 @contextlib.contextmanager
 def watch() -> Iterator[dict[str, float]]:
-    """Gather what guards find in a computation, and warn of each guard at most once, of its worst finding.
+    """Collect the findings of guards during a computation, and warn at most once per guard, of its largest fraction.
 
     Yields
     ------
     dict
-        By the name of the guard, its worst fraction, once the computation is done. Within another `watch` it stays
-        empty: the outer one gathers all.
+        The largest fraction by name of the guard, filled when the computation is complete. Within another `watch` it
+        stays empty, since the outer one collects all findings.
     """
     if _findings.get() is not None:
         yield {}
@@ -184,19 +184,19 @@ def watch() -> Iterator[dict[str, float]]:
 
 
 def judge(guard: Guard, fraction: float) -> None:
-    """Take note of a fraction of the power.
+    """Record a fraction of the power, and raise an error if it exceeds the guard's bound.
 
     Parameters
     ----------
     guard : Guard
-        What was watched.
+        The guard.
     fraction : float
-        What was measured, from 0 to 1.
+        The measured fraction, from 0 to 1.
 
     Raises
     ------
     PhysicsError
-        If it is more than the guard's bound.
+        If the fraction exceeds `refuse`.
     """
     require(guard, fraction)
     fraction = max(0.0, fraction)
@@ -208,38 +208,38 @@ def judge(guard: Guard, fraction: float) -> None:
 
 
 def require(guard: Guard, fraction: float) -> None:
-    """Refuse a fraction of the power that is beyond a guard's bound, without taking note of it.
+    """Raise an error if a fraction of the power exceeds the guard's bound, without recording the fraction.
 
     Parameters
     ----------
     guard : Guard
-        What was watched.
+        The guard.
     fraction : float
-        What was measured, from 0 to 1.
+        The measured fraction, from 0 to 1.
 
     Raises
     ------
     PhysicsError
-        With the fraction.
+        If the fraction exceeds `refuse`.
     """
     if fraction > guard.refuse:
         raise PhysicsError(_sentence(guard, fraction))
 
 
 def judge_window(in_rim: float, before: float = 0.0) -> None:
-    """Take note of the fraction of a field's power in the rim of its window, after a way and before.
+    """Record the fraction of a field's power in the rim of its window, after and before propagation.
 
     Parameters
     ----------
     in_rim : float
-        The fraction after the way.
+        The fraction after propagation.
     before : float
-        The fraction before it.
+        The fraction before propagation.
 
     Raises
     ------
     PhysicsError
-        If light has gone round the window.
+        If light has wrapped around the window.
     """
     judge(WINDOW, in_rim)
     judge(WRAPPED, in_rim - before)
@@ -259,7 +259,7 @@ def _warn(guard: Guard, fraction: float) -> None:
 
 
 def _callers_level() -> int:
-    """Frames from `_warn` up to the first one outside this package."""
+    """Return the number of frames from `_warn` up to the first one outside this package."""
     ours = str(Path(__file__).parent.parent)
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None and (

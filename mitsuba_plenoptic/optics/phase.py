@@ -1,4 +1,4 @@
-"""From path differences to complex factors, and the edges of pupils: what every thin element is made of."""
+"""Phase factors of path differences, and softened edges of pupils, of which thin elements are made."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ def in_millimetres(wavelength: float) -> float:
 
 
 def phasor(waves: Any) -> Any:
-    r"""Return :math:`\exp(2 \pi i w)` of path differences in waves.
+    r"""Return :math:`\exp(2 \pi i w)` for path differences in waves.
 
-    They may be 10^6 waves, which single precision cannot hold: whole waves are dropped in double precision, and only
-    the rest goes to sine and cosine in single precision, with an error of 3e-7 rad at any distance.
+    Paths may be 10^6 waves, which single precision cannot represent. Whole waves are therefore removed in double
+    precision, and only the remainder is passed to sine and cosine in single precision, with an error of 3e-7 rad at any
+    distance.
     """
     if not dr.is_array_v(waves):
         return np.exp(2j * math.pi * waves).astype(np.complex64)
@@ -40,15 +41,15 @@ def parabola(square: Any, focal_length: Any, wavelength: float) -> Any:
 
 
 def soft_edge(samples: Any) -> Any:
-    """Return what an edge that is softened over one sample lets through.
+    """Return the transmission of an edge that is softened over one sample, at distances inside it in samples.
 
-    A hard edge would fold its steep spectrum back into the band of the grid.
+    The steep spectrum of a hard edge would be aliased into the band of the grid.
     """
     clip = dr.clip if dr.is_array_v(samples) else np.clip
     return clip(samples + 0.5, 0, 1)
 
 
 def smooth_edge(samples: Any) -> Any:
-    """Return what `soft_edge` does, without its kinks: a cubic between the same ends."""
+    """Return the transmission of an edge as `soft_edge` does, but smoothed by a cubic between the same ends."""
     passed = soft_edge(samples)
     return passed * passed * (3 - 2 * passed)

@@ -26,7 +26,7 @@ from ..thin_lens import defocus_factor
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
     """Where the line from a detector point to the main lens's centre crosses the MLA: p b / (b + z).
 
-    The lens whose cell holds it is the one a pixel belongs to.
+    The lens whose cell contains this point is the one to which the pixel belongs.
     """
     return p * (mla_distance / (mla_distance + detector_distance))
 

@@ -1,10 +1,10 @@
-r"""The wavelengths of a capture, and how strongly each channel of the detector answers to them.
+r"""The wavelengths of a capture, and the response of each detector channel to them.
 
-A channel records :math:`\int S(\lambda) L(\lambda) \, psf(\lambda) \, d\lambda`. The integral is a sum at the nodes of
-Gauss and Legendre, of which n integrate polynomials up to the degree 2 n - 1 exactly (Abramowitz and Stegun, "Handbook
-of Mathematical Functions", 25.4.29). Sums over many points change slowly with the wavelength, however finely light and
-responses change: point spreads may then be computed at a few nodes, and those of all other wavelengths are what the
-polynomial through them tells (Berrut and Trefethen 2004, "Barycentric Lagrange interpolation").
+A channel records :math:`\int S(\lambda) L(\lambda) \, psf(\lambda) \, d\lambda`. The integral is a sum over
+Gauss-Legendre nodes, of which n integrate polynomials up to the degree 2 n - 1 exactly (Abramowitz and Stegun,
+"Handbook of Mathematical Functions", 25.4.29). Sums over many points change slowly with the wavelength, even where
+light and responses change quickly. Point spreads may then be computed at a few nodes, and interpolated at all other
+wavelengths by the polynomial through the nodes (Berrut and Trefethen 2004, "Barycentric Lagrange interpolation").
 """
 
 from __future__ import annotations
@@ -23,56 +23,56 @@ from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..io.plain_data import read_table
 
 MOST_WAVELENGTHS = 1024
-"""Wavelengths of a spectrum at most."""
+"""Largest number of wavelengths of a spectrum."""
 
 RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
 """Dominant wavelengths of the sRGB primaries (IEC 61966-2-1) in nanometres, for variants of three channels."""
 
 WAVELENGTHS = 31
-"""Wavelengths at which smooth responses are taken by default: every 10 nm of what is visible, about."""
+"""Default number of wavelengths for smooth responses: about one every 10 nm of the visible range."""
 
 
 Table = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Wavelengths in nanometres and values of a spectrum, with straight lines between and 0 beyond."""
+"""Wavelengths in nanometres and values of a spectrum, linear between them and 0 outside."""
 
 
 class Responses(NamedTuple):
-    """What channels answer to, as functions of the wavelength."""
+    """Responses of channels as functions of the wavelength."""
 
     # From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
     at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    # Where they begin and end, in nanometres.
+    # Shortest and longest wavelength, in nanometres.
     low: float
     high: float
 
 
 _FINE = 0.5
-"""Distance in nanometres of the wavelengths with which quadratures of tables are compared, besides their own rows."""
+"""Step in nanometres of the wavelengths, besides the tables' own, at which quadratures of tables are checked."""
 
 _WRONG = 4e-3
-"""Relative error of a channel's integral over a table's light that is allowed."""
+"""Largest allowed relative error of a channel's integral over a table."""
 
 
 @suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
-    """Some wavelengths, and the channels that record them.
+    """Wavelengths, and the responses of the channels that record them.
 
     Parameters
     ----------
     wavelengths : tuple of float
-        Nanometres.
+        Wavelengths in nanometres.
     responses : tuple of tuples of float
-        For each channel its response to each wavelength.
+        The response of each channel to each wavelength.
     nodes : tuple of float
-        Wavelengths at which point spreads are computed, those of all others being interpolated; see `interpolated`.
-        Without them each wavelength has its own.
+        Wavelengths at which point spreads are computed; at all others they are interpolated, see `interpolated`.
+        Default: point spreads are computed at each wavelength.
 
     Raises
     ------
     InputError
-        If there is no wavelength, one is not from 200 to 2500, a channel does not have one finite response to each, or
-        two nodes are the same.
+        If there is no wavelength, one is outside 200 to 2500 nm, a channel does not have one finite response to each
+        wavelength, or two nodes are equal.
     """
 
     wavelengths: tuple[float, ...]
@@ -98,12 +98,12 @@ class Spectrum:
 
     @classmethod
     def lines(cls, *wavelengths: float) -> Spectrum:
-        """Make a spectrum of single wavelengths, each with a channel of its own.
+        """Make a spectrum of single wavelengths, with one channel for each.
 
         Parameters
         ----------
         *wavelengths : float
-            Nanometres.
+            Wavelengths in nanometres.
         """
         return cls(tuple(wavelengths), tuple(map(tuple, np.eye(len(wavelengths)).tolist())))
 
@@ -116,27 +116,27 @@ class Spectrum:
         centre, width : float
             Middle and full width in nanometres.
         count : int
-            Wavelengths, the nodes of Gauss and Legendre; `capture.spectral.with_enough_nodes` finds how many do.
+            Number of Gauss-Legendre nodes; `operator.spectral.with_enough_nodes` finds a sufficient number.
 
         Raises
         ------
         InputError
-            If a number is out of range.
+            If a parameter is out of range.
         """
         return cls.bands((centre,), width, count)
 
     @classmethod
     def bands(cls, centres: Sequence[float], width: float, count: int) -> Spectrum:
-        """Make flat bands of equal width, each with a channel of its own; otherwise as `band`.
+        """Make flat bands of equal width, with one channel for each, as `band` does.
 
         Parameters
         ----------
         centres : sequence of float
-            Their middles in nanometres.
+            Centres in nanometres.
         width : float
-            Their full width in nanometres.
+            Full width in nanometres.
         count : int
-            Wavelengths of each.
+            Number of wavelengths of each band.
         """
         half = require_number("spectrum: width", width, positive=True) / 2
         count = require_count("spectrum: count", count, maximum=MOST_WAVELENGTHS)
@@ -154,24 +154,24 @@ class Spectrum:
         count: int = WAVELENGTHS,
         tables: Sequence[Table] = (),
     ) -> Spectrum:
-        """Make a spectrum of responses that are functions of the wavelength, whose sums are their integrals.
+        """Make a spectrum of responses that are functions of the wavelength; sums over it are quadratures.
 
         Parameters
         ----------
         responses : callable
             From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
         low, high : float
-            Where it begins and ends, in nanometres.
+            Shortest and longest wavelength, in nanometres.
         count : int
-            Wavelengths, the nodes of Gauss and Legendre; more where tables need them.
+            Number of Gauss-Legendre nodes; it is increased if tables require it.
         tables : sequence of pairs of arrays
-            Wavelengths and values of spectra whose products with the responses must be integrated right, too: light and
-            reflectances, with straight lines between and 0 beyond.
+            Wavelengths and values of spectra, such as light and reflectances, whose products with the responses must be
+            integrated accurately, too; they are linear between the wavelengths and 0 outside.
 
         Raises
         ------
         InputError
-            If more than 1024 wavelengths were needed.
+            If more than 1024 wavelengths would be needed.
         """
         count = require_count("spectrum: count", count, maximum=MOST_WAVELENGTHS)
         wavelengths, weights = _nodes(responses, low, high, count, tables)
@@ -182,24 +182,24 @@ class Spectrum:
     def sensor(
         cls, path: str | Path | NDArray[np.float64], count: int = WAVELENGTHS, tables: Sequence[Table] = ()
     ) -> Spectrum:
-        """Take the responses of a detector from a table, with straight lines between its rows.
+        """Make a spectrum from a table of the responses of a detector, linear between its rows.
 
         Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in all of them.
 
         Parameters
         ----------
         path : path, or array (rows, 1 + channels)
-            A CSV file: a wavelength in nanometres and the response of every channel to a row, by rising wavelength; a
-            line of names may precede them. Or what `read_responses` returns of one.
+            A CSV file whose rows are a wavelength in nanometres and the response of every channel, by rising
+            wavelength, after an optional line of names; or the array that `read_responses` returns for such a file.
         count : int
-            Wavelengths; more where the table, or `tables`, need them.
+            Number of wavelengths; it is increased if the table or `tables` require it.
         tables : sequence of pairs of arrays
-            As of `smooth`.
+            As for `smooth`.
 
         Raises
         ------
         InputError
-            If the file cannot be read or is no such table, or a channel answers to nothing.
+            If the file cannot be read or is no such table, or a channel has no response.
         """
         table = path if isinstance(path, np.ndarray) else read_responses(path)
         wavelengths, columns = table[:, 0], table[:, 1:].T
@@ -213,12 +213,12 @@ class Spectrum:
         return made.balanced("responses" if isinstance(path, np.ndarray) else str(path))
 
     def balanced(self, where: str = "spectrum") -> Spectrum:
-        """Return it with every channel divided by the sum of its responses.
+        """Return the spectrum with the responses of every channel divided by their sum.
 
         Parameters
         ----------
         where : str
-            What messages call it.
+            Name of the spectrum in error messages.
 
         Raises
         ------
@@ -234,15 +234,15 @@ class Spectrum:
         return replace(self, responses=tuple(map(tuple, (np.array(self.responses) / sums[:, None]).tolist())))
 
     def interpolated(self, count: int) -> Spectrum:
-        """Return it with point spreads computed at few wavelengths: Gauss's nodes for what the channels answer to.
+        """Return the spectrum with point spreads computed at a few wavelengths, the Gauss nodes for the responses.
 
-        They are dense where the sum of the responses is large, and the sums over wavelengths are right for polynomials
-        of about twice their number (Golub and Welsch 1969, "Calculation of Gauss quadrature rules").
+        The nodes are dense where the sum of the responses is large. Sums over the wavelengths are exact for polynomials
+        up to about twice as many degrees as nodes (Golub and Welsch 1969, "Calculation of Gauss quadrature rules").
 
         Parameters
         ----------
         count : int
-            How many. Where no more wavelengths than that are answered to, each of these keeps its own.
+            Number of nodes. If at most this many wavelengths have a response, each of these becomes a node.
         """
         count = require_count("spectrum: nodes", count, maximum=MOST_WAVELENGTHS)
         weights = np.abs(np.array(self.responses))
@@ -280,7 +280,7 @@ class Spectrum:
 
 
 def read_responses(path: str | Path) -> NDArray[np.float64]:
-    """Read a detector's table, rows of a wavelength in nanometres and the response of every channel."""
+    """Read a detector's table, whose rows are a wavelength in nanometres and the response of every channel."""
     table = read_table(path)
     if table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0):
         raise InputError(f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength")
@@ -296,11 +296,11 @@ def _nodes(
     count: int,
     tables: Sequence[Table],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights of a quadrature over wavelengths, composed so finely that tables are integrated right.
+    """Return nodes and weights of a quadrature over wavelengths that is fine enough to integrate tables accurately.
 
-    Gauss's rule of so many nodes is divided, always where the product of responses and a table that is integrated worst
-    turns most sharply, until all products are right, compared with sums of three nodes in every half nanometre and
-    between all rows.
+    A Gauss-Legendre rule is subdivided, each time where the product of a response and a table with the largest error
+    has its sharpest bend, until all products are accurate. The reference is a sum of three nodes in each interval
+    between the rows of all tables and a grid of half a nanometre.
     """
 
     def products(places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -320,7 +320,7 @@ def _nodes(
     half = np.diff(edges)[:, None] / 2
     fine = products((edges[:-1, None] + half + half * places).ravel()).reshape(-1, len(half), 3) @ weights * half[:, 0]
     upto = np.hstack([np.zeros((len(fine), 1)), np.cumsum(fine, axis=1)])
-    # Of a table's products, the one with the channel that answers most to it is the measure.
+    # The error of each table's products is relative to its largest product with any channel.
     whole = np.abs(fine).sum(axis=1).reshape(len(tables), -1).max(axis=1, keepdims=True)
     whole = np.broadcast_to(whole, (len(tables), len(fine) // len(tables))).ravel()
     turns = np.abs(np.diff(np.diff(products(edges), axis=1) / np.diff(edges), axis=1))
@@ -351,10 +351,10 @@ def _nodes(
 
 
 def _gauss_nodes(places: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the nodes of Gauss's rule for weights at some places: the zeros of their orthogonal polynomial.
+    """Return the nodes of the Gauss rule for weights at given positions: the zeros of the orthogonal polynomial.
 
-    They are the eigenvalues of the matrix of the polynomials' recurrence, whose elements are found by Lanczos's
-    iteration, made stable by taking out what is known already from each new polynomial.
+    They are the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
+    repeated orthogonalisation for stability.
     """
     middle, half = (places.max() + places.min()) / 2, np.ptp(places) / 2
     x = (places - middle) / half

@@ -1,8 +1,8 @@
-r"""Arrays as they are made: lenses that stand and bend light a little off, each by numbers of its own.
+r"""Irregular arrays: microlenses with individual displacements and focal lengths, and tilted arrays.
 
-A lens with the indices (i, j) is displaced along x and along y, and its focal length multiplied by 1 plus a number, by
-normal deviates that follow from its indices and a seed alone, so that one lens is the same wherever it is looked at.
-Deviates are cut at three standard deviations.
+The lens with the indices (i, j) is displaced along x and y, and its focal length is scaled, by normal deviates. These
+depend only on the indices and a seed, so that a lens is the same in all computations. Deviates are clipped at three
+standard deviations.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from ..errors import InputError
 from ..optics.phase import in_millimetres
 
 MOST_DEVIATIONS = 3.0
-"""Standard deviations that no lens leaves."""
+"""Standard deviations at which deviates are clipped."""
 
 
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
-    """Return by how much lenses are displaced along x and y, in millimetres, and the factors on their focal lengths."""
+    """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
     place, focal = camera.mla_jitter
     x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
     return place * x, place * y, 1 + focal * f
 
 
 def _words(index: Any) -> Any:
-    """Return indices as whole numbers of 32 bits, modulo 2^32."""
+    """Return indices as 32-bit integers, modulo 2^32."""
     if not dr.is_array_v(index):
         return np.asarray(index, np.int64).astype(np.uint32)
     return dr.uint32_array_t(type(index))(dr.int32_array_t(type(index))(index))
 
 
 def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
-    """Return a normal deviate, by the method of Box and Muller (1958), cut at `MOST_DEVIATIONS`."""
+    """Return a normal deviate by the method of Box and Muller (1958), clipped at `MOST_DEVIATIONS`."""
     first, second = (_uniform(i, j, 2 * number + part, seed) for part in (0, 1))
     if dr.is_array_v(first):
         value = dr.sqrt(-2 * dr.log(first)) * dr.cos(2 * math.pi * second)
@@ -51,7 +51,7 @@ def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
 
 
 def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
-    """Return numbers evenly spread between 0 and 1, neither included."""
+    """Return values uniformly distributed between 0 and 1, both excluded."""
     bits = _mix(_mix(_mix(i ^ _mix_int(seed)) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
     if dr.is_array_v(bits):
         return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
@@ -59,7 +59,7 @@ def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
 
 
 def _mix(word: Any) -> Any:
-    """Return a word of which every bit depends on all of the given (Wellons 2018, "Prospecting for hash functions")."""
+    """Return a word each bit of which depends on all given bits (Wellons 2018, "Prospecting for hash functions")."""
     word = word ^ (word >> 16)
     word = word * type(word)(0x7FEB352D) if dr.is_array_v(word) else word * np.uint32(0x7FEB352D)
     word = word ^ (word >> 15)
@@ -68,42 +68,42 @@ def _mix(word: Any) -> Any:
 
 
 def _mix_int(word: int) -> int:
-    """Return `_mix` of one number."""
+    """Return `_mix` of one integer."""
     return int(_mix(np.array([word], np.uint32))[0])
 
 
 Pair = tuple[Any, Any]
 
 _STEP = 0.4
-"""Radians, at a lens's edge, by which the waves of neighbouring steps differ at most; lenses differ by half of it."""
+"""Largest phase difference in radians, at a lens's edge, between adjacent kinds; a lens differs by half of it."""
 
 _SHORTEST = 400.0
-"""Wavelength in nanometres for which that holds."""
+"""Wavelength in nanometres for which this phase difference is computed."""
 
 _MOST = 32
-"""Kinds at most: each has images of its own."""
+"""Largest number of kinds, each of which has images of its own."""
 
 
 class Kind(NamedTuple):
-    """Microlenses that are alike."""
+    """Microlenses that are treated as equal."""
 
-    # Which of the focal lengths the array's design gives them.
+    # Index of the design focal length of the lens.
     lens_type: int
-    # Their own, in millimetres.
+    # Focal length and distance to the detector of these lenses, in millimetres.
     focal_length: float
     detector_distance: float
 
 
 @dataclass(frozen=True)
 class LensKinds:
-    """The kinds of a camera's microlenses, the same for all wavelengths, and where the lenses stand."""
+    """The kinds of a camera's microlenses, which are the same for all wavelengths, and the positions of the lenses."""
 
     camera: PlenopticCamera
 
     def __post_init__(self) -> None:
         count = len(self._ratios) * len(self._heights) * len(self.camera.mla_focal_lengths)
         if count > _MOST:
-            # Named is what makes more of them.
+            # The error names the parameter that causes more kinds.
             name = "mla_jitter" if len(self._ratios) > len(self._heights) else "mla_tilt"
             raise InputError(
                 f"{name} = {getattr(self.camera, name)}: a wave capture would need {count} kinds of microlenses, and "
@@ -112,7 +112,7 @@ class LensKinds:
 
     @cached_property
     def every(self) -> list[Kind]:
-        """All kinds: of each step of the heights, each step of the focal lengths, and each type."""
+        """All kinds: the combinations of each height, each focal length factor and each lens type."""
         camera = self.camera
         return [
             Kind(kind, f2 * ratio, camera.detector_distance + height)
@@ -122,7 +122,7 @@ class LensKinds:
         ]
 
     def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
-        """Return the centres of lenses, and by how much they stand nearer to the main lens than the one on the axis."""
+        """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""
         x, y = self.camera.lattice.centre(i, j)
         if self.camera.mla_jitter[0]:
             right, up, _ = irregularities(self.camera, i, j)
@@ -130,12 +130,12 @@ class LensKinds:
         return (x, y), self.height(x, y)
 
     def height(self, x: Any, y: Any) -> Any:
-        """Return by how much an array that is tilted stands nearer to the main lens at a place than on the axis."""
+        """Return the distance of a tilted array at a position towards the main lens, relative to the axis."""
         across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
         return x * across + y * up if across or up else 0.0
 
     def number(self, i: Any, j: Any, height: Any) -> Any:
-        """Return which of the kinds lenses are."""
+        """Return the indices of the kinds of lenses."""
         camera = self.camera
         kind = mi.UInt32(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
@@ -146,14 +146,14 @@ class LensKinds:
 
     @property
     def _phase(self) -> float:
-        """Radians at a lens's edge for a difference of one over a millimetre of the waves' curvature."""
+        """Phase in radians at a lens's edge per unit of wavefront curvature in 1/mm."""
         return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(_SHORTEST)
 
     @cached_property
     def _ratios(self) -> NDArray[np.float64]:
         """Factors on the focal lengths."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
-        # The detector's distance stands for focal lengths, which differ by wavelength: the kinds must not.
+        # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
         return 1 + _steps(most, _STEP / self._phase * self.camera.detector_distance)
 
     @cached_property
@@ -165,12 +165,12 @@ class LensKinds:
 
 
 def _steps(most: float, widest: float) -> NDArray[np.float64]:
-    """Return the middles of steps, not wider than so much, from minus the most to the most."""
+    """Return the centres of equal steps, each at most `widest` wide, from -most to most."""
     count = max(1, math.ceil(2 * most / widest)) if most else 1
     return most * ((2 * np.arange(count) + 1) / count - 1)
 
 
 def _nearest(value: Any, steps: Sequence[float] | NDArray[np.float64]) -> Any:
-    """Return the number of the step that values are in."""
+    """Return the index of the step nearest to each value."""
     width = float(steps[1] - steps[0])
     return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))

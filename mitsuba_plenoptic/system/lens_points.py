@@ -1,7 +1,7 @@
-"""Points about lenses at which rays meet the array, as dense as rays through them carry light.
+"""Sampling of the points around microlenses at which rays meet the array, with a density near that of their light.
 
-At each node of a plan's table the window about a lens is divided into strips, and each strip into cells, so that rays
-meet all cells equally often. They are narrow where the first coefficient, which holds a ray's light, is large.
+At each node of a plan's table the window around a lens is divided into strips, and each strip into cells, all of which
+receive equally many rays. Cells are narrow where the first coefficient, which contains a ray's light, is large.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from .phase_space import PhaseSpace
 from .ray_coefficients import TableNodes
 
 _CELLS = 64
-"""Strips of a window, and cells of a strip."""
+"""Number of strips of a window, and of cells of a strip."""
 
 _LEAST = 0.05
-"""Part of the mean density that is added to it: light may have other coefficients where the first is 0."""
+"""Fraction of the mean density that is added: other coefficients may be nonzero where the first is 0."""
 
 
 class LensPoints:
-    """How points are drawn about lenses, where rays have the coefficients of a plan's table."""
+    """Sampler of points around lenses, for rays with the coefficients of a plan's table."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._lattice = plan.lattice
@@ -37,10 +37,7 @@ class LensPoints:
         self._rows, self._columns = mi.Float(rows), mi.Float(columns)
 
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
-        """Return points and one over their density over the aperture.
-
-        Shapes: `pupil` (Float, Float).
-        """
+        """Return points, and the reciprocals of their density over the aperture, for rays to points of the pupil."""
         lattice = self._lattice
         Pu, Pv = lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, chance[0])
@@ -59,15 +56,15 @@ class LensPoints:
 
 @functools.lru_cache(maxsize=8)
 def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
-    """Return the edges of the strips of all nodes, and those of their cells, in sides of the windows, flat."""
+    """Return the edges of the strips of all nodes and of their cells, in sides of the windows, as flat arrays."""
     parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
     return [np.ravel(each).astype(np.float32) - np.float32(0.5) for each in zip(*parts, strict=True)]
 
 
 def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return how densely points are to be drawn at the samples of a coefficient that is negative here and there."""
+    """Return the sampling density for samples of a coefficient, which may be negative."""
     square = values.astype(np.float64) ** 2
-    # Between samples a ray takes one of these.
+    # Between samples a ray takes one of the nearest ones.
     for axis in (0, 1):
         square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
     root = np.sqrt(square)
@@ -75,9 +72,9 @@ def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Divide a window into parts over which a density, even over each sample, has the same integral.
+    """Divide a window into parts over which a density, constant within each sample, has equal integrals.
 
-    The result has the shape (n + 1,), (n, n + 1).
+    Returns the edges of the strips, (n + 1,), and those of their cells, (n, n + 1).
     """
     rows, columns = density.shape
     upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])

@@ -1,8 +1,8 @@
-r"""The microlens array, cut off at a highest direction: the sum of the orders into which it splits a plane wave.
+r"""The microlens array as a sum of diffraction orders, up to a highest direction.
 
-The transmission of an array is a product of factors. A separable one has two: a function of x and one of y. Every other
-array has a single factor, a function of both. Each factor is periodic in the frame of the lattice, and so a sum of
-orders. Along an axis of pitch :math:`D_2` these are :math:`\lambda / D_2` apart in direction cosine:
+The transmission of an array is a product of factors: of a function of x and one of y if it is separable, else of a
+single function of both. Each factor is periodic in the frame of the lattice, and therefore a sum of orders. Along an
+axis of pitch :math:`D_2` these are :math:`\lambda / D_2` apart in direction cosine:
 
 .. math:: t(x) = \sum_q c_q \, e^{2 \pi i q x / D_2}, \qquad
           c_q = \frac{1}{D_2} \int_\mathrm{lens} e^{-i \pi (x - c)^2 / \lambda f_2} \, e^{-2 \pi i q x / D_2} dx,
@@ -11,21 +11,21 @@ a Fresnel integral (Goodman, "Introduction to Fourier Optics", section 4.2.2, fo
 coordinates has a rectangular period of a few lenses (three focal lengths repeat every third lens), and its orders are
 the two-dimensional Fourier transform of fine samples of that period.
 
-Samples of t itself would fold its steep orders, which come from the edges of the lenses, back into the band of a grid;
-the sum over the orders that the grid holds does not.
+Sampling t itself would alias its steep orders, which come from the edges of the lenses, into the band of a grid; the
+sum over the orders that the grid can represent does not.
 
 In units of its lattice a factor is a function of the position, of :math:`\kappa = D_2^2 / \lambda f_2` along each axis
-and for each type of lens, and of the apertures' widths over the pitches, :math:`\beta`. All derivatives by parameters
-of the array follow by the chain rule from those by these three, which are sums of orders, too:
+and for each type of lens, and of the widths of the apertures over the pitches, :math:`\beta`. The derivatives by all
+parameters of the array follow by the chain rule from those by these three, which are sums of orders, too:
 
 - the position u: :math:`2 \pi i q \, c_q`;
 - :math:`\kappa`: the orders of :math:`-i \pi v^2 t`, v the offset from the lens's centre;
-- :math:`\beta`: an edge that moves is a line of light. In one dimension it is two points, whose orders are plane
-  waves. In two, by parts, no such line is left: with the aperture :math:`\chi(v / \beta)` and the phase
-  :math:`\varphi`, :math:`\beta \, \partial_\beta \chi \varphi` is
+- :math:`\beta`: an edge that moves acts as a line of light. In one dimension it is two points, whose orders are plane
+  waves. In two dimensions integration by parts removes the line: with the aperture :math:`\chi(v / \beta)` and the
+  phase :math:`\varphi`, :math:`\beta \, \partial_\beta \chi \varphi` is
   :math:`\chi \varphi + \chi v \, \partial_v \varphi - \partial_v (v \chi \varphi)`.
 
-Apertures that fill their cells can only shrink; their derivative is the one-sided one.
+Apertures that fill their cells can only shrink, so that their derivative is one-sided.
 """
 
 from __future__ import annotations
@@ -50,31 +50,31 @@ from .microlenses import from_centre, is_separable, transmission
 from .sampling import check_memory, fast_length
 
 _FLAT = 1e4
-"""Focal length, in millimetres, of a lens that is a mere hole."""
+"""Focal length, in millimetres, of a lens without noticeable phase."""
 
 _TABLE_LENGTH = 2**14
-"""Samples of the table of a factor of one coordinate, at least."""
+"""Smallest number of samples of the table of a factor of one coordinate."""
 
 _PER_ORDER = 64, 40
-"""Samples of a table across one wave of its highest order, between which it is interpolated: of factors of one
-coordinate, and of two."""
+"""Samples of a table per period of its highest order, for factors of one and of two coordinates; the table is
+interpolated linearly between them."""
 
 _FINE = 2048
-"""Samples across a pitch of which the orders of a period are made: its edges are known that finely."""
+"""Samples across a pitch from which the orders are computed; they limit the accuracy of the edges."""
 
 _PER_WAVE = 8
-"""Fine samples across the finest wave that is retained, at least, so that none folds."""
+"""Smallest number of samples per period of the highest order that is retained, which excludes aliasing."""
 
 _FINE_BYTES = 16
-"""Memory that a fine sample takes while the orders are made."""
+"""Memory in bytes per sample while the orders are computed."""
 
 _RETAINED = 16, 2
-"""Largest directions for which an array retains its factors, of one coordinate and of two, which take MiB. Patches of
-different sizes ask for different directions, and those of one size follow each other."""
+"""Numbers of largest directions for which an array caches its factors, of one and of two coordinates. Patches of
+different sizes use different directions, and those of one size are computed in succession."""
 
 
 class ArrayParameter(NamedTuple):
-    """A parameter that a factor is differentiated by: position in periods, Fresnel number or relative width."""
+    """A parameter by which a factor is differentiated: position in periods, Fresnel number or relative width."""
 
     name: Literal["position", "fresnel", "width"]
     axis: int
@@ -84,10 +84,10 @@ class ArrayParameter(NamedTuple):
 class ArrayFactor(ABC):
     """A factor of the transmission: a function of one coordinate of the array, or of both, as a sum of orders.
 
-    `axes` are those of its coordinates (0: x, 1: y), `periods` the lengths after which it repeats along them.
+    `axes` lists its coordinates (0: x, 1: y), and `periods` the periods along them.
     """
 
-    _precision: type = np.complex64  # of the transforms that make its tables
+    _precision: type = np.complex64  # dtype of the transforms that compute its tables
 
     def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: tuple[int, ...]) -> None:
         lattice, types = camera.lattice, len(camera.mla_focal_lengths)
@@ -100,7 +100,7 @@ class ArrayFactor(ABC):
         """Return the amplitudes of the orders, or their derivatives; y along rows, from the most negative order on."""
 
     def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
-        """Return the factor, or its derivative, at float64 coordinates of Dr.Jit along its axes, as Complex2f."""
+        """Return the factor, or its derivative, at Dr.Jit float64 coordinates along its axes, as Complex2f."""
         types, camera = array_types(coordinates[0]), self._camera
         if parameter not in self._tables:
             self._tables[parameter] = self._table(self.orders(parameter))
@@ -122,7 +122,7 @@ class ArrayFactor(ABC):
         return values[0]
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
-        """Return one period of a sum of orders, with its first samples again at the end, as 64-bit words."""
+        """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end."""
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
@@ -137,7 +137,7 @@ class ArrayFactor(ABC):
 
 
 class AxisFactor(ArrayFactor):
-    """The factor of a separable array along one axis, of the orders up to a direction cosine."""
+    """The factor of a separable array along one axis, with the orders up to a direction cosine."""
 
     _precision: type = np.complex128
 
@@ -160,9 +160,9 @@ class AxisFactor(ArrayFactor):
 def axis_orders(
     camera: PlenopticCamera, wavelength: float, count: int, axis: int
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return the orders -count ... count of a separable array along an axis (0: x, 1: y), with an edge of a cell at 0.
+    """Return the orders -count ... count of a separable array along an axis (0: x, 1: y), from an edge of a cell.
 
-    Their derivatives by the Fresnel number and by the width of the aperture over the pitch follow them.
+    The second and third results are their derivatives by the Fresnel number and by the aperture's width over the pitch.
     """
     pitch = camera.mla_pitches[axis]
     width = camera.lattice.aperture_widths[axis] / pitch
@@ -185,9 +185,9 @@ def axis_orders(
 
 
 class PlaneFactor(ArrayFactor):
-    """The only factor of an array that is not separable, of the orders up to a direction cosine.
+    """The only factor of an array that is not separable, with the orders up to a direction cosine.
 
-    They are made of `fine` samples across the smaller pitch, at least.
+    The orders are computed from at least `fine` samples across the smaller pitch.
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = _FINE) -> None:
@@ -215,14 +215,14 @@ class PlaneFactor(ArrayFactor):
         return result / (camera.lattice.aperture_widths[axis] / pitch)
 
     def _moment(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
-        """Return the orders of the transmission times a power of the offset in pitches, of one type of lens or all."""
+        """Return the orders of the transmission times a power of the offset in pitches, for one type of lens or all."""
         key = axis, power, lens_type
         if key not in self._moments:
             self._moments[key] = self._transformed(*key)
         return self._moments[key]
 
     def _transformed(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
-        """Transform fine samples of a period; orders beyond the largest direction are zero."""
+        """Return the orders of one period from fine samples; orders beyond the largest direction are zero."""
         camera, sides, wave = self._camera, self.periods, in_millimetres(self._wavelength)
         highest, pitch = self._cosine / wave, min(camera.mla_pitches)
         fine = max(self._fine, math.ceil(_PER_WAVE * highest * pitch))
@@ -235,13 +235,13 @@ class PlaneFactor(ArrayFactor):
         samples = self._samples(shape, axis, power, lens_type)
         spectrum = scipy.fft.fft2(samples, norm="forward", overwrite_x=True, workers=worker_count())
         order = [np.arange(-count, count + 1) for count in self._counts]
-        # Fine samples lie half a step within the period.
+        # Samples are at cell centres, which is half a step from the start of the period.
         waves = order[0][:, None] / (2 * shape[0]) + order[1] / (2 * shape[1])
         held = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
         return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
 
     def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
-        """Return fine samples of one period, in the middles of equal rectangles."""
+        """Return samples of one period, at the centres of equal rectangles."""
         types = array_module()
         _, row, column = split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
         x, y = (
@@ -259,10 +259,10 @@ class PlaneFactor(ArrayFactor):
 
 
 class MicrolensArray:
-    """The transmission of a camera's microlenses at one wavelength, cut off at largest directions.
+    """The transmission of a camera's microlenses at one wavelength, limited to largest directions.
 
-    `axes` are those of each factor. The factors that were asked for last are retained, as those of an array that is not
-    separable take long to make.
+    `axes` are those of each factor. The most recent factors are cached, because those of an array that is not separable
+    take long to compute.
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
@@ -274,7 +274,7 @@ class MicrolensArray:
         return _received, (self._camera, self._wavelength)
 
     def factors(self, cosine: float) -> list[ArrayFactor]:
-        """Return the factors, on the active processor, of directions up to a cosine relative to the incident light."""
+        """Return the factors on the active device, with directions up to a cosine relative to the incident light."""
         key = array_module(), cosine
         if key not in self._factors:
             if len(self._factors) == _RETAINED[len(self.axes[0]) - 1]:
@@ -286,9 +286,9 @@ class MicrolensArray:
         return self._factors[key]
 
     def open_fraction(self, cosine: float, x: Any, y: Any) -> Any:
-        """Return 1 within apertures and 0 between them, at positions in millimetres, without steeper directions.
+        """Return 1 inside apertures and 0 between them, without steeper directions, at positions in millimetres.
 
-        The integral of a product with it is exact where the other factor has no such directions, such as an intensity.
+        The integral of its product with a function that is limited to these directions, such as an intensity, is exact.
         """
         product: Any = 1
         for factor in self._holes.factors(cosine):
@@ -302,17 +302,17 @@ class MicrolensArray:
 
 @functools.lru_cache(maxsize=1)
 def _received(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
-    """Return the array of a batch from another process: batches come one by one, and most ask for the one before."""
+    """Return the array of a batch from another process; it is cached, since most batches use the previous one."""
     return MicrolensArray(camera, wavelength)
 
 
 @dataclass(frozen=True)
 class VaryingArrayFactor:
-    """A factor of an upright array whose parameters are Dr.Jit numbers with gradients, to first order in these."""
+    """A factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
 
     factor: ArrayFactor
     lattice: Lattice
-    focal_lengths: list[Any]  # of each type of lens
+    focal_lengths: list[Any]  # for each type of lens
     wavelength: Any
 
     @property
@@ -321,7 +321,7 @@ class VaryingArrayFactor:
         return self.factor.axes
 
     def at(self, *coordinates: Any) -> Any:
-        """Return the factor at float64 coordinates of Dr.Jit along its axes, as Complex2f."""
+        """Return the factor at Dr.Jit float64 coordinates along its axes, as Complex2f."""
         numbers: dict[ArrayParameter, Any] = {}
         for axis, place, period in zip(self.axes, coordinates, self._periods, strict=True):
             pitch = self.lattice.pitches[axis]
@@ -345,7 +345,7 @@ class VaryingArrayFactor:
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
-    """Return the sample of a period's `count` below a place, and the place's distance from it in samples."""
+    """Return the sample below a position, of `count` in a period, and the position's distance from it in samples."""
     types = array_types(place)
     scaled = place * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)

@@ -3,7 +3,7 @@ r"""The microlens array as a thin element: apertures, and a parabolic phase in e
 .. math:: t(m) = \exp\left(-i \pi \frac{|m - c|^2}{\lambda f_2}\right)
 
 in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
-5.1). On a grid that cannot hold the steep orders of its edges it is built from its orders: see `microlens_orders`.
+5.1). A grid that cannot represent the steep orders of the edges uses its orders instead: see `microlens_orders`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ..optics.phase import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
 
 _HARD_EDGES = 1.4
-"""Directions that are retained of light from apertures with a dark surround, over those where phases join."""
+"""Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
 
 _JOINED = 1 / 2
-"""Orders to retain where the phases of neighbouring lenses join, over those of apertures with a dark surround."""
+"""Orders that are retained where the phases of neighbouring lenses join, over those of separate apertures."""
 
 _STEEPEST = 0.7
-"""Largest direction cosine that is retained for the diffraction of an aperture: scalar thin elements end there."""
+"""Largest direction cosine that is retained for an aperture's diffraction: the limit of scalar thin elements."""
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
@@ -35,14 +35,14 @@ def is_separable(camera: PlenopticCamera) -> bool:
 
 
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera as it is in the frame that is turned with its lattice about the axis."""
+    """Return the camera in the frame that is rotated with its lattice about the axis."""
     if camera.mla_rotation == 0:
         return camera
     return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))
 
 
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
-    """Return the transmission, with all of its orders, at float64 Dr.Jit positions in millimetres, as Complex2f."""
+    """Return the transmission, with all of its orders, at Dr.Jit float64 positions in millimetres, as Complex2f."""
     dx, dy, which = from_centre(camera, x, y)
     types = array_types(x)
     focal_length = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), which)
@@ -51,7 +51,7 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
 
 
 def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """Return the offsets of positions, float64 arrays of Dr.Jit, from their lenses' centres, and the lenses' types."""
+    """Return the offsets of Dr.Jit float64 positions from the centres of their lenses, and the types of the lenses."""
     types, lattice = array_types(x), camera.lattice
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
@@ -77,7 +77,7 @@ def bend(camera: PlenopticCamera) -> float:
 
 
 def scattering(camera: PlenopticCamera) -> float:
-    """Return the change of a direction cosine by a wide microlens beyond which little light goes.
+    """Return the change of direction cosine by a wide microlens beyond which there is little light.
 
     The edges of opaque gaps scatter more than the joints of lenses.
     """
@@ -85,11 +85,11 @@ def scattering(camera: PlenopticCamera) -> float:
 
 
 def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> float:
-    r"""Return the direction cosine of a high order of the diffraction by a microlens's aperture.
+    r"""Return the direction cosine of a high diffraction order of a microlens's aperture.
 
-    The minima of an aperture of width w lie at multiples of :math:`\lambda / w`, and beyond the m-th of them
-    :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1). The
-    joints of lenses without gaps scatter less than the edges of apertures: half of the orders counts for them.
+    The minima of an aperture of width w lie at multiples of :math:`\lambda / w`. Beyond the m-th minimum lies the
+    fraction :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1).
+    Lenses without gaps scatter less than the edges of apertures: half the orders are used for them.
     """
     lattice = camera.lattice
     cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)

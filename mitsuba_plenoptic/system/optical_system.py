@@ -1,4 +1,4 @@
-"""A camera at one wavelength, bound once and handed on: its lattice and its main lens, for rays and for waves."""
+"""A camera at one wavelength, with its lattice, microlenses and main lens, shared by computations."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .microlenses import upright
 
 @dataclass(frozen=True)
 class OpticalSystem:
-    """What captures, operators and reconstructions of one camera have in common at one wavelength.
+    """The part that captures, operators and reconstructions of one camera share at one wavelength.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     """
 
     camera: PlenopticCamera
@@ -35,7 +35,7 @@ class OpticalSystem:
 
     @classmethod
     def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
-        """Bind a camera to the wavelength of its main lens's own parameters, for rays that have none."""
+        """Bind a camera to the design wavelength of its main lens, for rays without a wavelength."""
         return cls(camera, getattr(camera.main_lens, "wavelength", LINE_D))
 
     @cached_property
@@ -50,17 +50,17 @@ class OpticalSystem:
 
     @cached_property
     def upright_microlenses(self) -> MicrolensArray:
-        """The transmission of the microlenses, in the frame that is turned with their lattice about the axis."""
+        """The transmission of the microlenses, in the frame that is rotated with their lattice about the axis."""
         turned = self.camera.mla_rotation != 0
         return MicrolensArray(upright(self.camera), self.wavelength) if turned else self.microlenses
 
     @cached_property
     def lens(self) -> MainLens:
-        """The main lens, whose rays refract as waves do; see `MainLens` for what it offers."""
+        """The main lens, with rays refracted as in the wave model; see `MainLens` for its methods."""
         return main_lens(self.camera, self.wavelength, model="parabolic")
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
-        """Return the main lens as the waves of scene points (n, 3) pass it.
+        """Return the main lens for wave propagation from scene points (n, 3).
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class OpticalSystem:
         Raises
         ------
         InputError
-            If the camera has what waves do not know, or a point is not before the lens or outside of its field.
+            If the wave model does not support the camera, or a point is not before the lens or lies outside its field.
         PhysicsError
             If the path through a real lens cannot be fitted.
         """
@@ -78,6 +78,6 @@ class OpticalSystem:
         return self.lens.waves_of(points)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
-        """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can; see `waves_of`."""
+        """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
         require_ideal(self.camera)
         return self.lens.waves_of_one(point)

@@ -1,4 +1,4 @@
-r"""Diffraction in phase space: what a ray of incoherent light carries behind the main lens's pupil and the microlenses.
+r"""Diffraction in phase space: the spread of rays of incoherent light by the main lens's pupil and the microlenses.
 
 In front of the pupil the Wigner function of incoherent light is the radiance along rays (Walther, J. Opt. Soc. Am. 58,
 1256 (1968); Bastiaans, Opt. Commun. 25, 26 (1978)). Two apertures spread it. Behind the *pupil* a ray through the pupil
@@ -7,20 +7,20 @@ point P keeps P, and meets the array at m + x instead of m, with the signed dens
 .. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int O_P(\eta)\, e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta, \qquad
           O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
 
-Behind the *array*, of transmission T in units of the lens that the ray meets, it lands on the detector p aside of where
-the ray model puts it, with the signed density
+Behind the *array*, of transmission T in units of the lens that the ray meets, it lands on the detector at an offset p
+from the position of the ray model, with the signed density
 
 .. math:: K_a(m, p) = \frac{1}{(\lambda z)^2}
           \int T(m + \xi/2)\, T^*(m - \xi/2)\, e^{-2 \pi i \xi \cdot p / \lambda z}\, d^2\xi.
 
-Pairs of points in two neighbouring lenses are part of it: they are how the fields of neighbours interfere. Projected on
-polynomials :math:`P_n` of m that are orthonormal over the aperture, :math:`K_a(m, p) \approx \sum_n a_n(m)
-\varphi_n(p)`, a capture becomes a ray capture of some values a ray and as many convolutions:
+Pairs of points in two neighbouring lenses are included: they describe the interference of the neighbours' fields.
+Projected on polynomials :math:`P_n` of m that are orthonormal over the aperture, :math:`K_a(m, p) \approx \sum_n a_n(m)
+\varphi_n(p)`, a capture becomes a ray capture of a few values per ray, followed by one convolution for each value:
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, A_n, \qquad A_n(m, P) = \int K_p(P, x)\, a_n(m + x)\, d^2x .
 
-All depends on the camera and the wavelength, nothing on the scene. Coordinates of microlens points count from the
-centre of the lens.
+All of this depends on the camera and the wavelength, and not on the scene. Coordinates of microlens points are relative
+to the centre of the lens.
 """
 
 from __future__ import annotations
@@ -45,63 +45,63 @@ from .lens_kinds import Kind, LensKinds
 from .optical_system import OpticalSystem
 
 _TRANSFER_SAMPLES = 64
-"""Samples of a lens for its transfer functions: the phase between neighbours turns by a fifth of a period."""
+"""Samples across a lens for its transfer functions: the phase between neighbours changes by a fifth of a period."""
 
 _KEPT = 2.0
-"""Samples over the highest frequency of a lens's diffraction, in cycles: two hold it whole."""
+"""Samples per cycle of the highest frequency of a lens's diffraction; two samples represent it completely."""
 
 _SPECTRUM_SAMPLES = 256
-"""Samples of a lens for the Fourier coefficients of its polynomials."""
+"""Samples across a lens for the Fourier coefficients of its polynomials."""
 
 _SPREADS = 2.0
-"""Widths of the window about a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
+"""Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
 
 _LEAST_WINDOW, _NARROW = 3, 0.2
-"""Lenses, across, of the least window, which is one less where that width is less than so much of a lens."""
+"""Lenses across the smallest window; it is one lens smaller if that width is below this fraction of a lens."""
 
 _OVERSAMPLING, _FINEST = 1.4, 64
-"""Samples of the table over those that its highest frequency needs, and those of a lens at most."""
+"""Samples of the table over those that its highest frequency requires, and the largest number per lens."""
 
 MOST_PHASE, MOST_SHIFT = 8.0, 0.3
-"""Radians of defocus at a lens's edge up to which polynomials describe where its rays land; pixels by which the pupil's
-diffraction may move them where they do not."""
+"""Largest defocus in radians at a lens's edge for which polynomials describe where rays land, and, beyond it, largest
+displacement in pixels by the pupil's diffraction."""
 
 _SUBSAMPLES = 4
-"""Gauss-Legendre nodes, per direction and side, of the pupil's overlap around a node of the table."""
+"""Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
 
 _TABLES = 8
-"""Tables that are held for further plans, of some 35 MiB each."""
+"""Number of tables, of some 35 MiB each, that are cached for further plans."""
 
 _tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
 
 
 class TableNode(NamedTuple):
-    """The window of the table at one node of the pupil's radius, in the lattice's frame."""
+    """The window of the table at one node of the pupil's radius, in the frame of the lattice."""
 
-    # Its sides, whole multiples of the periods of the lattice.
+    # Side lengths, which are whole multiples of the lattice periods.
     sides: tuple[float, float]
-    # Samples along them.
+    # Samples along the sides.
     counts: tuple[int, int]
-    # Nodes over a quarter turn, less one.
+    # Number of intervals between nodes over a quarter turn.
     angular: int
 
 
 @dataclass(frozen=True)
 class PhaseSpace:
-    """Diffraction of one camera at one wavelength, as coefficients that rays carry and kernels that images pass."""
+    """Diffraction of one camera at one wavelength, as coefficients of rays and kernels of images."""
 
-    # A camera not far out of whose microlenses' focus is the detector; one with glasses as it is `at_wavelength`.
+    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
     camera: PlenopticCamera
     wavelength: float
-    # Total degree of the polynomials over a lens. There are (degree + 1) (degree + 2) / 2.
+    # Total degree of the polynomials over a lens, of which there are (degree + 1) (degree + 2) / 2.
     degree: int = 4
-    # Lenses, across, over which the pupil's rim spreads a ray, which it does most. Light beyond is folded back by whole
-    # windows, which keeps the energy.
+    # Lenses across the window at the pupil's rim, where the spread of a ray is largest. Light outside is folded back by
+    # whole windows, which conserves the energy.
     window: int = 9
-    # Nodes of the table along the pupil's radius, dense towards its rim.
+    # Nodes of the table along the pupil's radius, denser towards its rim.
     radial: int = 12
-    # Wavelength of the plans with which it is used, whose rays land alike: the shortest. Default: its own.
+    # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
     shortest: float | None = None
 
     def __post_init__(self) -> None:
@@ -121,7 +121,7 @@ class PhaseSpace:
 
     @property
     def defocus(self) -> float:
-        """Radians by which the microlenses' waves are out of focus on the detector, at their edges, at most."""
+        """Largest defocus of the microlenses' waves on the detector, in radians at the edge of a lens."""
         square = float(self.lattice.aperture_reach) ** 2
         most = max(abs(self.convergence(kind)) for kind in self.kinds)
         return math.pi * most * square / in_millimetres(self.wavelength)
@@ -130,14 +130,14 @@ class PhaseSpace:
     def by_points(self) -> bool:
         """Whether each ray lands by its own point of the lens, and not by the lens's centre.
 
-        Far out of the microlenses' focus polynomials do not describe the difference. All points of the pupil are then
-        taken to spread rays as the whole pupil does on average.
+        Far from the microlenses' focus polynomials do not describe the difference. The spread by the pupil is then
+        taken as that of the whole pupil for all of its points.
         """
         return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
 
     @property
     def _shift(self) -> float:
-        """Pixels by which the pupil's diffraction moves light on the detector, if rays land by their own points."""
+        """Displacement of light by the pupil's diffraction, in detector pixels, if rays land by their own points."""
         if not self.by_points:
             return 0.0
         camera = self.camera
@@ -147,7 +147,7 @@ class PhaseSpace:
 
     @property
     def _limits(self) -> str:
-        """Where the detector may be."""
+        """Allowed range of the detector's distance, as text."""
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
         own = camera.lens_data.converges / camera.pupil_distance
@@ -174,7 +174,7 @@ class PhaseSpace:
 
     @cached_property
     def exponents(self) -> list[tuple[int, int]]:
-        """Powers of u and v that a polynomial adds to those before it."""
+        """Powers of u and v of the monomial that each polynomial adds to the previous ones."""
         return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
 
     @cached_property
@@ -189,9 +189,9 @@ class PhaseSpace:
             least = _LEAST_WINDOW * pitch if spread > _NARROW * pitch else (_LEAST_WINDOW - 1) * pitch
             wanted = min(self.window * pitch, max(least, pitch + spread))
             sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
-            # The greatest lag is across the radius.
+            # The largest lag is perpendicular to the radius.
             step = max(reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
-            # From one node to the next the farthest points turn by half a lens.
+            # Between adjacent nodes the farthest points move by half a lens.
             angular = math.ceil(math.pi / 2 * max(sides) / pitch)
             made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
@@ -199,7 +199,7 @@ class PhaseSpace:
     # -- polynomials over a lens -------------------------------------------------------------------
 
     def _aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return coordinates, in the lattice's frame, of a grid about a lens, and which points its aperture holds."""
+        """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
         reach = float(self.lattice.cell_reach)
         count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
         step = self.lattice.pitches[0] / samples
@@ -220,11 +220,11 @@ class PhaseSpace:
         return np.stack([(u / pitch) ** i * (v / pitch) ** j for i, j in self.exponents], axis=-1)
 
     def polynomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the polynomials, whose mean product over the aperture is 1 of one with itself, else 0."""
+        """Return the values of the polynomials, which are orthonormal over the aperture."""
         return self._monomials(u, v) @ self.triangle
 
     def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
-        """Return the values of polynomials of a place that is mirrored along u, along v, or both."""
+        """Return the values of polynomials at positions mirrored along u, along v, or both."""
         signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
         return [
             value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
@@ -237,7 +237,7 @@ class PhaseSpace:
     def table(self) -> list[NDArray[np.float32]]:
         """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials).
 
-        Cameras share it that differ in what it does not depend on, such as their detectors.
+        Cameras that differ only in parameters that do not affect it, such as their detectors, share the table.
         """
         camera = self.camera
         key = (
@@ -252,18 +252,18 @@ class PhaseSpace:
 
     @single_threaded_blas()
     def _tabulated(self) -> list[NDArray[np.float32]]:
-        """Return the table that `table` keeps."""
+        """Compute the table that `table` caches."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
         table = []
         for radial, node in enumerate(self.nodes):
-            # Fourier coefficients over the window, of the frequencies that the pupil lets through.
+            # Fourier coefficients over the window, for the frequencies that pass the pupil.
             to_space, orders, lags = [], [], []
             for side, count in zip(node.sides, node.counts, strict=True):
                 order = np.arange(-((count - 1) // 2), (count - 1) // 2 + 1)
                 place = (np.arange(count) + 0.5) * side / count - side / 2
-                # What linear interpolation damps is raised beforehand.
+                # The gain compensates the damping by linear interpolation.
                 gain = np.sinc(order / count) ** -2 / side
                 to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
                 orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
@@ -292,7 +292,7 @@ class PhaseSpace:
         lag_v: NDArray[np.float64],
         radius: float,
     ) -> NDArray[np.float32]:
-        """Return O_P, averaged over the part of the pupil that linear interpolation gives to a node."""
+        """Return O_P, averaged over the part of the pupil for which linear interpolation uses a node."""
         abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
         aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
@@ -304,7 +304,7 @@ class PhaseSpace:
             if not 0 <= t <= 1:
                 continue
             distance = radius * (1 - t * t)
-            # The area that belongs to a step of t, but on the axis any would be nothing.
+            # The area element of a step of t; on the axis any value gives the same result.
             area = weight * t * distance
             for part, share in zip(steps, weights, strict=True):
                 Pu, Pv = distance * math.cos(angle + part * turn), distance * math.sin(angle + part * turn)
@@ -316,7 +316,7 @@ class PhaseSpace:
         return (total / scale).astype(np.float32)
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
-        """Return the plan of a camera that differs a little, whose table has the same nodes."""
+        """Return the plan of a slightly different camera, whose table has the same nodes."""
         plan = replace(self, camera=camera)
         scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
         vars(plan)["nodes"] = [
@@ -327,10 +327,9 @@ class PhaseSpace:
     # -- the array: kernels of images ------------------------------------------------------------------
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
-        """Return the kernels of lenses of a kind times the area of a grid's cell; (n, k, k).
+        """Return the kernels (n, k, k) of a kind of lenses on a grid of some step, times the area of a grid cell.
 
-        The grid has this step, and the kernels reach at least so far. Light beyond is folded back, which keeps the
-        energy.
+        They reach at least to `reach`. Light beyond is folded back, which conserves the energy.
         """
         key = step, reach, kind
         if key not in self._kept:
@@ -345,17 +344,17 @@ class PhaseSpace:
         return {}
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
-        """Return how `kernels` are sampled: steps from lag to lag, lags and samples on each side of the middle."""
+        """Return the sampling of `kernels`: lag step in fine steps, and numbers of lags and samples on either side."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
-        # Pairs in neighbouring lenses are less than two widths of a cell apart; a grid holds half a cycle a step.
+        # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
         return every, farthest, math.ceil(scale / (2 * fine * every * step) - 0.5)
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
-        """Return `kernels` that are sampled like others, whatever would be best for them."""
+        """Return `kernels` with a given sampling, even if another one would suit them better."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every, farthest, count = samples
@@ -365,7 +364,7 @@ class PhaseSpace:
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
     def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what one lens of each type diffracts, at places on the detector along both axes: (types, n, n)."""
+        """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
         u, v, inside = self._aperture_grid(_TRANSFER_SAMPLES)
         wavelength = in_millimetres(self.wavelength)
         made = []
@@ -378,10 +377,11 @@ class PhaseSpace:
         return np.stack(made)
 
     def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
-        r"""Return kernels from cells, over which light is even, to cells, which may be larger than the kernels are.
+        r"""Return kernels between cells over which light is uniform, and which may be larger than the kernels.
 
         Without neighbours and phase the integral over pairs of points is a sum of products: that of
-        :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is one of transforms of the aperture times powers.
+        :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is a sum of products of transforms of aperture times
+        power.
         """
         lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.detector_distance
         parts = math.ceil(_KEPT * step * float(lattice.aperture_width) / scale)
@@ -407,39 +407,39 @@ class PhaseSpace:
         return kernels[:, ::parts, ::parts]
 
     def convergence(self, kind: Kind) -> float:
-        """Return the curvature of the waves from a point of the pupil, behind a lens, over those to the detector."""
+        """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
         # Waves from a point of an objective's stop are plane.
         own = self.camera.lens_data.converges / self.camera.pupil_distance
         return 1 / kind.detector_distance + own - 1 / kind.focal_length
 
     def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
-        """Return the integrals of polynomial times T T* over a cell at lags of steps, the same along x and y."""
+        """Return the integrals of polynomial times T T* over a cell at given lags in steps, the same along x and y."""
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
         step = lattice.pitches[0] / _TRANSFER_SAMPLES
         half = math.ceil(lattice.cell_reach / step)
-        # Half steps about the lens: with a lag of whole steps, both points of a pair lie between two whole steps.
+        # The grid has half steps: with a lag of whole steps, both points of a pair lie on it.
         reach = 2 * half + int(lags[-1]) + 1
         along = np.arange(-reach, reach + 1) * (step / 2)
         y, x = np.meshgrid(along, along, indexing="ij")
-        # Types follow each other along a row.
+        # Lens types alternate along a row.
         centre = lattice.centre(float(kind.lens_type), 0.0)
         i, j = lattice.cell(x + centre[0], y + centre[1])
         cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        # Neighbours are as irregular.
+        # Neighbours are assumed to deviate as the lens itself does.
         powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
         types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
         phase = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
             2 * wavelength
         )
         if not self.by_points:
-            # A quadratic phase shifts what lands, by the place on the lens.
+            # A quadratic phase shifts the landing point in proportion to the position on the lens.
             phase += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
         inside = lattice.in_aperture(x - cx, y - cy)
         T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        # Beyond the aperture polynomials stand for nothing, and rays have no coefficients.
+        # Polynomials are undefined outside the aperture, where rays have no coefficients.
         own = np.asarray((i == kind.lens_type) & (j == 0) & inside, np.float32)
-        # Points on a border belong to both sides.
+        # Points on a border belong half to either side.
         weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
         result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
         middle = len(lags) // 2
@@ -448,7 +448,7 @@ class PhaseSpace:
                 (places,) = np.nonzero((lags + odd) % 2 == 0)
                 if not len(places):
                     continue
-                # Midpoints every whole step, between samples of T, of the cell and what its border shares.
+                # Midpoints at whole steps, between samples of T, within the cell including its border.
                 rows, columns = (reach + 1 - each % 2 + 2 * np.arange(-half, half + 1) for each in (b, odd))
                 weight = weights[np.ix_(rows, columns)].reshape(-1, len(self.exponents)).astype(np.float32)
                 index = (columns + lags[places, None])[:, None]
@@ -457,5 +457,5 @@ class PhaseSpace:
                 result[:, row, places] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
         # The weights are real.
         result[:, :middle] = result[:, :middle:-1, ::-1].conj()
-        # The open area as it is sampled, so that energy is kept.
+        # The normalisation uses the sampled open area, which conserves the energy.
         return np.asarray(result / result[0, middle, middle].real)

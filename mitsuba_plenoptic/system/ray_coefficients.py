@@ -1,4 +1,4 @@
-"""Coefficients of rays on the device of the active variant: what `phase_space` tabulates, looked up by Dr.Jit."""
+"""Coefficients of rays from the tables of `phase_space`, interpolated with Dr.Jit on the active device."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from .phase_space import PhaseSpace
 
 
 def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
-    """Return what gives rays their coefficients."""
+    """Return the object that computes the coefficients of rays for a plan."""
     return Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table)
 
 
 class TableNodes:
-    """The nodes of a plan's table, of which rays take one of those around their points of the pupil, by chance."""
+    """The nodes of a plan's table; a ray takes one of those around its pupil point at random."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._radial, self._radius = plan.radial, plan.camera.pupil_radius
         self._angular = mi.Float([node.angular for node in plan.nodes])
 
     def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
-        """Return how far points are from the middle of the pupil, over its radius, and a node of the radius."""
+        """Return distances from the pupil's centre, over its radius, and a random neighbouring node of the radius."""
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
         place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
         return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))
 
     def around(self, Pu: Any, Pv: Any, radial: Any, chance: Any) -> Any:
-        """Return a node of the angle, at a node of the radius."""
+        """Return a random neighbouring node of the angle, at a node of the radius."""
         turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
         return mi.UInt(dr.floor(turn + chance))
 
 
 class RayCoefficients:
-    """The table of a `PhaseSpace`, or one like it, on the device of the active variant."""
+    """The table of a `PhaseSpace`, or one of the same layout, on the device of the active variant."""
 
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
         count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
-        # Coefficients are read four at a time.
+        # Coefficients are gathered four at a time.
         parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
         self._table = mi.Float(np.concatenate(parts))
         first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
@@ -59,17 +59,15 @@ class RayCoefficients:
     ) -> list[Any]:
         """Return the coefficients of rays from points of a lens through points of the pupil.
 
-        Each ray takes one node of the table, by chance, so that the mean is what linear interpolation between the
-        sixteen nodes around it gives.
-
-        Shapes: `point` (Float, Float), `pupil` (Float, Float).
+        Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
+        sixteen nodes around it.
         """
         plan = self.plan
         lattice = plan.lattice
         (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
         distance, radial = self._nodes.along(Pu, Pv, jitter[0])
         active = active & (distance <= 1)
-        # A quarter of the pupil stands for all of it, mirrored as lenses are.
+        # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.
         mirrored = Pu < 0, Pv < 0
         u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
         index = dr.gather(mi.Int, self._first, radial)
@@ -80,7 +78,7 @@ class RayCoefficients:
             active &= dr.abs(place) <= side / 2
             count = mi.Float(size)
             node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
-            # The window repeats.
+            # The window is periodic.
             index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
         values = [
             value
@@ -97,7 +95,7 @@ class RayCoefficients:
         _, radial = self._nodes.along(Pu, Pv, jitter[0])
         result = []
         for axis, P in enumerate((Pu, Pv)):
-            # From node to node linear interpolation has this slope.
+            # This is the slope of linear interpolation between nodes.
             before, after = (
                 self(point, pupil, (*jitter[:2], *(end if i == 1 - axis else jitter[2 + i] for i in range(2))), active)
                 for end in (mi.Float(0), mi.Float(1))
@@ -111,7 +109,7 @@ class RayCoefficients:
 
 
 class Polynomials:
-    """The polynomials of a `PhaseSpace` as coefficients of rays that land by their own points of a lens."""
+    """The polynomials of a `PhaseSpace`, as coefficients of rays that land by their own points of a lens."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan

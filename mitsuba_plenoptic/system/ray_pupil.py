@@ -1,4 +1,4 @@
-"""The exit pupil of the main lens as rays from the detector through microlenses see it."""
+"""The exit pupil of the main lens, as seen by rays from the detector through the microlenses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Pair = tuple[Any, ...]
 class RayPupil:
     """The exit pupil of a camera, and the rays through it."""
 
-    # The camera; its wavelength counts for a main lens with surfaces.
+    # The camera and its wavelength, which affects main lenses with surfaces.
     system: OpticalSystem
 
     @property
@@ -28,30 +28,30 @@ class RayPupil:
 
     @property
     def reach(self) -> float:
-        """Radius of a circle about the axis that holds the pupil, seen from anywhere on the detector."""
+        """Radius of a circle about the axis that contains the pupil as seen from anywhere on the detector."""
         return self.system.lens.reach
 
     def chief_point(self, p: Any, detector_distance: Any) -> Any:
-        """Return where rays from the detector to the pupil's middle pass the array."""
+        """Return the positions where rays from the detector to the pupil's centre cross the array."""
         return self.system.lens.chief_point(p, detector_distance)
 
     def distance_from(self, detector_distance: float) -> float:
-        """Return the distance from the pupil to so far behind the array: what turns directions into its points."""
+        """Return the pupil's distance from a plane behind the array, which converts directions into pupil points."""
         return self.system.lens.pupil_distance_from(detector_distance)
 
     def seen(self, detector: Pair, centre: Pair, detector_distance: float, height: Any) -> Pair:
         """Return the points of the pupil that the detector sees through the centres of lenses.
 
-        The lenses stand by a height nearer to the main lens than so far from the detector.
+        The centres lie by a height nearer to the main lens than `detector_distance` before the detector.
         """
         slopes = ((c - p) / (detector_distance + height) for c, p in zip(centre, detector, strict=True))
         lens = self.system.lens
         return tuple(lens.pupil_point(c, slope, height) for c, slope in zip(centre, slopes, strict=True))
 
     def trace(self, place: Pair, pupil: Pair, height: Any) -> tuple[tuple[Any, Any, Any], Pair]:
-        """Return where rays from places on the array through points of the pupil start to the scene, and their slopes.
+        """Return start points and slopes in the scene of rays from positions on the array through points of the pupil.
 
-        The places are by a height nearer to the main lens than the array on the axis.
+        The positions lie by a height nearer to the main lens than the array on the axis.
         """
         lens = self.system.lens
         x, y = (lens.slope_to(P, m, height) for P, m in zip(pupil, place, strict=True))
@@ -60,13 +60,13 @@ class RayPupil:
         return point, slope
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
-        """Return the points of the round pupil that stand for points of it, seen from lenses; others stand for none."""
+        """Map points of the pupil, seen from lenses, to the round pupil; points outside map to points outside."""
         found = self.system.lens.round_map
         if found is None:
             return pupil
         (x, y), (cx, cy) = pupil, centre
         field = dr.sqrt(cx * cx + cy * cy)
-        # The map is that of fields along x.
+        # The map is defined for fields along x.
         c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
         fields, across, _, _ = found.points.shape
         u, v = x * c + y * s, y * c - x * s
@@ -78,7 +78,7 @@ class RayPupil:
     def _map(self) -> Any:
         found = self.system.lens.round_map
         assert found is not None
-        # Beyond its border the map continues as there, outside of the pupil.
+        # Outside its border the map continues with the border's values, which lie outside the pupil.
         return mi.Texture3f(
             mi.TensorXf(found.points),
             filter_mode=dr.FilterMode.Linear,

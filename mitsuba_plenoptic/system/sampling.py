@@ -1,6 +1,6 @@
-"""Where the light of a scene point goes in a camera, and how finely and widely its field must be sampled.
+"""Extent of a scene point's light in a camera, and the sampling and window that its field needs.
 
-Directions are direction cosines, as the angular spectrum has them.
+Directions are given as direction cosines, as in the angular spectrum.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from ..lenses.base import Light, MainLens
 from ..runtime.limits import memory_limit, require_memory
 
 MEMORY_LIMIT = 4 * 2**30
-"""Bytes that one propagation may take."""
+"""Largest memory in bytes for one propagation."""
 
 _LONGEST = 2**31
-"""Samples of a field along an axis."""
+"""Largest number of samples of a field along an axis."""
 
 _FARTHEST = 1e16
-"""Coordinates of a scene point at most, in millimetres; beyond the longest focal length this is infinity."""
+"""Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
 
 _WIDEST = 1000
-"""Microlenses, across, that the light of a point within the focal length covers at most."""
+"""Largest number of microlenses across that the light of a point within the focal length may cover."""
 
 _RIM_ANGLES = 32
 _RIM_RADII = (0.0, 0.4, 0.7, 1.0)
 
 _BISECTIONS = 6
-"""Steps by which the edges of beams are found."""
+"""Bisections that find the edges of beams."""
 
 
 @dataclass(frozen=True)
 class Footprint:
     """Geometric images of scene points on the MLA, and the directions in which their light arrives there.
 
-    Every array has shape (n, 2): x and y.
+    Every array has the shape (n, 2), for x and y.
     """
 
     centre: NDArray[np.float64]
@@ -53,10 +53,7 @@ class Footprint:
 
 
 def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
-    """Trace rays from each scene point through the pupil to the MLA.
-
-    Shapes: `positions` (n, 3).
-    """
+    """Trace rays from each scene point, (n, 3), through the pupil to the MLA."""
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
@@ -75,12 +72,12 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Move places (n, m, 2) of the rim, the last ones, inwards to the edges of beams, and what else is cut off there.
+    """Move the last points (n, m, 2), those of the rim, inwards to the edges of beams; move other blocked points, too.
 
-    Inwards is towards the middle of the places that are open.
+    Rim points move towards the mean of the open points, and other blocked points to it.
     """
     if not is_open.any(1).all():
-        # A beam so narrow that no place of these is in it.
+        # The beam is narrow and passes between these points.
         raise InputError("position: hardly any light of one of the scene points passes the main_lens")
     middle = (P * is_open[..., None]).sum(1, keepdims=True) / is_open.sum(1)[:, None, None]
     away = P[:, -_RIM_ANGLES:] - middle
@@ -91,34 +88,31 @@ def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) 
         x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
         within = light.is_open((x, y))
         low, high = np.where(within, half, low), np.where(within, high, half)
-    # From the edge outwards, so that the bounds hold all of the beam.
+    # Just outside the edge, so that the bounds contain the whole beam.
     edge = middle + high[..., None] * away
     return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
 
 
 def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
-    """Return where rays that leave the exit pupil come to the MLA.
-
-    Shapes: `pupil`, `cosine` (2, n, rays).
-    """
+    """Return the footprint on the MLA of rays from the exit pupil; both arrays have the shape (2, n, rays)."""
     place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
     return _bounds(place, cosine)
 
 
 def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
-    """Return the boxes around places and direction cosines, (2, n, rays)."""
+    """Return the bounding boxes of positions and direction cosines, (2, n, rays)."""
     low, high, first, last = place.min(-1).T, place.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
 
 
 def fast_length(minimum: float, multiple: int = 1) -> int:
-    """Smallest length that an FFT does quickly, at least `minimum` and a multiple of `multiple`."""
+    """Return the smallest fast FFT length that is at least `minimum` and a multiple of `multiple`."""
     check_samples(minimum, "along an axis")
     return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
 
 
 def check_samples(count: float, where: str) -> None:
-    """Refuse a field of more samples in a row than any memory holds, before they are counted in integers."""
+    """Refuse a field with more samples along an axis than memory can hold, before conversion to integers."""
     # Written so that NaN is refused.
     if not count <= _LONGEST:
         raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
@@ -127,10 +121,7 @@ def check_samples(count: float, where: str) -> None:
 def check_positions(
     positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
 ) -> NDArray[np.float64]:
-    """Return scene points as a float64 array (n, 3).
-
-    Shapes: `positions` (n, 3).
-    """
+    """Return scene points as a float64 array (n, 3), or refuse them."""
     try:
         points = np.asarray(positions, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -162,7 +153,7 @@ def check_positions(
 
 
 def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
-    """Refuse a point so far within the focal length, as one in metres is, that no memory holds where its light goes."""
+    """Refuse a point far within the focal length, such as one in metres, whose light exceeds any memory."""
     g, pitch = float(nearest[2]), min(camera.mla_pitches)
     blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
     if abs(g) < camera.focal_length and blur > _WIDEST * pitch:

@@ -1,4 +1,4 @@
-"""Derivatives of captures with respect to the numbers of the camera."""
+"""Derivatives of captures with respect to the parameters of the camera."""
 
 from .numbers import NUMBERS, WAVELENGTH, brightness_slopes, check_changes, check_names, light_slopes, values_of
 from .plan import DerivativePlan, Differentials

@@ -24,17 +24,17 @@ from .chain import FieldChain, Memory, Parts
 from .numbers import VaryingNumbers
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
-"""Numbers by which the lattice moves against the points: A is not zero."""
+"""Parameters that move the lattice against the points, so that A is not zero."""
 
 SHIFTED_COPIES = ("mla_distance", "mla_rotation", "detector_distance", "wavelength")
-"""Numbers by which copies shift: B is not zero."""
+"""Parameters that shift copies, so that B is not zero."""
 
 MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
-"""Numbers by which copies change otherwise than their spreads."""
+"""Parameters that change copies differently from their spreads."""
 
 
 def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
-    """Return A and B for a change by 1 of each component of a number of `MOVED_COPIES`.
+    """Return A and B for a unit change of each component of a parameter in `MOVED_COPIES`.
 
     The result is (components, 2, 2, 2): for each component A and B, each as (x and y of the move, x and y of the copy's
     position). Degrees and nanometres are the units of ``mla_rotation`` and ``wavelength``.
@@ -58,31 +58,31 @@ Window = tuple[slice, slice]
 """Rows and columns of a box of the grid."""
 
 _BLOCK = 2**18
-"""Samples that are gathered at a time: they fit into a core's own cache."""
+"""Number of samples that are gathered together: they fit into the cache of one core."""
 
 
 @dataclass(frozen=True)
 class SpreadCopies(Copies):
     """Where and how strongly a point spread is recorded, and how its copies change."""
 
-    places: NDArray[np.float64]  # (copies, 2): the shifts on the microlens array, in millimetres
-    moving: bool  # whether what they show of a lattice that moves against their points is counted
+    places: NDArray[np.float64]  # shifts on the microlens array in millimetres, (copies, 2)
+    moving: bool  # whether the motion of the lattice against the points is included
 
     def summed(self, sums: int) -> SpreadCopies:
-        """Return them with the weights as often as sums are asked for: for three, those times the places come next."""
+        """Return the copies with repeated weights for 1 or 3 sums; for 3, weights times positions follow."""
         factors = [np.ones(len(self.places)), *self.places.T][:sums]
         weights = np.hstack([self.weights * factor[:, None].astype(np.float32) for factor in factors])
         return replace(self, weights=weights)
 
     def windows(self, corner: NDArray[np.int64], samples: int, box: Box, finer: int) -> list[Window]:
-        """Return what each copy of a patch takes of a box of the grid, which is finer than the patches."""
+        """Return the window of each copy of a patch in a box of the grid, which is finer than the patches."""
         start = finer * (corner + self.shifts) - np.array([box.left, box.top])
         size = finer * samples
         return [(slice(y, y + size), slice(x, x + size)) for x, y in start.tolist()]
 
 
 def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
-    """Add up, over the copies, what a tile has in their windows, with their weights.
+    """Sum the windows of the copies in a tile, with their weights.
 
     The tile (channels, rows, columns) is on the box of the windows. With `moments` two more sums follow, with the
     weights times the copies' x and times their y.
@@ -145,7 +145,7 @@ class JvpBatch:
 
     fields: Fields
     copies: list[SpreadCopies]
-    finer: int  # as of `FieldChain`
+    finer: int  # as in `FieldChain`
     directions: tuple[VaryingNumbers, ...]  # with the tangents set
     slopes: tuple[NDArray[np.float64], ...]  # for each direction (2, 2), A of `copies.copy_slopes`
     offset: VaryingNumbers | None  # those of which ``mla_offset`` varies; None where no A is needed
@@ -157,7 +157,7 @@ class JvpBatch:
         return self.fields.samples
 
     def prepare(self) -> Callable[[], Part]:
-        """Make the fields and the changes of their factors, and return the function that adds what they give."""
+        """Compute the fields and the changes of their factors, and return the function that adds the results."""
         changes = [_changed(self.fields, numbers) for numbers in self.directions]
         lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_jvp, self, PatchBatch(self.fields, np.ones(len(self.copies))), changes, lattice)
@@ -205,7 +205,7 @@ class VjpResult:
     """Cotangents of a batch's factors, and sums of its point spreads."""
 
     factors: Parts
-    products: NDArray[np.float64]  # (2, 2): the gradient times what the spreads show of a moved lattice, as A
+    products: NDArray[np.float64]  # gradient times the effect of a moved lattice on the spreads, laid out as A, (2, 2)
     spreads: Part | None
 
 
@@ -215,9 +215,9 @@ class VjpBatch:
 
     fields: Fields
     copies: list[SpreadCopies]
-    finer: int  # as of `FieldChain`
-    offset: VaryingNumbers | None  # as of `JvpBatch`
-    tile: NDArray[np.float32]  # (channels, rows, columns): the gradient with respect to the samples that they reach
+    finer: int  # as in `FieldChain`
+    offset: VaryingNumbers | None  # as in `JvpBatch`
+    tile: NDArray[np.float32]  # gradient by the samples that the spreads cover, (channels, rows, columns)
     summed: int  # sums of the point spreads: 0, 1 (with their weights) or 3 (also times the copies' x, and y)
     varies: tuple[bool, ...]  # the factors whose cotangents are asked for
 

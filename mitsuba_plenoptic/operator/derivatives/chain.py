@@ -1,4 +1,4 @@
-"""The field of one point on its way from the pupil to the detector, and how its intensity changes with its factors.
+"""The field of one point on its path from the pupil to the detector, and the derivatives of its intensity by factors.
 
 A field is multiplied by the pupil, by the factors on the microlens array, and by the transfer function of free space;
 in between there are Fourier transforms. Where all factors on the array are along one axis, the field passes it in two
@@ -32,18 +32,18 @@ class Memory:
         self._used: Counter[tuple[int, ...]] = Counter()
 
     def restart(self) -> None:
-        """Let the next point have all of it."""
+        """Make all of the memory available to the next point."""
         self._used.clear()
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """Take back at the end what is taken meanwhile: few fields, used again, stay in the processor's cache."""
+        """Release the memory taken in the context at its end: few reused fields stay in the processor's cache."""
         used = self._used.copy()
         yield
         self._used = used
 
     def take(self, shape: tuple[int, ...]) -> Field:
-        """Return a complex64 array that holds anything."""
+        """Return an uninitialised complex64 array."""
         fields, used = self._fields.setdefault(shape, []), self._used[shape]
         if used == len(fields):
             fields.append(self.arrays.empty(shape, np.complex64))
@@ -71,17 +71,17 @@ class Memory:
 
 
 _BLOCK = 2**16
-"""Samples of the field on the detector that are multiplied and transformed at a time: a core's cache holds them."""
+"""Number of detector samples that are multiplied and transformed together: they fit into the cache of a core."""
 
 Parts = Sequence[Field | None]
-"""For each factor of a field a change or a cotangent, None where there is none."""
+"""A change or a cotangent for each factor of a field, or None."""
 
 _Factor = tuple[tuple[int, ...], Field]
 """Axes of the camera, and the factor as fields are multiplied by it."""
 
 
 class FieldChain:
-    """A field from the pupil to the detector, with what it has been in between.
+    """A field from the pupil to the detector, with its intermediate results.
 
     `factors` are those of `PatchFactors` for one point, `axes` the axes of those of the array. The `field` on the
     detector has `finer` (1 or 2) times the samples of the patch along each axis. All of it lies in `memory`, and is

@@ -1,4 +1,4 @@
-"""The parameters of a camera by which captures are differentiated, as Dr.Jit numbers that carry gradients."""
+"""The parameters of a camera by which captures are differentiated, as Dr.Jit arrays that carry gradients."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from ..patch_factors import Elements
 from ..units import brightness
 
 _BLOCK = 2**14
-"""Samples of which the powers are made at a time."""
+"""Number of samples for which powers are computed together."""
 
 
 def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
-    """Return what the change of coefficients adds to the path at points of the pupil: zero, with gradients."""
+    """Return the path that changes of coefficients add at points of the pupil: zero, with gradients."""
     return dr.custom(_VaryingPath, coefficients, radius, dr.detach(x), dr.detach(y))
 
 
@@ -124,9 +124,9 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
 
 
 def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives, by all parts of each parameter, of the logarithm of what `units.brightness` returns.
+    """Return the derivatives of the logarithm of `units.brightness` by all parts of each parameter.
 
-    The pupil is taken to grow as the opening does; see `light_slopes` for what real main lenses do.
+    The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
     """
     numbers = VaryingNumbers(camera, 1.0, names)
     value = dr.log(numbers.brightness(camera))
@@ -138,7 +138,7 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 def light_slopes(
     system: OpticalSystem, names: Iterable[str], points: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives, by each number, of the logarithm of what `units.brightness_at` returns.
+    """Return the derivatives of the logarithm of `units.brightness_at` by each parameter.
 
     The arrays are (components, points).
     """
@@ -148,7 +148,7 @@ def light_slopes(
 
 
 class VaryingNumbers:
-    """The parameters of a camera, and the wavelength, as Dr.Jit numbers; those of some names carry gradients."""
+    """The parameters of a camera, and the wavelength, as Dr.Jit arrays; those in `names` carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad
@@ -164,8 +164,8 @@ class VaryingNumbers:
     def elements(self, grid: Grid, cosine: float, lanes: int) -> Elements:
         """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine.
 
-        Each number that varies is there once for each of some lanes: so the gradients of all of them are scattered by
-        one kernel, where each single number would end a kernel of its own, which computes all anew.
+        Each varying parameter is repeated for each of several lanes, so that one kernel scatters the gradients of all
+        of them. Single values would each need a kernel of their own, which would recompute everything.
         """
         camera = grid.camera
         get = {name: [self._over(name, part, lanes) for part in self._numbers[name]] for name in NUMBERS}
@@ -186,7 +186,7 @@ class VaryingNumbers:
         return Elements(lens, array, wavelength, get["detector_distance"][0], turned, growth, aberration)
 
     def _over(self, name: str, number: Any, lanes: int) -> Any:
-        """Return a number for each lane, if it varies."""
+        """Return a value for each lane, if it varies."""
         if name not in self._varies or name == "wavefront":
             return number
         return dr.gather(self.types.Float64, number, dr.zeros(self.types.UInt32, lanes))
@@ -198,7 +198,7 @@ class VaryingNumbers:
         return grid.lens.varying(numbers | {"wavefront": held}, self._varies, turned)
 
     def brightness(self, camera: PlenopticCamera) -> Any:
-        """Return what `units.brightness` does."""
+        """Return `units.brightness` for these parameters."""
         get = self._numbers
         lattice = self._lattice(get, camera, (0.0, 0.0))
         pixel = get["detector_width"][0] / camera.resolution[0]
@@ -210,7 +210,7 @@ class VaryingNumbers:
         return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
 
     def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
-        """Set in which direction the numbers change."""
+        """Set the direction in which the parameters change."""
         for name, change in changes.items():
             for number, part in zip(self._numbers[name], change.tolist(), strict=True):
                 dr.set_grad(number, part)

@@ -40,18 +40,18 @@ from .batches import (
 from .numbers import MOVES, VaryingNumbers
 
 Direction = dict[str, NDArray[np.float64]]
-"""Changes of numbers, by name."""
+"""Changes of parameters, by name."""
 
 _LEFT_OUT = 0.1
-"""Share of what copies show of a moved lattice that is left out, over the accuracy."""
+"""Fraction of the effect of a moved lattice on copies that may be neglected, over the accuracy."""
 
 
 class DerivativePlan(PatchPlan):
     """Point spreads and their copies, with the differences between their changes.
 
-    For sums of many, points share spreads as they do for images; else each has a spread of its own, whose intensity
-    is sampled twice as finely as its field: its square has twice its frequencies, and those that would fold change
-    fastest. In sums of many they average out.
+    In sums of many points, points share spreads as they do for images; otherwise each has a spread of its own, whose
+    intensity is sampled twice as finely as its field. Its bandwidth is twice that of the field, and frequencies that
+    would be aliased change fastest; in sums of many points they average out.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class DerivativePlan(PatchPlan):
         pupil_weights: PupilWeights | None,
         accuracy: float,
     ) -> None:
-        # Copies behind a real lens change in ways of their own.
+        # Behind a real lens the changes of copies differ from each other.
         shared = system.lens.changes_evenly and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
         super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
@@ -76,7 +76,7 @@ class DerivativePlan(PatchPlan):
         self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
 
     def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
-        """Return the changes of the sum with these weights, (n, channels), in some directions, yet to be computed."""
+        """Return the derivatives, not yet computed, of the sum with weights (n, channels) in some directions."""
         return JvpSum(self, weights, directions)
 
     def vjp(
@@ -88,9 +88,9 @@ class DerivativePlan(PatchPlan):
         done: int,
         total: int,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients of numbers from that of the image, (rows, columns, channels).
+        """Return the gradients by parameters from the gradient of the image, (rows, columns, channels).
 
-        `done` points of the `total` of a job are done before.
+        `done` of the `total` points of a job are already complete.
         """
         numbers = VaryingNumbers(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
@@ -130,11 +130,11 @@ class DerivativePlan(PatchPlan):
         return gradients
 
     def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
-        """Multiply an image with the change of that of some sums where the pixels move."""
+        """Return the product of an image with the derivative of the image of sums as the pixels move."""
         return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
 
     def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
-        """Turn a vector of the camera's frame into one of the lattice's."""
+        """Transform a vector from the frame of the camera to that of the lattice."""
         return np.array(turn(vector[0], vector[1], -self._grid.rotation))
 
     def _shifted(self, names: Iterable[str]) -> bool:
@@ -142,16 +142,16 @@ class DerivativePlan(PatchPlan):
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
-        """Return the numbers of which ``mla_offset`` varies, if the copies' changes by some numbers ask for it."""
+        """Return the parameters with a varying ``mla_offset``, if the changes of copies by `names` depend on it."""
         if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
             return None
         return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return the spreads of which copies are counted for how the lattice moves against their points.
+        """Return a mask of the spreads for whose copies the motion of the lattice against their points is included.
 
-        They show it in proportion to their weights and distances. Spreads that have few copies, or near ones, take as
-        long as others: the least of them are left out, which together are a small share of all.
+        The effect is proportional to their weights and distances. Spreads with few or near copies take as long as
+        others, so that those with the least effect, together a small fraction of the total, are omitted.
         """
         distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
         amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
@@ -181,7 +181,7 @@ class DerivativePlan(PatchPlan):
         summed: int,
         varies: tuple[bool, ...],
     ) -> VjpBatch:
-        """Describe a batch, with the samples that it reaches; what lies beyond the recorded ones is zero."""
+        """Describe a batch, with the samples that it covers; samples outside the recorded ones are zero."""
         fields, copies = self.lit(chunk, weights, moving)
         placement = fields.placement
         box = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
@@ -205,7 +205,7 @@ class DerivativePlan(PatchPlan):
 
 
 class JvpSum:
-    """Changes of a sum in several directions, batch by batch; what it must offer is said in `runtime.jobs.LongSum`."""
+    """Changes of a sum in several directions, batch by batch, with the interface of `runtime.jobs.LongSum`."""
 
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
         self._plan, self._weights, self._directions = plan, weights, directions
@@ -239,7 +239,7 @@ class JvpSum:
             yield JvpBatch(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Integrate over the recorded pixels, and add what their own moves change."""
+        """Integrate over the recorded pixels, and add the changes by the motion of the pixels."""
         recorder, channels = self._plan._recorder, self._weights.shape[1]
         count = len(self._directions) * channels
         image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
@@ -279,7 +279,7 @@ class Differentials:
         """
         _require_threads(job)
 
-        # As many directions at once as fit into memory.
+        # Process as many directions together as fit into memory.
         parts: list[tuple[float, list[int], list[int]]] = []
         for wavelength, some in groups(wavelengths):
             step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
@@ -307,7 +307,7 @@ class Differentials:
         matrix: NDArray[np.float32],
         job: Job,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients of numbers, by name, from that of the image, (rows, columns, channels)."""
+        """Return the gradients by parameters, by name, from the gradient of the image, (rows, columns, channels)."""
         _require_threads(job)
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():
@@ -321,6 +321,6 @@ class Differentials:
 
 
 def _require_threads(job: Job) -> None:
-    """Refuse jobs by which derivatives are not computed."""
+    """Refuse jobs that derivatives do not support."""
     if not isinstance(job.workers, Threads):
         raise InputError("job: derivatives are computed by threads of this process only")
