@@ -1,4 +1,4 @@
-r"""How finely a capture can be resolved by inverting the camera's response, away from focus.
+r"""The resolution that can be reached out of focus by inverting the camera's response.
 
 A point out of focus lights many lenses, each of which sees it from elsewhere at another phase of the pixels. At the
 defocus s (see `PlenopticCamera.defocus`) two things limit their joint resolution: the diffraction of a microlens of the
