@@ -13,7 +13,7 @@ _Record = TypeVar("_Record", bound=type)
 
 
 class Form(Enum):
-    """How a value is written: its type in Python, and in a scene file, which has resolution and crop with the film."""
+    """Form of a value: its type in Python and in scene files, where resolution and crop belong to the film."""
 
     NUMBER = "float", "|float|"
     SEVERAL = "float or floats", "|float| or |string|"

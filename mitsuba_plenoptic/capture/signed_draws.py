@@ -123,7 +123,7 @@ class Draws:
     def widest(self) -> float:
         """Return the radius in the pupil's plane within which the ray through a lit cell's centre passes."""
         camera = self._camera
-        # Other points of the cell see points beside it.
+        # Other points of the cell see other points of the pupil.
         cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
         return self.pupil.reach + cell + lens

@@ -83,7 +83,8 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
         Object distance from the main lens in millimetres, or depth beyond an objective's native object plane; at
         infinity line pairs count per unit of slope.
     wavelength : float, optional
-        Wavelength in nanometres. Default: by rays, where a plane is in focus whose blur is below one lens.
+        Wavelength in nanometres. By default diffraction is neglected; a plane is then in focus if its blur is below one
+        lens.
 
     Returns
     -------
