@@ -1,6 +1,6 @@
-"""A plenoptic camera: the table of its parameters, their checks and forms, and the few numbers that most code derives.
+"""A plenoptic camera: the table of its parameters, their checks and forms, and commonly used derived quantities.
 
-What else follows from them is in `mitsuba_plenoptic.design`.
+Further derived quantities are in `mitsuba_plenoptic.design`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the parameters of a camera may be all together: the table has what each of them may be by itself."""
+"""Checks of a camera's parameters in combination; the table of parameters has the check of each one by itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .parameters import PARAMETERS
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Return all values of a camera, by attribute, from arguments by name: each is checked, and defaults filled in."""
+    """Check a camera's arguments, given by name, and fill in defaults; return all values by attribute."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
@@ -32,7 +32,7 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _complete_lens(values: dict[str, Any]) -> None:
-    """Fill in the numbers of the main lens and of the array's distance from it; refuse what contradicts the lens."""
+    """Fill in the main lens's parameters and the array's distance from it; refuse values that contradict the lens."""
     data, focus = values["main_lens"] or THIN, values["focus_distance"]
     for name, number in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
         if values[name] is None:
@@ -53,7 +53,7 @@ def _complete_lens(values: dict[str, Any]) -> None:
 
 
 def _check_array(values: dict[str, Any]) -> None:
-    """Refuse focal lengths that the lattice has no types for, and an array that is too irregular for its pitches."""
+    """Refuse focal lengths for which the lattice has no lens types, and arrays too irregular for their pitches."""
     types, focal_lengths = LATTICES[values["mla_lattice"]].lens_types, values["mla_focal_lengths"]
     if len(focal_lengths) not in (1, types):
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
@@ -65,7 +65,7 @@ def _check_array(values: dict[str, Any]) -> None:
 
 
 def _complete_window(values: dict[str, Any]) -> None:
-    """Fill in the size of the crop window, which is all that there is, and refuse one that leaves the detector."""
+    """Fill in the size of the crop window, by default the rest of the detector; refuse a window outside of it."""
     resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
     if size is None:
         rest = tuple(count - first for count, first in zip(resolution, offset, strict=True))
@@ -77,7 +77,7 @@ def _complete_window(values: dict[str, Any]) -> None:
 
 
 def require_whole(camera: CameraGeometry) -> None:
-    """Refuse numbers each of which may be, but not all of them together."""
+    """Refuse parameters that are valid one by one but not in combination."""
     camera.lens_data.require_fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))

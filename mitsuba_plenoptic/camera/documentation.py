@@ -1,4 +1,4 @@
-"""The table of a camera's parameters as documentation: in the docstring of the camera, and in that of the sensor."""
+"""Documentation from the table of a camera's parameters, for the docstrings of the camera and the sensor."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _numpy_entry(entry: Parameter) -> Iterator[str]:
 
 
 def with_sensor_parameters(docstring: str) -> str:
-    """Put the rows of all parameters that a sensor takes into a docstring, in the place of a row CAMERA."""
+    """Replace the row CAMERA of a docstring by the rows of all parameters that a sensor takes."""
     rows = [line for entry in PARAMETERS.values() if entry.form is not Form.FILM for line in _sensor_row(entry)]
     # The docstring is indented where Python reads it, and not where the site does.
     indent = re.search(r"^( *) \* - CAMERA$", docstring, re.MULTILINE)
@@ -59,7 +59,7 @@ def _sensor_row(entry: Parameter) -> Iterator[str]:
 
 
 def _written(default: Any) -> str:
-    """Return a default as a scene file has it."""
+    """Return a default as it is written in a scene file."""
     if isinstance(default, tuple):
         return f'"{", ".join(map(_written, default))}"'
     return f"``{default}``" if isinstance(default, str) else f"{default:g}"

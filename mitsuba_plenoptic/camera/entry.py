@@ -1,4 +1,4 @@
-"""What the table of a camera's parameters says of each of them."""
+"""The entries of the table of a camera's parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _Record = TypeVar("_Record", bound=type)
 
 
 class Form(Enum):
-    """How a value is written: its type in Python, and in a scene file, which has resolution and crop with the film."""
+    """Form of a value: its type in Python and in scene files, where resolution and crop belong to the film."""
 
     NUMBER = "float", "|float|"
     SEVERAL = "float or floats", "|float| or |string|"
@@ -27,7 +27,7 @@ class Form(Enum):
 
 
 class Captures(Flag):
-    """Kinds of captures, which depend on a parameter, or have a derivative by it."""
+    """Kinds of captures, to state which of them support a parameter or have a derivative with respect to it."""
 
     NONE = 0
     RAYS = auto()
@@ -43,31 +43,31 @@ class Captures(Flag):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Parameter(Generic[Given, Kept]):
-    """An entry of the table: a parameter of the type `Given` in the constructor, which a camera keeps as `Kept`.
+    """An entry of the table: a parameter of the type `Given` in the constructor, which a camera stores as `Kept`.
 
-    The comments say what each attribute is for; only the first three are needed.
+    The comments describe each attribute; only the first three are required.
     """
 
     default: Any
-    check: Callable[[str, Any], Kept]  # returns the value as it is kept, or refuses it, given the name and the value
+    check: Callable[[str, Any], Kept]  # takes name and value; returns the stored value, or refuses it
     words: str  # sentences of the documentation, in which `names` are those of other parameters
     form: Form = Form.NUMBER
-    takes: str = ""  # the type in Python, where the form's own is not exact
+    takes: str = ""  # the type in Python, where that of the form is not exact
     otherwise: str = ""  # the default in words, where it is None or needs them
-    unit: str | tuple[str, ...] = ""  # of all its parts, or of each
-    parts: tuple[str, ...] = ()  # what a calibration calls them
+    unit: str | tuple[str, ...] = ""  # one for all its components, or one for each
+    parts: tuple[str, ...] = ()  # names of the components in calibrations
     known_to: Captures = Captures.RAYS  # captures of other kinds refuse cameras with a value that is not the default
     gradients: Captures = (
         Captures.NONE
     )  # captures with a derivative by it; a parameter with any is exposed by `mi.traverse`
-    scale: Callable[[Any], float] | None = None  # change of a camera's value that is a step of a fit; None: a hundredth
-    highest: float | None = None  # where fits may go without bounds, if that is not near where they start
-    unseen: int = 0  # first parts, which no capture depends on: fits leave them out
-    room: int = 0  # parts by which there are derivatives, of a parameter of which a camera may have fewer
-    shortest: Callable[[Kept], Any] | None = None  # the form in files, where it is not what is kept
-    instead_of: str = ""  # the parameter that is found from this one and is in files
-    in_first_files: bool = False  # whether files always had it: others may be missing from what `to_dict` gave
-    alias: str = ""  # the name, where the attribute of the camera has another one
+    scale: Callable[[Any], float] | None = None  # step of a fit for a camera; None means a hundredth of the value
+    highest: float | None = None  # upper limit of fits without bounds, if it is not a multiple of the step
+    unseen: int = 0  # count of leading components that affect no capture: fits leave them out
+    room: int = 0  # least count of components with derivatives, also if a camera has fewer
+    shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if it is not the stored one
+    instead_of: str = ""  # the parameter that follows from this one and is written to files instead
+    in_first_files: bool = False  # whether all files have it; other parameters may be missing from old files
+    alias: str = ""  # the name of the parameter, if it is not that of the attribute
     attribute: str = field(default="", init=False)
     name: str = field(default="", init=False)
 
@@ -82,7 +82,7 @@ class Parameter(Generic[Given, Kept]):
 
     @property
     def is_exposed(self) -> bool:
-        """Whether sensors expose it to `mi.traverse`."""
+        """Whether sensors expose the parameter to `mi.traverse`."""
         return bool(self.gradients)
 
     if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""What follows from a camera's numbers and nearly everything uses: its pupil, its lattice, its pixels and bins."""
+"""Commonly used quantities that follow from a camera's parameters: its pupil, lattice, pixels and bins."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .parameters import CameraParameters
 
 @record
 class CameraGeometry(CameraParameters):
-    """A camera's parameters with what follows from them."""
+    """A camera's parameters, and the quantities that follow from them."""
 
     # -- main lens -----------------------------------------------------------------------------------
 
@@ -34,15 +34,15 @@ class CameraGeometry(CameraParameters):
 
     @property
     def lens_data(self) -> LensData:
-        """The main lens's plain data, a thin one's, too: what is asked of it whatever its kind."""
+        """The data of the main lens, with one interface for all kinds, thin lenses included."""
         return self.main_lens or THIN
 
     @property
     def pupil_distance(self) -> float:
         """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil.
 
-        That of the stop seen through the lens before the array is infinite behind an objective; this is then the focal
-        length of that lens, by which places on the stop are divided to have directions at the array.
+        Behind an objective, the image of the stop through the lens before the array is at infinity. The value is then
+        the focal length of that lens: positions on the stop divided by it are directions at the array.
         """
         return self.mla_distance + self.lens_data.exit_pupil(self.focal_length)[0]
 
@@ -62,9 +62,9 @@ class CameraGeometry(CameraParameters):
         return self.focal_length / self.aperture_diameter
 
     def defocus(self, distance: float) -> float:
-        """Diameter of the cone from an on-axis point on the MLA over that on the main lens, with its sign.
+        """Return the signed ratio of the diameters, on the MLA and on the main lens, of an on-axis point's light cone.
 
-        :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for points nearer than that.
+        :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for nearer points.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class CameraGeometry(CameraParameters):
         Raises
         ------
         InputError
-            If the distance is 0, or the main lens is an objective: its image is no such cone.
+            If the distance is 0, or the main lens is an objective, whose image has no such cone.
         """
         self.require_lens("defocus")
         if distance == 0:
@@ -82,7 +82,7 @@ class CameraGeometry(CameraParameters):
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:
-        """Diameter on the MLA of the image of a point at `distance`, by rays: :math:`D_1 |s|`."""
+        """Return the geometric blur diameter on the MLA for a point at `distance`: :math:`D_1 |s|`."""
         return self.lens_data.image_blur(self, distance)
 
     # -- detector and lattice ------------------------------------------------------------------------
@@ -107,7 +107,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def lenses_are_bins(self) -> bool:
-        """Whether there is a lens on each bin, which it fills."""
+        """Whether each bin coincides with a lens."""
         return self.lenses_like_bins and self.mla_offset == (0, 0)
 
     @property
@@ -117,7 +117,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def mla_focal_length(self) -> float:
-        """Focal length :math:`f_2` of a microlens; where there are three, the first."""
+        """Focal length :math:`f_2` of a microlens; the first one if there are three."""
         return self.mla_focal_lengths[0]
 
     @property
@@ -127,19 +127,19 @@ class CameraGeometry(CameraParameters):
 
     @property
     def pupil_step(self) -> float:
-        """What a pixel covers of the pupil, seen through its lens's centre: its width times :math:`b / z`."""
+        """Width of a pixel projected through its lens's centre onto the pupil: its width times :math:`b / z`."""
         return self.pixel_size * self.pupil_distance / self.detector_distance
 
     @property
     def lit_radius(self) -> float:
-        """Radius within which the pupil is seen by some of a pixel: half a pixel's width more than the pupil's own."""
+        """Radius of the pupil plus half a projected pixel: pixels centred within it see part of the pupil."""
         return self.pupil_radius + self.pupil_step / 2
 
     def pupil_shift(self, mla_focal_length: float) -> float:
-        r"""How fast the place on the pupil, seen by a point of the detector, moves with that on the lens.
+        r"""Return the displacement of the pupil point that a detector point sees, per displacement on the microlens.
 
-        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`; one less behind an objective, whose stop all
-        lenses see in the same directions.
+        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`. Behind an objective, whose stop all lenses see
+        in the same directions, it is smaller by 1.
         """
         return (
             self.lens_data.converges
@@ -158,7 +158,7 @@ class CameraGeometry(CameraParameters):
         return self.crop_size[1], self.crop_size[0]
 
     def pixel_coordinates(self, axis: int) -> np.ndarray:
-        """Coordinates of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
+        """Return the coordinates of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
         pixel = np.arange(self.crop_size[axis]) + self.crop_offset[axis] + 0.5
         return (pixel - self.resolution[axis] / 2) * self.pixel_size
 
@@ -169,16 +169,16 @@ class CameraGeometry(CameraParameters):
 
     @property
     def pixels_per_lens(self) -> float:
-        """Microlens pitch in pixels, the shorter one if there are two; need not be a whole number."""
+        """Microlens pitch in pixels, the shorter one if there are two; it need not be an integer."""
         return min(self.mla_pitches) / self.pixel_size
 
     def require_resolved(self) -> None:
-        """Refuse a camera whose lenses are narrower than a pixel, for work that goes from lens to lens.
+        """Refuse a camera whose lenses are narrower than a pixel, for computations that proceed lens by lens.
 
         Raises
         ------
         InputError
-            If they are.
+            If the lenses are narrower than a pixel.
         """
         if self.pixels_per_lens < 1:
             raise InputError(
@@ -187,17 +187,17 @@ class CameraGeometry(CameraParameters):
             )
 
     def require_lens(self, what: str) -> None:
-        """Refuse a camera behind an objective, for numbers that a lens at a finite distance has.
+        """Refuse a camera with an objective, for quantities that only lenses at a finite distance have.
 
         Parameters
         ----------
         what : str
-            The number, the beginning of a sentence.
+            The quantity, as the beginning of the message.
 
         Raises
         ------
         InputError
-            If it is one.
+            If the main lens is an objective.
         """
         if not self.lens_data.converges:
             raise InputError(
@@ -206,19 +206,19 @@ class CameraGeometry(CameraParameters):
             )
 
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:
-        """Refuse a camera with a real main lens, for work that knows thin ones only.
+        """Refuse a camera with a real main lens, for computations that support only thin lenses.
 
         Parameters
         ----------
         what : str
-            The work, the beginning of a sentence.
+            The computation, as the beginning of the message.
         instead : str
-            What can be done beside leaving the lens out.
+            The alternative that the message offers to leaving the lens out.
 
         Raises
         ------
         InputError
-            If it has one.
+            If the camera has a real main lens.
         """
         if not self.lens_data.is_thin:
             raise InputError(
@@ -227,36 +227,36 @@ class CameraGeometry(CameraParameters):
             )
 
     def require_no_objective(self, what: str) -> None:
-        """Refuse a camera behind an objective, for work that knows thin main lenses and prescriptions.
+        """Refuse a camera with an objective, for computations that support thin main lenses and prescriptions.
 
         Parameters
         ----------
         what : str
-            The work, the beginning of a sentence.
+            The computation, as the beginning of the message.
 
         Raises
         ------
         InputError
-            If it is behind one.
+            If the main lens is an objective.
         """
         if not self.lens_data.converges:
             raise InputError(f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only")
 
     @property
     def bin_count(self) -> tuple[int, int]:
-        """Bins across a reconstruction and down it: as many squares of one pitch as fit the detector.
+        """Columns and rows of bins of a reconstruction: the count of squares of one pitch that fit the detector.
 
-        Rounded to even numbers: a corner of four bins lies on the axis, as one of four lenses of the default lattice
-        does, so that bins and lenses line up there. On any other lattice the bins are the same. In the Fourier
-        arrangement each lens sees the whole object: as many pixels as there are along a pitch.
+        The counts are rounded to even integers, so that the corner of four bins lies on the axis, as does that of four
+        lenses of the default lattice. The bins do not depend on the lattice. In the Fourier arrangement each lens sees
+        the whole object, and the count is that of the pixels along a pitch.
         """
         return self.lens_data.bin_count(self)
 
     @property
     def lens_count(self) -> tuple[int, int]:
-        """Lenses in a row of the lattice across the full detector, and rows down it.
+        """Count of lenses in a row of the lattice across the full detector, and of rows down the detector.
 
-        A turned lattice has as many on the same area.
+        A rotated lattice has as many lenses on the same area.
         """
         columns, rows = (even_count(width, self.mla_pitch) for width in (self.detector_width, self.detector_height))
         if self.lattice.row_distance != self.mla_pitch:
@@ -278,9 +278,10 @@ class CameraGeometry(CameraParameters):
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
-        """Width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`.
+        """Return the width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`.
 
-        Behind an objective at all depths :math:`D_2 / M`, in the Fourier arrangement that of a pixel in the object.
+        With an objective it is :math:`D_2 / M` at all depths, and in the Fourier arrangement that of a pixel in the
+        object.
 
         Parameters
         ----------

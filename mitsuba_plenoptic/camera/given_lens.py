@@ -1,4 +1,4 @@
-"""The main lens and the glasses that a camera is given, in any of their forms, and what these bring with them."""
+"""Conversion of the main lens and glasses of a camera from any of the forms in which they can be given."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..prescription.glass import LINE_D
 
 
 def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:
-    """Return the main lens that is given in any of its forms, None for a thin one."""
+    """Return a main lens from any of its forms; None means a thin lens."""
     if value is None or isinstance(value, LensData):
         return value
     return read_lens(value) if isinstance(value, (str, Path)) else lens_from_plain(value)
 
 
 def known_glass(name: str, value: Any) -> Glass | None:
-    """Return a lens's glass that is given in any of its forms, one that bends light of the line d."""
+    """Return a lens's glass from any of its forms; refuse one that does not refract light of the line d."""
     if value is None:
         return None
     glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)

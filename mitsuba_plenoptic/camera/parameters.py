@@ -1,4 +1,4 @@
-"""The table of a camera's parameters, from which everything else that knows them is made.
+"""The table of a camera's parameters, from which all code that handles them is derived.
 
 The record and its constructor, checks, files, scene files, documentation, and the vectors that fits, calibrations,
 gradients and searches work with all read this table. A new parameter is one entry here, and a formula that uses it.
@@ -37,12 +37,12 @@ LENS_MODELS = ("ideal", "parabolic")
 
 
 def _one_if_equal(pitches: tuple[float, float]) -> float | tuple[float, float]:
-    """Return the pitch of a lattice that is not stretched, or both."""
+    """Return a single pitch if both are equal, or else both."""
     return pitches[0] if pitches[0] == pitches[1] else pitches
 
 
 def _one_if_single(values: tuple[float, ...]) -> float | tuple[float, ...]:
-    """Return the only value, or all."""
+    """Return the value itself if there is only one, or else all values."""
     return values[0] if len(values) == 1 else values
 
 
@@ -371,12 +371,12 @@ PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for 
 
 
 def with_gradient(kind: Captures) -> tuple[str, ...]:
-    """Return the names of the parameters by which captures of a kind have derivatives."""
+    """Return the names of the parameters with respect to which captures of a kind have derivatives."""
     return tuple(name for name, entry in PARAMETERS.items() if kind in entry.gradients)
 
 
 def part_units(name: str) -> dict[str, str]:
-    """Return the units of a parameter's parts, by the names that calibrations give them."""
+    """Return the units of a parameter's components, by their names in calibrations."""
     entry = PARAMETERS[name]
     parts = entry.parts or (name,)
     return dict(zip(parts, [entry.unit] * len(parts) if isinstance(entry.unit, str) else entry.unit, strict=True))

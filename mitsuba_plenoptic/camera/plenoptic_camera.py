@@ -39,14 +39,14 @@ def describe(parameters: dict[str, Any], to_world: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a parameter as a plugin takes it: lenses and glasses as JSON, several numbers with commas between them."""
+    """Return a parameter in the form for a plugin: lenses and glasses as JSON, several values separated by commas."""
     if isinstance(value, dict):
         return json.dumps(value)
     return ", ".join(map(repr, value)) if isinstance(value, tuple) else value
 
 
 def write_xml(sensor: dict[str, Any]) -> str:
-    """Write what `describe` returns as text for a scene file."""
+    """Write a sensor from `describe` as text for a scene file."""
 
     def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
         made = ElementTree.Element(tag, {"type": values["type"], **attributes})
@@ -99,7 +99,7 @@ class PlenopticCamera(CameraGeometry):
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build a known camera: see `mitsuba_plenoptic.presets` for those there are and where their numbers are from.
+        """Build one of the known cameras; `mitsuba_plenoptic.presets` lists them with the sources of their parameters.
 
         Parameters
         ----------
@@ -109,13 +109,13 @@ class PlenopticCamera(CameraGeometry):
         Raises
         ------
         InputError
-            If there is none of that name; the message lists those there are.
+            If there is no camera of that name; the message lists the names.
         """
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
-        """Take the camera of a Mitsuba sensor of type ``plenoptic``.
+        """Return the camera of a Mitsuba sensor of type ``plenoptic``.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class PlenopticCamera(CameraGeometry):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
-        """Build a camera from what `to_dict` gave, for example from a file's header.
+        """Build a camera from a dictionary of `to_dict`, for example from a file's header.
 
         Parameters
         ----------
@@ -154,19 +154,19 @@ class PlenopticCamera(CameraGeometry):
         return cls._from_names(values)
 
     def arguments(self) -> dict[str, Any]:
-        """All parameters by name, as the camera keeps them: the constructor makes the same camera of them."""
+        """Return all parameters by name as the camera stores them; the constructor accepts them."""
         return {name: getattr(self, entry.attribute) for name, entry in PARAMETERS.items() if not entry.instead_of}
 
     def to_dict(self) -> dict[str, Any]:
-        """All parameters by name, in plain numbers, strings and tuples; lens and glasses as dictionaries of such."""
+        """Return all parameters by name as plain Python values; lens and glasses are dictionaries."""
         plain = {name: PARAMETERS[name].plain(value) for name, value in self.arguments().items()}
         return {name: value for name, value in plain.items() if value is not None}
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Build a camera from the text of a JSON file: an object of parameters; one that is left out has its default.
+        """Build a camera from the text of a JSON file: an object of parameters, which have defaults if left out.
 
-        What a calibration adds to them, under ``calibration``, is no part of the camera.
+        The results that a calibration adds under ``calibration`` are ignored.
 
         Parameters
         ----------
@@ -210,8 +210,8 @@ class PlenopticCamera(CameraGeometry):
         Returns
         -------
         dict
-            The film has one channel, of luminance, in single precision. `from_sensor` of what is loaded from it gives
-            this camera.
+            The sensor, whose film records luminance in single precision. When it is loaded, `from_sensor` returns this
+            camera.
         """
         return describe(self.to_dict(), to_world)
 
@@ -223,7 +223,7 @@ class PlenopticCamera(CameraGeometry):
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
 
     def replace(self, **changes: Any) -> PlenopticCamera:
-        """Return a copy of the camera with some parameters changed; one that records all its pixels still does.
+        """Return a copy of the camera with some parameters changed; an uncropped camera remains uncropped.
 
         Parameters
         ----------
@@ -247,16 +247,16 @@ class PlenopticCamera(CameraGeometry):
 
     @property
     def is_dispersive(self) -> bool:
-        """Whether rays of different wavelengths go different ways through it."""
+        """Whether the paths of rays through the camera depend on their wavelength."""
         glasses = self.glass, self.mla_glass
         own = any(glass is not None and glass.form != "index" for glass in glasses)
         return own or self.lens_data.disperses
 
     def at_wavelength(self, wavelength: float) -> PlenopticCamera:
-        """Return the camera with its thin lenses as one wavelength meets them, and without their glasses.
+        """Return the camera with the focal lengths of its thin lenses at one wavelength, and without their glasses.
 
-        What stands where does not move: what is in focus does. A `main_lens` stays as it is, since it has indices of
-        its own.
+        Positions do not change, but the plane in focus does. A `main_lens` remains as it is: its glasses have indices
+        of their own.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class PlenopticCamera(CameraGeometry):
 
 
 def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
-    """Return a camera, or refuse what is none, such as the name of a preset."""
+    """Return the value if it is a camera; refuse anything else, such as the name of a preset."""
     if not isinstance(value, PlenopticCamera):
         raise InputError(f"{name} = {short_repr(value)}: it must be a PlenopticCamera")
     return value

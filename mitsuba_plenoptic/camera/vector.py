@@ -1,4 +1,4 @@
-"""Parameters of a camera as a vector of numbers and back, for fits, calibrations, gradients and searches alike."""
+"""Conversion of camera parameters to a vector and back, for fits, calibrations, gradients and searches."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _FARTHEST = 50.0
 
 
 def parts_of(camera: PlenopticCamera, name: str) -> Array:
-    """Return the present numbers of a parameter: both pitches, each focal length, each coefficient."""
+    """Return the current components of a parameter: both pitches, each focal length, each coefficient."""
     return np.array(np.ravel(getattr(camera, PARAMETERS[name].attribute)), np.float64)
 
 
 def shortest_parts(camera: PlenopticCamera, name: str) -> Array:
-    """Return the numbers of a parameter in its shortest form: one pitch where both are equal."""
+    """Return the components of a parameter in its shortest form: one pitch if both are equal."""
     entry = PARAMETERS[name]
     return np.array(np.ravel(entry.plain(getattr(camera, entry.attribute))), np.float64)
 
 
 def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
-    """Return a change as one of all parts by which there are derivatives; one number is that of all of them.
+    """Return the change of all components that have derivatives; a single value applies to all of them.
 
-    Coefficients that are not named do not change.
+    Coefficients beyond those given do not change.
     """
     numbers, form = np.ravel(change), PARAMETERS[name].form
     size = size_of(camera, name)
@@ -46,12 +46,12 @@ def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
 
 
 def size_of(camera: PlenopticCamera, name: str) -> int:
-    """Return the number of parts of a parameter by which there are derivatives."""
+    """Return the count of a parameter's components that have derivatives."""
     return max(len(parts_of(camera, name)), PARAMETERS[name].room)
 
 
 def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: Any) -> PlenopticCamera:
-    """Return the camera with other numbers of some parameters, and other values of others."""
+    """Return the camera with parameters set from arrays of their components, and `others` from values."""
     for name, numbers in parts.items():
         others[name] = float(numbers[0]) if PARAMETERS[name].form is Form.NUMBER else tuple(numbers.tolist())
     return camera.replace(**others)
@@ -59,7 +59,7 @@ def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: An
 
 @dataclass(frozen=True)
 class Component:
-    """A number of a vector: parts, which are equal, of one parameter, and the label by which results name it."""
+    """An entry of a vector: components of one parameter, which are equal, and its label in results."""
 
     name: str
     parts: tuple[int, ...]
@@ -67,7 +67,7 @@ class Component:
 
 
 def _components(camera: PlenopticCamera, name: str) -> list[Component]:
-    """Return the numbers that a parameter consists of, of aberrations all but the piston."""
+    """Return the vector entries of a parameter; the piston of aberrations is left out."""
     count, entry = len(parts_of(camera, name)), PARAMETERS[name]
     if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
         return [Component(name, tuple(range(count)), name)]
@@ -79,28 +79,28 @@ def _components(camera: PlenopticCamera, name: str) -> list[Component]:
 
 @dataclass(frozen=True)
 class CameraVector:
-    """Some numbers of a camera; another camera has the same `components` with values of its own, see `of`."""
+    """A vector of parameters of a camera; `of` returns the same `components` with the values of another camera."""
 
     camera: PlenopticCamera
     components: tuple[Component, ...]
 
     @classmethod
     def by_names(cls, camera: PlenopticCamera, names: Iterable[str]) -> CameraVector:
-        """Return the numbers of parameters; it refuses some of a camera that has none of them."""
+        """Return the vector of parameters; refuse coefficients of which the camera has none."""
         return cls(camera, tuple(each for name in names for each in _components(camera, name)))
 
     def of(self, camera: PlenopticCamera) -> CameraVector:
-        """Return the same numbers of another camera."""
+        """Return the same components of another camera."""
         return replace(self, camera=camera)
 
     def keep(self, labels: Iterable[str]) -> CameraVector:
-        """Return the numbers of some labels, in their order here."""
+        """Return the components with the given labels, in their order in this vector."""
         chosen = set(labels)
         return replace(self, components=tuple(each for each in self.components if each.label in chosen))
 
     @property
     def labels(self) -> list[str]:
-        """What the numbers are called: the parameter, and which part it is, counted from 1, if there are others."""
+        """Names of the components: the parameter and, if it has several components, the index from 1."""
         return [each.label for each in self.components]
 
     @property
@@ -110,20 +110,20 @@ class CameraVector:
 
     @property
     def values(self) -> Array:
-        """The numbers themselves."""
+        """Values of the components."""
         return np.array([parts_of(self.camera, each.name)[each.parts[0]] for each in self.components])
 
     @property
     def scales(self) -> Array:
-        """The change of each number that is a step of a fit: a hundredth, a degree, a pitch, a wave."""
+        """Step of a fit for each component: a hundredth of it, a degree, a pitch, or a wave."""
         scales = (PARAMETERS[each.name].scale for each in self.components)
         pairs = zip(scales, self.values, strict=True)
         return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
 
     def limits(self, bounds: Mapping[str, tuple[float, float]] | None) -> tuple[Array, Array]:
-        """Return the lowest and the highest values, by label or name as given, or else not far from the camera.
+        """Return the lowest and highest values, from bounds by label or name, or by default near the camera.
 
-        Bounds of other numbers, in the wrong order, or with the camera outside them are refused.
+        Bounds of other parameters, in the wrong order, or that exclude the camera are refused.
         """
         labels, start = self.labels, self.values
         low, high = start - _FARTHEST * self.scales, start + _FARTHEST * self.scales
@@ -146,14 +146,14 @@ class CameraVector:
         return low, high
 
     def at(self, values: Array) -> PlenopticCamera:
-        """Return the camera with other values of the numbers."""
+        """Return the camera with other values of the components."""
         parts: Values = {}
         for each, value in zip(self.components, values.tolist(), strict=True):
             parts.setdefault(each.name, parts_of(self.camera, each.name))[list(each.parts)] = value
         return with_parts(self.camera, parts)
 
     def directions(self) -> list[Values]:
-        """Return the change of parameters with each number, by 1."""
+        """Return the change of the parameters for a unit change of each component."""
         changes = []
         for each in self.components:
             change = np.zeros(size_of(self.camera, each.name))
@@ -162,5 +162,5 @@ class CameraVector:
         return changes
 
     def slopes(self, gradient: Mapping[str, Array]) -> Array:
-        """Return the derivatives by the numbers from those by all parts of the parameters."""
+        """Return the derivatives by the vector's entries from those by all components of the parameters."""
         return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])

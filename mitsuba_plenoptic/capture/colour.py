@@ -1,9 +1,9 @@
-r"""Colours as spectra and spectra as colours, by Mitsuba's own tables of CIE 1931 and D65.
+r"""Conversion between colours and spectra, by Mitsuba's own tables of CIE 1931 and D65.
 
-Light of a colour gets the spectrum of D65 times a reflectance, and that is :math:`\sum_c v_c \rho_c(\lambda)` with
-three reflectances, of the primaries red, green and blue of sRGB: nowhere negative, of sum 1, and as smooth as they can
-be (the rule of Mallett and Yuksel 2019, "Spectral primary decomposition for rendering with sRGB reflectance", section
-4; the numbers are found here). It is linear, so that light of any strength, and sums of lights, have spectra.
+The spectrum of a colour is that of D65 times the reflectance :math:`\sum_c v_c \rho_c(\lambda)`. The reflectances of
+the sRGB primaries red, green and blue are nonnegative, have the sum 1, and are as smooth as these conditions allow
+(the rule of Mallett and Yuksel 2019, "Spectral primary decomposition for rendering with sRGB reflectance", section
+4; their values are computed here). The conversion is linear, so it holds for light of any strength and for sums.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from ..errors import InputError
 from ..optics.spectrum import WAVELENGTHS, Responses, Spectrum, Table
 
 _STEP = 10.0
-"""Distance in nanometres of the wavelengths at which reflectances are found."""
+"""Step in nanometres between the wavelengths at which reflectances are computed."""
 
 _EXACT = 1e5
-"""How much more the colours count than the smoothness."""
+"""Weight of the colours relative to the smoothness in the least-squares fit."""
 
 _UNKNOWN = 0.01
-"""Part of the channels' responses to wavelengths that a spectrum does not know, at most."""
+"""Largest fraction of the channels' responses at wavelengths where a spectrum has no values."""
 
 _LOW, _HIGH = 380.0, 730.0
-"""What is visible: beyond, the luminous efficiency is below 1/1000 of its peak."""
+"""Visible range in nanometres: beyond it, the luminous efficiency is below 1/1000 of its peak."""
 
 
 def srgb(count: int = WAVELENGTHS, tables: Sequence[Table] = ()) -> Spectrum:
-    """Return the responses of linear sRGB to light, as Mitsuba's films of colours have them."""
+    """Return the spectral responses of linear sRGB, which Mitsuba's colour films also use."""
     return Spectrum.smooth(*SRGB, count, tables)
 
 
 def tables_of(scene: Any) -> list[Table]:
-    """Return the spectra of a scene, of light and of surfaces, that are tables; those alike once."""
+    """Return the tabulated spectra of a scene's emitters and surfaces, without duplicates."""
     return list({(x.tobytes(), y.tobytes()): (x, y) for x, y in _tables(scene).values()}.values())
 
 
 def _tables(thing: Any) -> dict[str, Table]:
-    """Return, by their names, the spectra of a scene or a plugin that are tables."""
+    """Return the tabulated spectra of a scene or a plugin by name."""
     parameters, found = mi.traverse(thing), {}
     for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
         stem, _, last = key.rpartition(".")
@@ -60,10 +60,10 @@ def _tables(thing: Any) -> dict[str, Table]:
 
 
 def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArray[np.float32]) -> None:
-    """Refuse wavelengths at which a spectrum of the scene has no values, which Mitsuba takes for 0.
+    """Refuse wavelengths at which a spectrum of the scene has no values, because Mitsuba takes these to be 0.
 
-    A number or a colour as radiance stands for the spectrum of D65, which Mitsuba has from 360 to 830 nm; so it has
-    black bodies. A table that emits may end where there is no light. One of a surface may end with 0.
+    A scalar or a colour given as radiance means the spectrum of D65. Mitsuba defines D65 and black bodies from 360 to
+    830 nm. The table of an emitter may end anywhere: there is no light beyond it. That of a surface may end with 0.
 
     Shapes: `responses` (channels, wavelengths).
     """
@@ -89,7 +89,7 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
 
 
 def require_upsampled(spectrum: Spectrum) -> None:
-    """Refuse responses to what colours have no spectrum for, beyond that of D65."""
+    """Refuse responses at wavelengths beyond the range of D65, where colours have no spectrum."""
     low, high = float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX)
     if (wavelength := _beyond(np.array(spectrum.wavelengths), spectrum.matrix(), low, high)) is not None:
         raise InputError(
@@ -99,7 +99,7 @@ def require_upsampled(spectrum: Spectrum) -> None:
 
 
 def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
-    """Return a wavelength beyond bounds if more than a hundredth of the channels' responses are to such ones."""
+    """Return a wavelength outside the bounds if more than 1 % of the channels' responses lie outside them."""
     outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
     return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 
@@ -112,7 +112,7 @@ def _srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 SRGB = Responses(_srgb_responses, _LOW, _HIGH)
-"""Those of linear sRGB."""
+"""Responses of linear sRGB."""
 
 
 def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -121,7 +121,7 @@ def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return the spectra (3, n) of light of red, green and blue 1 at some wavelengths in nanometres."""
+    """Return the spectra (3, n) of unit red, green and blue light at wavelengths in nanometres."""
     grid, basis = _reflectances()
     places = np.array(wavelengths)
     return np.stack([np.interp(places, grid, row) for row in basis]) * _d65(places)
@@ -130,13 +130,13 @@ def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:
 @functools.cache
 def _reflectances() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return wavelengths, and at each the reflectances (3, n) of the primaries."""
-    # It takes a while to import, and few captures upsample.
+    # Imported here because it is slow to import and few captures upsample.
     from scipy.optimize import lsq_linear
 
     grid = np.arange(mi.MI_CIE_MIN, mi.MI_CIE_MAX + _STEP / 2, _STEP)
     count = len(grid)
     seen = _srgb_responses(grid) * _d65(grid) * _STEP
-    # D65 itself is white to the last digit.
+    # Normalised so that D65 itself is exactly white.
     seen /= seen.sum(axis=1, keepdims=True)
     smooth = np.kron(np.eye(3), np.diff(np.eye(count), axis=0))
     colours = np.kron(np.eye(3), seen)

@@ -1,8 +1,8 @@
-r"""From the images of what rays bring to the detector's pixels, and back: convolutions with kernels.
+r"""Convolutions of coefficient images with kernels, which give the detector's pixels, and their adjoint.
 
-The images have samples beyond the recorded pixels on every side, from which light still arrives. They are cut into
+The images extend beyond the recorded pixels on every side, as far as light can still reach these. They are cut into
 tiles whose convolutions are added where they overlap (overlap-add: Oppenheim and Schafer, "Discrete-Time Signal
-Processing", section 8.7), so that only some of an image and the spectra of its tiles are held.
+Processing", section 8.7), so that memory holds only part of an image and the spectra of its tiles.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from ..runtime.fft import resting_drjit, worker_count
 from ..system.sampling import fast_length
 
 _TAIL = 8
-"""Samples by which kernels grow when what collecting the rays has smoothed is sharpened again."""
+"""Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
 
 _SQUARE = 1024
-"""Samples across the convolution of a tile, about."""
+"""Approximate width of the convolution of a tile in samples."""
 
 
 class Convolution:
@@ -35,16 +35,17 @@ class Convolution:
 
     def __init__(
         self,
-        # The camera; the recorded pixels are what comes out.
+        # The camera, whose recorded pixels are the result.
         camera: PlenopticCamera,
-        # The kernels, of any odd sizes; (k, k).
+        # The kernels, arrays (k, k) of any odd sizes k.
         kernels: Sequence[NDArray[np.float32]],
-        # Distance of their samples in millimetres: a pixel, or a whole part of one.
+        # Sample pitch of the kernels in millimetres: that of the pixels, divided by an integer.
         pitch: float,
-        # How rays were collected in the images: 1 in the sample in which they arrive, 4 shared by the nearest four
-        # along each axis, by a cubic B-spline. This smooths by :math:`\mathrm{sinc}^{order}` along each axis.
+        # Order of the B-spline by which rays were collected in the images: 1 adds a ray to the sample in which it
+        # arrives, 4 distributes it over the nearest four samples along each axis. This multiplies the images' spectra
+        # by :math:`\mathrm{sinc}^{order}` along each axis.
         order: int,
-        # Rows and columns of the samples that are convolved together, at most; those of `box` by default.
+        # Largest rows and columns of samples that are convolved together; by default those of `box`.
         size: tuple[int, int] | None = None,
     ) -> None:
         self.pitch = pitch
@@ -65,12 +66,12 @@ class Convolution:
 
     @property
     def memory(self) -> float:
-        """Bytes that a convolution takes, beside the images."""
+        """Bytes that a convolution takes in addition to the images."""
         tiles = sum(1 for _ in self._tiles(self.box))
         return float((tiles + self.ranks) * self._spectra[0].nbytes + 8 * self.box.rows * self.box.columns)
 
     def reached(self, box: Box) -> Box:
-        """Return the recorded pixels, counted from the first, that some samples may reach."""
+        """Return the recorded pixels, counted from the first, that light of the samples in a box may reach."""
         grown, window, p = _grown(box, self._margin), self._window, self._parts
         low = np.maximum((grown.left - window.left, grown.top - window.top), 0) // p
         high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
@@ -79,7 +80,7 @@ class Convolution:
     def forward(
         self, images: Iterable[NDArray[np.float32]], box: Box | None = None, pixels: Box | None = None
     ) -> NDArray[np.float32]:
-        """Convolve each image with its kernel, and add.
+        """Convolve each image with its kernel, and add the results.
 
         The result has the shape (rows, columns).
         """
@@ -107,7 +108,7 @@ class Convolution:
         return result[0].reshape(pixels.rows, p, pixels.columns, p).sum((1, 3)) if p > 1 else result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
-        """Yield for each kernel the image whose product with any image is that of the pixels with its `forward`.
+        """Apply the adjoint of `forward`: yield an image for each kernel.
 
         Shapes: `pixels` (rows, columns).
         """
@@ -116,7 +117,7 @@ class Convolution:
         samples = np.zeros((1, reached.rows, reached.columns), np.float32)
         add(Part(self._window, pixels.repeat(self._parts, 0).repeat(self._parts, 1)[None]), reached, samples)
         with resting_drjit():
-            # What comes later wraps.
+            # The transform is circular: samples after these wrap around, and are cut off below.
             spectra = [
                 self._transform(samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m])
                 for rows, columns in tiles
@@ -151,14 +152,14 @@ def box_of(camera: PlenopticCamera, pitch: float, margin: int) -> Box:
 
 
 def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
-    """Return from how many samples beyond the recorded pixels light still arrives."""
-    # Those of different types of lenses have different widths.
+    """Return the distance in samples from which light still reaches the recorded pixels."""
+    # Kernels of different lens types have different widths.
     return max(len(kernel) for kernel in kernels) // 2 + _TAIL
 
 
 def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tuple[float, float]:
-    """Estimate the seconds that the convolutions of some samples take, and the bytes of those of blocks of them."""
-    # One tile.
+    """Estimate the seconds that the convolutions of `count` samples take, and the bytes when done block by block."""
+    # One tile is timed.
     rows, columns = convolutions[0].tile
     trial = Box(block.left, block.top, min(columns, block.columns), min(rows, block.rows))
     start = time.perf_counter()
@@ -167,7 +168,7 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
         convolution.forward(itertools.repeat(image, convolution.ranks), trial, convolution.reached(trial))
     seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
     images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
-    # Two blocks are convolved, one waits and one is traced.
+    # At a time two blocks are convolved, one waits and one is traced.
     apart = {id(convolution): convolution.memory for convolution in convolutions}
     return seconds, 4 * images + sum(apart.values())
 
@@ -178,7 +179,7 @@ def _grown(box: Box, margin: int) -> Box:
 
 
 def _even(size: int, most: int) -> int:
-    """Return the length of as few equal parts of a size as are no longer than so many."""
+    """Divide a size into the fewest equal parts of at most `most`; return their length, rounded up."""
     return math.ceil(size / math.ceil(size / most))
 
 
@@ -187,15 +188,15 @@ class Block:
     """The images of a block of bins, to be convolved with the kernels."""
 
     bins: Box
-    # What rays bring of the kernels of each convolution; (ranks, rows, columns).
+    # For each convolution the images of the rays' coefficients, an array (ranks, rows, columns).
     images: list[NDArray[np.float32]]
     convolutions: list[Convolution]
-    # Those to which they are added, counted from 0; none is left out.
+    # The channel to which each convolution is added; together they cover all channels from 0 on.
     channels: Sequence[int]
 
     @property
     def samples(self) -> int:
-        """Samples of all images."""
+        """Count of samples in all images."""
         return sum(image.size for image in self.images)
 
     def prepare(self) -> Callable[[], Part]:
@@ -204,7 +205,7 @@ class Block:
 
 
 def _convolve(block: Block) -> Part:
-    # Kernels of longer waves reach farther.
+    # Kernels of longer wavelengths reach farther.
     pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
     sums = np.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
     for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
@@ -213,7 +214,7 @@ def _convolve(block: Block) -> Part:
 
 
 def blocks_of(box: Box, most: int) -> list[Box]:
-    """Cut a box into nearly square ones of about so many samples, the largest first."""
+    """Cut a box into nearly square ones of about `most` samples, the largest first."""
     rows = math.ceil(box.rows / math.ceil(box.rows / math.sqrt(max(most, 1))))
     columns = math.ceil(box.columns / math.ceil(box.columns * rows / max(most, rows)))
     return [

@@ -1,4 +1,4 @@
-"""Where rays to points of the exit pupil enter the main lens: what shadow rays go to."""
+"""Entrance points of rays to points of the exit pupil: the targets of shadow rays."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from ..lenses.base import Entrance
 from ..system.optical_system import OpticalSystem
 
 _MARGIN = 3
-"""Lenses beyond the recorded ones whose points count.
+"""Width in lenses of the margin around the recorded lenses whose points are included.
 
-Diffraction at the microlenses' edges, which falls with the inverse square of the distance, brings 1 % of a white
-scene's light from lenses farther off than the next one.
+Diffraction at the microlenses' edges falls with the inverse square of the distance: 1 % of a white scene's light
+comes from lenses beyond the nearest neighbour.
 """
 
 _ROUNDING = 1e-9
-"""How far, relatively, two ways to compute a place may be apart."""
+"""Relative tolerance for rounding when positions are compared."""
 
 
 @dataclass(frozen=True)
 class LensWindow:
-    """The lenses whose cells are sampled: those of the recorded pixels and a few more on each side.
+    """The lenses whose cells are sampled: those of the recorded pixels and a margin of a few lenses on each side.
 
-    A cell is here the parallelogram that the two lattice vectors span around a lens's centre.
+    Here a cell is the parallelogram that the two lattice vectors span around a lens's centre.
     """
 
     lattice: Lattice
-    # Indices of the lenses; (n, 2).
+    # Lattice indices (i, j) of the lenses, an array (n, 2).
     index: np.ndarray
-    # Corners of a rectangle of the MLA plane of which every point lies in the cells; (2,).
+    # Lower and upper corner (x, y) of a rectangle of the MLA plane that lies wholly in the cells.
     low: np.ndarray
     high: np.ndarray
 
@@ -47,7 +47,7 @@ class LensWindow:
         recorded = system.lens.chief_point(edges * camera.pixel_size, camera.detector_distance)
         pitch = max(camera.mla_pitches)
         margin = (_MARGIN + 0.5) * pitch
-        # A lens of whose cell no more than the lower edge is recorded counts as well.
+        # Lenses are included even if only the lower edge of their cell is recorded.
         low, high = recorded[0] - margin * (1 - _ROUNDING), recorded[1] + margin * (1 + _ROUNDING)
         index = lattice.lenses_within(tuple(low), tuple(high))
         # No point that lies nearer to the recorded part than this is in the cell of a lens beyond the window.
@@ -55,13 +55,13 @@ class LensWindow:
         return cls(lattice, index, recorded[0] - whole, recorded[1] + whole)
 
     def place(self, i: Any, j: Any) -> tuple[Any, Any]:
-        """Point of the MLA plane at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
+        """Return the MLA plane's point at i and j steps along the lattice vectors from cell (0, 0)'s first corner."""
         (ax, ay), (bx, by) = self.lattice.basis
         cx, cy = self.lattice.centre(0.0, 0.0)
         return i * ax + j * bx + (cx - (ax + bx) / 2), i * ay + j * by + (cy - (ay + by) / 2)
 
     def holds(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether points lie in the cells of the window."""
+        """Return whether points lie in the cells of the window."""
         first, last = self.index.min(0), self.index.max(0)
         sampled = np.zeros(last - first + 3, dtype=bool)
         sampled[tuple((self.index - first + 1).T)] = True
@@ -77,19 +77,19 @@ class LensWindow:
 
 @dataclass(frozen=True)
 class Entrances:
-    """Where the light of some points enters on its way to points of the exit pupil.
+    """Points where the light of scene points enters the main lens on its way to points of the exit pupil.
 
-    From the ray that has found a point the others are found by the magnification of the pupils, which they miss by
-    the pupils' own aberrations: what these are worth is small against the cells of the pupil that rays are asked for.
+    The ray that found a scene point is known. The other rays from it follow from the magnification of the pupils, which
+    neglects the pupils' aberrations: their effect is small compared with the pupil cells that shadow rays sample.
     """
 
-    # The scene's side of the lens.
+    # The entrance pupil and front plane of the lens.
     front: Entrance
-    # Where the rays that have found the points pass the exit pupil; (n, 2).
+    # Points (x, y) of the exit pupil through which the rays that found the points pass, an array (n, 2).
     pupil: NDArray[np.float64]
-    # Points in the camera frame; (n, 3).
+    # The scene points (x, y, z) in the camera frame, an array (n, 3).
     line: NDArray[np.float64]
-    # Slopes of these rays towards the scene; (n, 2).
+    # Slopes of these rays towards the scene along x and y, an array (n, 2).
     slope: NDArray[np.float64]
 
     def at(self, x: Any, y: Any, which: Any) -> Any:
@@ -98,7 +98,7 @@ class Entrances:
         if front == Entrance():
             return mi.Point3f(x, y, 0)
         depth = self.line[:, 2] - front.pupil
-        # Where the ray that has found the point passes the entrance pupil; how far from there the front plane is.
+        # Offset of the finding ray at the entrance pupil, and the front plane's fraction of the way to the point.
         own = self.line[:, :2] - self.slope * depth[:, None] - self.pupil / front.magnification
         part = (front.front - front.pupil) / depth
 

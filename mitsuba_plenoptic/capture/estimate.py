@@ -1,4 +1,4 @@
-"""What a capture takes: time and memory, from a fraction of its work."""
+"""Estimates of the time and memory of a capture, from a fraction of its work."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .render import chosen_integrator, film_memory, plenoptic_sensor, require_ta
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS
 
 _RAYS = 2**20
-"""Rays from the detector that are traced at a time."""
+"""Largest count of rays from the detector that are traced at once."""
 
 _SECONDS = 0.6
-"""How long light paths are traced for an estimate, about."""
+"""Approximate time in seconds for which light paths are traced."""
 
 _FEW_PATHS = 16
-"""Samples of a pixel that are traced at most."""
+"""Largest count of samples that are traced for a pixel at once."""
 
 
 @functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
@@ -40,25 +40,24 @@ def estimate_capture(
     batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Cost:
-    """Estimate what `render_capture` would take with the same arguments, by doing a fraction of it.
+    """Estimate the time and memory that `render_capture` would take with the same arguments.
 
-    Some of the rays are traced; point by point, all points are found and some of their spreads computed. It takes a few
-    seconds, whatever the size of the capture.
+    Some of the rays are traced. For method ``points``, all points are found and some of their spreads are computed.
 
     Parameters
     ----------
     scene, sensor, model, spp, seed, batch_map, **wave
-        As of `render_capture`.
+        As in `render_capture`.
 
     Returns
     -------
     Cost
-        Points and point spreads (0 but for method ``points``), seconds, and bytes.
+        Points and point spreads (0 except for method ``points``), seconds, and bytes.
 
     Raises
     ------
     InputError
-        Where `render_capture` raises it before it begins, also because memory would not do.
+        If `render_capture` would refuse the arguments, or the capture would not fit into memory.
     PhysicsError
         If too much of the light would be lost.
     """
@@ -74,7 +73,7 @@ def estimate_capture(
 
 
 def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Time the rays of some rows of pixels, evenly over the detector and in the order in which Mitsuba traces them."""
+    """Time rays of rows of pixels that are evenly spaced on the detector, in the order in which Mitsuba traces them."""
     rows, columns = shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))
@@ -84,7 +83,7 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
     column, row = mi.Float(pixel % columns), mi.Float(pixel // columns * (rows // lines))
 
     def trace() -> float:
-        # Anew each time, or its state would be traced from the first pass on.
+        # Seeded for each pass; otherwise Dr.Jit would trace its state from the first pass through all others.
         sampler.seed(seed, count)
         dr.sync_thread()
         start = time.perf_counter()

@@ -1,7 +1,7 @@
 """The noise of a capture's pixels: their standard deviation, estimated from the samples that made them.
 
-It comes from the spread of sixteen passes at most, so that each pixel's figure has itself a relative error of
-1/sqrt(32) = 18 % or more; means over many pixels are that much better known.
+The estimate uses the spread of at most sixteen passes, so the value of each pixel has a relative error of
+1/sqrt(32) = 18 % or more. Means over many pixels are more accurate.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..errors import InputError
 from ..runtime.jobs import SumTask
 
 PARTS = 16
-"""Independent numbers from which the noise of a pixel is estimated."""
+"""Count of independent passes from which the noise of a pixel is estimated."""
 
 
 def require_samples(spp: int) -> None:
-    """Refuse a number of samples that tells nothing of their spread."""
+    """Refuse fewer than two samples, which have no spread."""
     if spp < 2:
         raise InputError(f"spp = {spp}: it must be at least 2 for an estimate of the noise")
 
@@ -28,8 +28,8 @@ def require_samples(spp: int) -> None:
 class PassSpread:
     """The mean of passes, and its standard deviation from their spread.
 
-    Mitsuba's own integrator ``moment`` would tell the spread of single samples, but leaves out the weight of each ray,
-    which a plenoptic sensor needs.
+    Mitsuba's own integrator ``moment`` gives the spread of single samples, but omits the weights of rays, which a
+    plenoptic sensor needs.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class PassSpread:
         self._samples = self._passes = 0
 
     def add(self, image: NDArray[np.float32], samples: int) -> None:
-        """Add a pass, the mean of so many samples per pixel (West 1979, "Updating mean and variance estimates")."""
+        """Add a pass, the mean of `samples` per pixel (West 1979, "Updating mean and variance estimates")."""
         self._samples += samples
         self._passes += 1
         difference = image - self.image
@@ -46,13 +46,13 @@ class PassSpread:
         self._squares = self._squares + np.float32(samples) * difference * (image - self.image)
 
     def deviation(self) -> NDArray[np.float32]:
-        """Return the standard deviation of the mean of two passes or more, as large as the image."""
+        """Return the standard deviation of the mean of two or more passes, with the shape of the image."""
         variance = self._squares / np.float32((self._passes - 1) * self._samples)
         return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
 def keep_spread(task: SumTask) -> SumTask:
-    """Let one of several independent runs, whose images are to be added, bring what `with_spread` needs of it."""
+    """Add to the image of one of several independent runs the channels from which `with_spread` computes variances."""
 
     def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
         image = task.combine(sums)
@@ -62,7 +62,7 @@ def keep_spread(task: SumTask) -> SumTask:
 
 
 def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
-    """Return a capture and its variances from the spread of some runs by `keep_spread`."""
+    """Return a capture and its variances from the sum of the images of runs by `keep_spread`."""
     whole, sums, squares = np.split(image, 3, axis=-1)
     spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
     return np.concatenate([whole, np.maximum(spread, 0)], axis=-1)
@@ -72,13 +72,13 @@ Image = NDArray[np.float32]
 
 
 class Mended:
-    """An image without what is below zero, by chance: it is taken from the light around.
+    """An image whose negative values, which are due to noise, are compensated by the light around them.
 
-    To set it to zero would brighten what is dark, the more the fewer samples there are.
+    Clipping them to zero would brighten dark regions, and the more so the fewer samples there are.
     """
 
     def __init__(self, image: Image, size: int) -> None:
-        # What is black may become brighter.
+        # Zeros count as positive: black pixels may become brighter.
         self._size, self._positive = size, image >= 0
         self._light = np.maximum(image, 0)
         self._around = self._blur(self._light)
@@ -92,7 +92,7 @@ class Mended:
         return np.asarray(self._light * (1 - self._share), np.float32)
 
     def forward(self, change: Image) -> Image:
-        """Return by how much it changes with the image."""
+        """Return the change of the result for a change of the image."""
         light = np.where(self._positive, change, 0)
         share = self._over_around(self._blur(light - change) - self._share * self._blur(light))
         return np.asarray(light * (1 - self._share) - self._light * share, np.float32)
@@ -104,11 +104,11 @@ class Mended:
         return np.asarray(np.where(self._positive, light, 0) - self._blur(lack), np.float32)
 
     def _over_around(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Divide by the light around, where there is enough of it."""
+        """Divide by the light around, or return 0 where it does not suffice."""
         return np.divide(values, self._around, out=np.zeros_like(values), where=self._shares)
 
     def _blur(self, image: NDArray[Any]) -> Image:
-        """Return the means of squares; at the edges, which reflect, this is its own transpose, too."""
+        """Return the means over square windows; with reflecting edges the operation is its own transpose."""
         from scipy.ndimage import uniform_filter
 
         return np.asarray(uniform_filter(image, self._size), np.float32)

@@ -1,4 +1,4 @@
-"""From a scene to a capture, by rays or by waves."""
+"""Ray and wave captures of scenes."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from ..runtime.limits import largest_fitting, require_memory
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 
-# Rays traced at once: their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
-# sample each stay at 0.25 GiB beside the film.
+# Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
+# sample each need 0.25 GiB in addition to the film.
 _RAYS_PER_PASS = 2**24
 
 MOST_SAMPLES = 2**24
-"""Samples per pixel, and light paths per point, at most."""
+"""Largest count of samples per pixel."""
 
-# Bytes a pixel while a film is rendered: its block of red, green, blue and weight, what is developed of it, the copy
-# of that, and the sum of passes, each of up to four numbers.
+# Bytes per pixel while a film is rendered: its block of red, green, blue and weight, the developed image, its copy,
+# and the sum of passes, each of up to four single-precision values.
 _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
@@ -50,35 +50,37 @@ def render_capture(
     noise: bool = False,
     **wave: Any,
 ) -> Capture:
-    """Render what a plenoptic camera of the scene records.
+    """Render the capture of a plenoptic camera in a scene.
 
     Parameters
     ----------
     scene : mitsuba.Scene
         A scene with a sensor of type ``plenoptic``.
     sensor : int or mitsuba.Sensor
-        Which of the scene's sensors, counted from 0, or one that is not in the scene.
+        Index of the sensor in the scene, counted from 0, or a sensor, which need not be in the scene.
     model : {"ray", "wave"}, optional
-        How light is propagated through the camera: ``wave`` makes the scene's integrator the child of a
-        ``plenoptic_wave``, ``ray`` takes it out of one. Default: as the scene's integrator has it.
+        Model of the light in the camera: ``wave`` makes the scene's integrator the child of a ``plenoptic_wave``,
+        ``ray`` replaces a ``plenoptic_wave`` by its child. Default: that of the scene's integrator.
     spp : int, optional
-        Samples per pixel, the same for both models; by method ``points``, points per microlens. Default: those of the
-        sensor's sampler.
+        Samples per pixel, for both models; with method ``points``, points per microlens. Default: the sample count of
+        the sensor's sampler.
     seed : int
-        Seed of the random numbers; the same seed gives the same bits, on any number of threads and in any process.
+        Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process.
     progress : callable, optional
-        Called with what is done and how much there is: samples per pixel or, by waves, parts of the detector.
+        Called with the finished and the total amount of work: samples per pixel or, for wave captures, parts of the
+        detector.
     checkpoint : Checkpoint, optional
-        By waves: what has been done is kept in its file, and taken from there. Rays are too quick to need one.
+        For wave captures: intermediate results are saved to its file, and read from there. Ray captures do not take
+        one.
     batch_map : callable, optional
-        By waves: computes the parts of the sums, for example `runtime.cluster.Cluster`. Default: threads of this
-        process.
+        For wave captures: computes the parts of the sums, for example `runtime.cluster.Cluster`. Default: threads of
+        this process.
     noise : bool
-        Whether to estimate, too, the standard deviation that the pixels have from seed to seed, as `Capture.noise`;
-        each pixel's figure has itself a relative error of 18 % or more. It comes from the spread of up to 16 passes,
-        whose random numbers make another image than one pass does, and takes two samples at least. A film of luminance
-        in an rgb variant gets, by waves, the sum of its channels' deviations: an upper bound, reached where they
-        deviate together, as those of grey things do.
+        Whether to estimate also the standard deviation of the pixels from seed to seed, as `Capture.noise`. The value
+        of each pixel has a relative error of 18 % or more. The estimate uses the spread of up to 16 passes and needs
+        at least two samples; the image differs from that of a single pass, because the random numbers do. A wave
+        capture on a luminance film in an rgb variant gets the weighted sum of its channels' deviations: an upper bound,
+        which is reached where the channels deviate together, as they do for grey objects.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``bandwidth``, ``responses``, ``wavelength_count``, ``nodes``,
         ``method``, ``accuracy``.
@@ -87,9 +89,9 @@ def render_capture(
     ------
     InputError
         If the scene is not of the active variant, has no such sensor or no integrator, a parameter is out of range,
-        the capture would take more memory than is allowed, or a pixel comes out as NaN or infinity.
+        the capture would take more memory than is allowed, or a pixel is NaN or infinite.
     PhysicsError
-        If too much of the light is lost; the fractions that the guards found are in the metadata under ``guards``.
+        If too much of the light is lost. The fractions that the guards found are in the metadata under ``guards``.
     """
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
@@ -104,7 +106,7 @@ def render_capture(
         spectrum = integrator.spectrum_of(scene, chosen)
         wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
     _require_film_memory(camera, spp)
-    # Of two sensors with the same camera, the checkpoint of one is none of the other.
+    # Two sensors with the same camera must not share a checkpoint.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
     metadata = _provenance(scene, integrator, seed=seed, spp=spp, **which)
     deviation = None
@@ -134,12 +136,12 @@ def render_capture(
         return Capture(image, camera, None, "ray", metadata, deviation)
     if len(set(wavelengths)) == 1:
         return Capture(image, camera, wavelengths[0], "wave", metadata, deviation)
-    # A film of luminance adds the three up, and no wavelength is left to tell.
+    # A luminance film adds up three wavelengths, so that its capture has no single one.
     return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata, deviation)
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's sensor by its number, or the one that is given; refuse a scene of another variant."""
+    """Return a scene's sensor by its index, or the given sensor; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -157,12 +159,12 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
-    """Whether a scene is captured by waves: by this model, or where none is given by its integrator's."""
+    """Return whether the model, or that of the scene's integrator if it is None, is the wave model."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
 
 
 def require_taken(integrator: Any, **given: Any) -> None:
-    """Refuse arguments that a ray capture would ignore; None stands for one that is not given."""
+    """Refuse arguments that a ray capture would ignore; None means not given."""
     if not hasattr(integrator, "wavelengths"):
         _refuse_by_rays(**given)
 
@@ -174,12 +176,12 @@ def _refuse_by_rays(**given: Any) -> None:
 
 
 def sample_count(sensor: Any, spp: int | None) -> int:
-    """Return the samples that are asked for, or those of the sensor's sampler."""
+    """Return the requested sample count, or that of the sensor's sampler if it is None."""
     return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
 
 
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped into a wave integrator or taken out of one."""
+    """Return the integrator for a model; refuse one with extra outputs."""
     integrator = _integrator(scene, model, wave)
     if integrator.aov_names():
         raise InputError(
@@ -189,7 +191,7 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
 
 
 def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped into a wave integrator or taken out of one."""
+    """Return the scene's integrator, wrapped in a wave integrator or extracted from one as the model requires."""
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")
@@ -205,7 +207,7 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     if is_wave and not wave:
         return integrator
     own = integrator.parameters() if is_wave else {}
-    # What is None is not given; Mitsuba's loader would end the process.
+    # None means not given; Mitsuba's loader would end the process on it.
     wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
     try:
@@ -215,7 +217,7 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
-    """Return the bytes that a capture by rays takes, of the camera's film or one with other columns."""
+    """Return the bytes that a ray capture takes, for the camera's film or one of the same aspect with `columns`."""
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
@@ -246,11 +248,11 @@ def _render_passes(
     progress: Callable[[int, int], None] | None,
     noise: bool,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Render in passes whose memory does not grow with the number of samples; return the noise if it is asked for."""
+    """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
     per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
     if noise:
         per_pass = min(per_pass, -(-spp // PARTS))
-    # Seeds of neighbouring runs must not share passes, or their average would be no better than either.
+    # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.
     seeds = np.random.SeedSequence(seed).generate_state(-(-spp // per_pass))
     image, spread = np.zeros(()), PassSpread()
     for index, pass_seed in enumerate(seeds):
@@ -268,19 +270,19 @@ def _render_passes(
 
 
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split the channels of a film from those of their noise, in the film's colours."""
+    """Split a film's image into its channels and their noise, both in the film's colours."""
     image, deviation = image[..., :channels], image[..., channels:]
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
         deviation = deviation @ np.array(weights, np.float32)
     elif deviation.shape[2] < channels:
-        # One wavelength fills all channels of a film of colours.
+        # Light of one wavelength fills all channels of a colour film.
         deviation = np.repeat(deviation, channels, axis=2)
     return image, deviation
 
 
 def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
-    """Say what a capture was made with."""
+    """Return the metadata that states how a capture was made."""
     packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
     return {
         "scene": scene.id(),

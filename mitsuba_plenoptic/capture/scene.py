@@ -1,4 +1,4 @@
-"""Loading scenes: files, and those that come with the package."""
+"""Loading of scenes: files, dictionaries, and the scenes that come with the package."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _DEEPEST = 64
 _DEEPEST_INCLUDE = 8
 _MOST_FILES = 256
 LARGEST_SCENE = 2**28
-"""Bytes of an XML file, at most: Mitsuba's parser holds several times as much."""
+"""Largest size of an XML file in bytes; Mitsuba's parser needs several times as much memory."""
 
 _NATIVE = re.compile(r"\.(so|dylib|dll|pyd)(\.|$)", re.IGNORECASE)
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 
-# Bytes that Mitsuba takes for a texel: four channels, as read and in single precision, twice.
+# Bytes that Mitsuba takes for a texel: four channels, as read from the file and in single precision, twice.
 _TEXEL = 40
 
 _LONGEST_PLY_HEADER = 2**16
@@ -36,11 +36,14 @@ _LONGEST_PLY_HEADER = 2**16
 _ATTRIBUTES = ("name", "value", "type", "filename")
 
 _Element = tuple[str, dict[str, str]]
-"""Tag and those attributes, empty where it has none."""
+"""An element's tag and its values of `_ATTRIBUTES`, which are empty where it does not have them."""
 
 
 def check_scene_file(path: Path, parameters: Mapping[str, str]) -> str:
-    """Refuse a scene file that does what none needs to do; the module's text says what."""
+    """Refuse a scene file that would run native code, read endless or oversized files, or nest without end.
+
+    Returns the text of the file and of all that it includes.
+    """
     folders = [Path.cwd(), path.parent]
     files: list[Path] = []
     _check(path, dict(parameters), folders, files, ())
@@ -58,7 +61,7 @@ def _check(
             f"{_MOST_FILES} times"
         )
     elements = _parse(path)
-    # Of several defaults of one name the first counts. A scene's defaults serve what it includes.
+    # The first of several defaults of one name is used. A scene's defaults also apply to the files that it includes.
     defaults = (given for tag, given in reversed(elements) if tag == "default" and given["name"])
     values = {given["name"]: given["value"] for given in defaults} | parameters
     elements = [(tag, {key: _filled(text, values) for key, text in given.items()}) for tag, given in elements]
@@ -77,14 +80,14 @@ def _check(
 
 
 def _parse(path: Path) -> list[_Element]:
-    """Read the elements of an XML file, with a parser that stops at what is not allowed."""
+    """Read the elements of an XML file; refuse document types, other encodings, and deep nesting."""
     # A scene's meshes belong in their own files.
     require_size(path, LARGEST_SCENE)
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: it is not UTF-8 text: {error.reason} at byte {error.start}") from None
-    # Two parsers that read an encoding differently would see two scenes.
+    # Mitsuba's parser and this one might read other encodings differently, and so see different scenes.
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
         raise InputError(f"{path}: its encoding is {short_repr(declared.group(1))}: it must be UTF-8")
@@ -117,14 +120,14 @@ def _parse(path: Path) -> list[_Element]:
 
 
 def _filled(text: str, values: Mapping[str, str]) -> str:
-    """Put values in the place of ``$names``, the longest first, as Mitsuba does."""
+    """Replace ``$names`` by their values, the longest names first, as Mitsuba does."""
     for name in sorted(values, key=len, reverse=True) if "$" in text else ():
         text = text.replace(f"${name}", values[name])
     return text
 
 
 def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
-    """Yield the files, of whatever kind, that a name means."""
+    """Yield the files of any kind that have a name in the folders."""
     if not name or "\0" in name:
         return
     for folder in dict.fromkeys(folders):
@@ -133,7 +136,7 @@ def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
             if file.exists() and not file.is_dir():
                 yield file
         except OSError:
-            continue  # a text, too long for a name
+            continue  # a text that is too long for a file name
 
 
 def _refuse_native_code(path: Path, folder: Path) -> None:
@@ -149,11 +152,11 @@ def _refuse_native_code(path: Path, folder: Path) -> None:
 
 
 def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a file that may never end, or that claims more than there is."""
+    """Refuse a file that may never end, or whose header claims more data than it has or memory allows."""
     status = file.stat()
     if not stat.S_ISREG(status.st_mode):
         raise InputError(f"{scene}: {file} is a device, a pipe or a socket: a scene may name regular files only")
-    # Imported here, like all that only some scenes need.
+    # Imported here because only some scenes need it.
     from PIL import Image
 
     suffix = file.suffix.lower()
@@ -179,7 +182,7 @@ def _check_picture(scene: Path, file: Path, columns: int, rows: int) -> None:
 
 
 def _check_ply(scene: Path, file: Path, size: int) -> None:
-    """See that a mesh has no more elements than its file has bytes."""
+    """Refuse a mesh whose header claims more elements than its file has bytes."""
     with file.open("rb") as opened:
         header = opened.read(_LONGEST_PLY_HEADER).partition(b"end_header")[0]
     for match in re.finditer(rb"^\s*element\s+(\w+)\s+(\S+)", header, re.MULTILINE):
@@ -195,10 +198,10 @@ KNOWN_PARAMETERS = {
         *("method", "accuracy"),
     ),
 }
-"""Parameters of this package's plugins, for the suggestions of messages; it is Mitsuba that finds the unknown ones."""
+"""Parameters of this package's plugins, for suggestions in messages; Mitsuba itself detects unknown parameters."""
 
 GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
-"""Parameters of ``plenoptic_wave`` up to 0.2, for captures by radiators, which signed rays have replaced."""
+"""Parameters of ``plenoptic_wave`` up to version 0.2, for the radiators that signed rays have replaced."""
 
 
 def scene_names() -> list[str]:
@@ -207,23 +210,23 @@ def scene_names() -> list[str]:
 
 
 def _folder() -> Path:
-    """Folder of the built-in scenes: in the installed package, or at the top of a clone, where users edit them."""
+    """Return the folder of the built-in scenes: in the installed package, or at the top of a clone."""
     installed = Path(__file__).parents[1] / "scenes"
     return installed if installed.is_dir() else installed.parents[1] / "scenes"
 
 
 def scene_path(name: str) -> Path:
-    """Path of a scene that comes with the package, by its name without suffix.
+    """Return the path of a scene that comes with the package.
 
     Parameters
     ----------
     name : str
-        Such as ``letters``.
+        Name without suffix, such as ``letters``.
 
     Raises
     ------
     InputError
-        If there is none of that name; the message lists those there are.
+        If there is no scene of that name; the message lists the names.
     """
     path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():
@@ -240,18 +243,18 @@ def scene_path(name: str) -> Path:
 def load_scene(
     scene: str | Path | Mapping[str, Any], *, variant: str | None = None, parameters: Mapping[str, str] | None = None
 ) -> Any:
-    """Load a scene file, a built-in scene by its name, or a dictionary as ``mi.load_dict`` takes it.
+    """Load a scene from a file, by the name of a built-in scene, or from a dictionary as for ``mi.load_dict``.
 
     Parameters
     ----------
     scene : str, path or dict
-        An XML file, a built-in name such as ``letters``, or a scene's dictionary, which is taken as it is: its
-        transforms and objects must be of the variant that is active or given.
+        An XML file, a built-in name such as ``letters``, or a scene's dictionary, whose transforms and objects must be
+        of the given or active variant.
     variant : str, optional
-        Mitsuba variant to set. Default: the active one, or ``llvm_ad_mono`` if none is.
+        Mitsuba variant to set. Default: the active one, or ``llvm_ad_mono`` if no variant is active.
     parameters : mapping, optional
-        Values for the ``$name`` parameters of a scene file. Where a scene has the columns and rows of its detector as
-        ``$resolution`` and ``$rows``, rows that are not given follow the columns in proportion.
+        Values for the ``$name`` parameters of a scene file. If a scene has ``$resolution`` and ``$rows`` for the
+        columns and rows of its detector and only the columns are given, the rows follow in proportion.
 
     Returns
     -------
@@ -260,8 +263,8 @@ def load_scene(
     Raises
     ------
     InputError
-        If there is no such scene or variant, it does what `scene_file` forbids, or Mitsuba
-        refuses the scene: one line with the place in the file.
+        If there is no such scene or variant, the file would run native code or read unsuitable files, or Mitsuba
+        refuses the scene. The message is one line with the position in the file.
     """
     if isinstance(scene, Mapping):
         return _load_dictionary(scene, variant, parameters)
@@ -272,22 +275,22 @@ def load_scene(
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
     text = check_scene_file(path, parameters)
     for name in parameters:
-        # Mitsuba takes a misspelled name in silence.
+        # Mitsuba ignores misspelled names silently.
         if f"${name}" not in text:
             known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
             raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
     parameters = _with_rows(text, parameters)
     try:
-        # Mitsuba's optimisation lists merged shapes and emitters in an order that changes from run to run, and with
-        # it the random numbers that each gets.
+        # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
+        # with it the random numbers that each gets.
         loaded = mi.load_file(str(path), optimize=False, **parameters)
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
         place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
         raise InputError(f"{path}{f', {place.group(1)}' if place else ''}: {mitsuba_sentence(error)}") from None
-    # The name that captures carry in their metadata.
+    # Captures state this name in their metadata.
     loaded.set_id(path.name)
     return loaded
 
@@ -299,7 +302,7 @@ def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: 
         raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
     set_variant(variant)
     try:
-        # Not optimized, for the same reason as a file's.
+        # Not optimised, for the same reason as a scene file.
         loaded = mi.load_dict(dict(scene), optimize=False)
     except InputError:
         raise
@@ -310,7 +313,7 @@ def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: 
 
 
 def _with_rows(text: str, parameters: dict[str, str]) -> dict[str, str]:
-    """Add the rows that keep the detector's aspect; Mitsuba's XML cannot compute them."""
+    """Add the count of rows that preserves the detector's aspect ratio; Mitsuba's XML cannot compute it."""
     columns, rows = (re.search(rf'<default name="{name}" value="(\d+)"', text) for name in ("resolution", "rows"))
     wanted = parameters.get("resolution", "")
     if not columns or not rows or "rows" in parameters or not re.fullmatch(r"\d{1,9}", wanted):
@@ -319,7 +322,7 @@ def _with_rows(text: str, parameters: dict[str, str]) -> dict[str, str]:
 
 
 def _find(scene: str | Path) -> Path:
-    """Return the file of a scene, which a file's name or a built-in name means."""
+    """Return the file of a scene that is given by a path or a built-in name."""
     text = str(scene)
     if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).exists():
         return scene_path(text)
@@ -327,10 +330,10 @@ def _find(scene: str | Path) -> Path:
 
 
 def mitsuba_sentence(error: Exception) -> str:
-    """Shrink an error of Mitsuba's, which may hold a whole Python traceback, to what is wrong."""
+    """Reduce an error message of Mitsuba, which may contain a traceback, to the sentence that states the cause."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    # A list of misspelled parameters stands below the sentence that says so.
+    # Mitsuba lists misspelled parameters below the sentence that reports them.
     start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
     last = " ".join(lines[start:])
     if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):

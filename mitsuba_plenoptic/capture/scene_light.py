@@ -1,8 +1,8 @@
 """The radiance along rays from the main lens into a scene, and its derivatives.
 
-The scene's integrator takes derivatives of radiance to those of parameters by path replay backpropagation (Vicini,
-Speierer and Jakob, "Path replay backpropagation: differentiating light paths using constant memory and linear time",
-2021), which follows each ray once for its radiance and once more for the derivative.
+Radiance is differentiated with respect to scene parameters by path replay backpropagation (Vicini, Speierer and Jakob,
+"Path replay backpropagation: differentiating light paths using constant memory and linear time", 2021), which traces
+each ray once for its radiance and once more for the derivative.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from ..errors import InputError
 Pair = tuple[Any, Any]
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
-"""Plugins that find the same radiance as others, and its derivatives; the latter by the names of their classes."""
+"""For the class names of integrators, the plugins that find the same radiance and its derivatives."""
 
 _ENDLESS = 2**31
-"""Lengths of light paths from here on mean that there is no limit."""
+"""Path depths from this value on mean that depth is not limited."""
 
 _REVERSE_ONLY = "PRBVolpathIntegrator"
 """The class of an integrator that Mitsuba does not differentiate forward."""
 
 _UNATTACHED = "not attached to the AD graph"
-"""What Mitsuba says where no parameter that has a gradient counts."""
+"""Mitsuba's message when the light depends on no parameter that has a gradient."""
 
 
 @dataclass(frozen=True)
 class SceneLight:
     """The radiance along rays from the main lens into a scene."""
 
-    # The scene, and the plenoptic sensor that says where the main lens is and when the shutter is open.
+    # The scene, and the plenoptic sensor, whose transform and shutter times the rays have.
     scene: Any
     sensor: Any
     integrator: Any
-    # For spectral variants, in nanometres.
+    # Wavelength of all rays in nanometres, for spectral variants.
     wavelength: float | None = None
 
     def __call__(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> list[Any]:
-        """Return the radiance along rays from points of the camera frame, by channel or at wavelengths of theirs."""
+        """Return the radiance along rays from points in the camera frame, by channel or at their own wavelengths."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
         found = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
         return channels(found) if wavelengths is None else list(found)
@@ -53,7 +53,7 @@ class SceneLight:
     def rays(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
     ) -> tuple[Any, Any]:
-        """Return random numbers, and rays from points of the camera frame as the scene's integrators take them."""
+        """Return a sampler, and the rays from points in the camera frame as Mitsuba's rays in the world frame."""
         to_world = self.sensor.world_transform()
         ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
         if wavelengths is not None:
@@ -68,7 +68,7 @@ class SceneLight:
 
 
 def require_finite(radiance: list[Any], *others: Any) -> None:
-    """Evaluate radiances, and others too; refuse radiances of which some are no numbers."""
+    """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite."""
     finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
     dr.eval(finite, radiance, others)
     if not dr.all(finite):
@@ -77,11 +77,11 @@ def require_finite(radiance: list[Any], *others: Any) -> None:
 
 @dataclass(frozen=True)
 class LightDerivatives(SceneLight):
-    """The derivatives of the radiance along rays; called, it returns those along the tangents of parameters."""
+    """Derivatives of the radiance along rays; calling it returns the derivatives along the parameters' tangents."""
 
     @classmethod
     def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:
-        """Return those of some light."""
+        """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate so."""
         integrator = _differentiable(light.integrator)
         name = type(integrator).__name__
         if forward and (name == _REVERSE_ONLY or mi.is_spectral):
@@ -102,7 +102,7 @@ class LightDerivatives(SceneLight):
     def replay(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> Replay:
-        """Follow rays for their radiance; see `SceneLight`."""
+        """Trace rays for their radiance, and return their state for the derivatives; see `SceneLight`."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
         if self.scene.environment() is None and self.sensor.get_medium() is None:
             active = active & self.scene.ray_test(ray, active)
@@ -116,20 +116,20 @@ class LightDerivatives(SceneLight):
 
 @dataclass(frozen=True)
 class Replay:
-    """Rays whose light paths are known."""
+    """Rays that have been traced, and the state from which their light paths can be replayed."""
 
-    # As the integrator has taken them.
+    # The arguments of the integrator when the rays were traced.
     scene: Any
     integrator: Any
     sampler: Any
     ray: Any
-    # Which of them meet anything: others bring no light.
+    # Mask of the rays that hit a surface; all others carry no light.
     active: Any
-    # What the integrator has found.
+    # State that the integrator returned.
     state: Any
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
-        """Follow the same light paths once more; return, forward, the change of their radiance."""
+        """Replay the light paths; in forward mode, return the change of their radiance."""
         try:
             change, *_ = self.integrator.sample(
                 mode=mode,
@@ -139,22 +139,22 @@ class Replay:
                 **_options(self.scene, self.ray, self.active),
             )
         except Exception as error:
-            # Loops wrap what is raised in them.
+            # Dr.Jit's loops wrap exceptions that are raised inside them.
             if _UNATTACHED in f"{error} {error.__cause__}":
                 raise InputError("scene: its light does not depend on the parameters with a gradient") from None
             raise
-        # Gradients are added before the next rays start.
+        # Evaluated so that gradients are accumulated before the next rays are traced.
         dr.eval(change)
         return change
 
 
 def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
-    """Return what integrators take for all ways to follow rays."""
+    """Return the arguments of an integrator's `sample` that are the same for all modes."""
     return {"scene": scene, "ray": ray, "active": active, "depth": mi.UInt32(0), "δaovs": None}
 
 
 def _differentiable(integrator: Any) -> Any:
-    """Return the integrator that differentiates the radiance which another one finds."""
+    """Return an integrator that differentiates the radiance found by the given one."""
     if mi.is_polarized:
         raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
@@ -162,7 +162,7 @@ def _differentiable(integrator: Any) -> Any:
     name = type(integrator).__name__ if type(integrator).__module__ != "mitsuba" else integrator.class_name()
     if name not in _REPLAYED:
         raise InputError(f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb")
-    # What is written in C++ has these parameters in words alone.
+    # Integrators written in C++ show these parameters only in their description.
     depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
     if depths["max_depth"] >= _ENDLESS:
         depths["max_depth"] = -1
@@ -170,7 +170,7 @@ def _differentiable(integrator: Any) -> Any:
 
 
 def random_numbers(seed: int, lanes: int) -> Any:
-    """Return a sampler of independent random numbers."""
+    """Return a seeded sampler of independent random numbers."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, lanes)
     return sampler
@@ -186,5 +186,5 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
 
 
 def channels(radiance: Any) -> list[Any]:
-    """Return the channels of a spectrum; lanes of wavelengths are all of one."""
+    """Return the channels of a radiance; in spectral variants all lanes have the same wavelength, so there is one."""
     return [radiance[0]] if mi.is_spectral else list(radiance)

@@ -1,13 +1,13 @@
-r"""Incoherent points of a scene's surfaces, where the rays of a camera first hit: what the plain reference adds up.
+r"""Incoherent points on a scene's surfaces where the camera's rays first hit; the reference method adds up their light.
 
-A ray through a point q of the microlens array and a point P of the pupil meets a surface at X, of which the child
-integrator finds the radiance L. The surface radiates evenly to all sides, as far as it is seen: shadow rays find from
-which parts of the pupil it is. With n such rays from each lens, all its pixels together get of a point
+A ray through a point q of the microlens array and a point P of the pupil hits a surface at X, where the child
+integrator finds the radiance L. The surface is taken to radiate evenly in all directions; shadow rays find the parts of
+the pupil that can see it. With n such rays from each lens, all pixels together record from a point
 
 .. math:: L \, \frac{A_c}{n} \frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
 
-where A_c is the area of a lens's cell and f the fraction of the light to the visible pupil that lands in the lenses
-from which rays start: of that fraction only, rays could have found the point.
+where A_c is the area of a lens's cell, and f the fraction of the light to the visible pupil that lands in the lenses
+from which rays start: only rays of this fraction could have found the point.
 """
 
 from __future__ import annotations
@@ -39,39 +39,39 @@ from .entrance import Entrances, LensWindow
 from .scene_light import SceneLight
 
 PATHS = 64
-"""Light paths averaged for each point: their noise is an eighth of one path's, at less than a point spread's time."""
+"""Light paths averaged for each point: this reduces their noise to an eighth in less time than a point spread takes."""
 
 _CELLS = 32
-"""Cells across the pupil's bounding square, each with one shadow ray. Shadows' borders are blurred by some cells."""
+"""Cells across the pupil's bounding square, each with one shadow ray. Shadow borders are blurred by a few cells."""
 
 _MIDDLES = [axis.ravel() for axis in np.meshgrid(*[(np.arange(_CELLS) + 0.5) * 2 / _CELLS - 1] * 2)]
-"""X and y of their middles, of a pupil of radius 1, row by row."""
+"""x and y of the cells' centres for a pupil of radius 1, row by row."""
 
 _LANES = 2**22
-"""Rays that are traced at once, about."""
+"""Approximate count of rays that are traced at once."""
 
 _POINT_BYTES = 1500
-"""Memory of a point, and of a mask of which every third differs, about."""
+"""Approximate memory of a point and its visibility mask, if every third mask is different."""
 
 _EVEN = 1e-3
-"""Slants below which surfaces face the lens."""
+"""Slant below which a surface counts as facing the lens."""
 
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """Points that shine, in the camera frame."""
+    """Points that emit or reflect light, in the camera frame."""
 
-    # Places; (n, 3).
+    # Positions (x, y, z), an array (n, 3).
     positions: NDArray[np.float64]
-    # What all pixels together record of each; (n, channels).
+    # The light that all pixels together record from each point, an array (n, channels).
     weights: NDArray[np.float64]
-    # What each sees of the pupil, and how slantwise; None if all see all of it evenly.
+    # Visibility of the pupil from each point, and the slant of its surface; None if all points see all of it evenly.
     pupil_weights: PupilWeights | None
 
 
 def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
-    """Return low-discrepancy points (count, 4) of the unit 4-cube: place in the lens (2), place in the pupil (2)."""
-    # It takes a third of the package's loading time, which commands that render no waves need not wait for.
+    """Return low-discrepancy points (count, 4) of the unit 4-cube: lens coordinates (2), pupil coordinates (2)."""
+    # Imported here because it would take a third of the package's import time.
     from scipy.stats import qmc
 
     # The sequence is drawn to the next power of two, where it is balanced.
@@ -79,7 +79,7 @@ def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
 
 
 def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
-    """Refuse a scene, or a camera, in which light does not come straight from matte or emitting surfaces."""
+    """Refuse a scene or camera unless all light comes directly from matte or emitting surfaces."""
     what = "method = points"
     camera.require_no_objective(f"{what}: surfaces are seen")
     if sensor.shutter_open_time() > 0:
@@ -106,7 +106,7 @@ def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCam
 def find_points(
     lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
 ) -> ScenePoints:
-    """Find the points where rays from every lens first hit, and what of them is recorded."""
+    """Find the points where the rays of all lenses first hit a surface, and the weights of their light."""
     camera.require_resolved()
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
@@ -128,7 +128,7 @@ def find_points(
     area = system.lattice.cell_area / count
     scale = radiance_weight(camera, system.lens, area) / _landing(system, positions, weights, window)
     if not system.lens.is_open_evenly:
-        # Of few rays to a lens, those get through that are the open part of the pupil to some percent only.
+        # With few rays per lens, the fraction that passes differs from the pupil's open fraction by some percent.
         x, y = window.place(*(window.index + 0.5).T)
         open_rays = np.bincount(tried, minlength=len(x))
         scale = scale * (count * system.lens.open_fraction(x, y) / np.maximum(open_rays, 1))[cell]
@@ -148,7 +148,7 @@ def _require_memory(count: int, lenses: int) -> None:
 
 @dataclass(frozen=True)
 class _Finder:
-    """Traces rays, numbered lens by lens."""
+    """Traces rays, which are indexed lens by lens."""
 
     lights: Sequence[SceneLight]
     system: OpticalSystem
@@ -157,10 +157,10 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Trace some rays.
+        """Trace the rays of the given indices.
 
-        Return positions, radiance, slants, visible cells as bits, and lenses of what is hit and shines, and the lenses
-        of all rays that the main lens lets through.
+        Return the positions, radiance, slants, visible pupil cells as bits, and lenses of the lit points that rays
+        hit, and the lenses of all rays that pass the main lens.
         """
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
@@ -169,7 +169,7 @@ class _Finder:
         i, j = self.window.index[cell].T
         q = tuple(mi.Float(x) for x in self.window.place(i + u, j + v))
         point, slope, is_open = lens.ray((P.x, P.y), q)
-        # As wide as the others: a thin lens's rays all start from the same plane, and it lets all of them through.
+        # Thin lenses return scalars for the starting plane and the mask; they are widened to one value per ray.
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
         is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
         tried = cell[is_open.numpy()]
@@ -202,10 +202,10 @@ class _Finder:
         return ray
 
     def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> NDArray[np.float64]:
-        """Return the mean of some light paths, (rays, channels)."""
+        """Return the mean radiance of the light paths of each ray, an array (rays, channels)."""
         lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
         start, direction = (tuple(dr.gather(mi.Float, x, lane) for x in xs) for xs in (point, slope))
-        # The same random numbers lead light of all wavelengths along the same paths.
+        # The same random numbers give light of all wavelengths the same paths.
         channels = [part for light in self.lights for part in light(start, direction, mi.Bool(True), seed)]
         means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
         radiance = np.stack(means, axis=1).astype(np.float64)
@@ -214,9 +214,9 @@ class _Finder:
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
-        """Return which cells of the pupil see points, (n, bytes); the one of the ray that has found a point does."""
+        """Return as bits (n, bytes) which pupil cells see points; the cell of its own ray always does."""
         x, y = _MIDDLES
-        # Cells whose middle lies beyond the pupil's edge are seen at the nearest point within.
+        # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
         x, y = mi.Float(x * inward), mi.Float(y * inward)
         count = len(entrances.pupil)
@@ -233,13 +233,13 @@ class _Finder:
 def _landing(
     system: OpticalSystem, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
 ) -> NDArray[np.float64]:
-    """Return the fraction f of the light through the visible pupil that lands in the lenses of a window; (n,)."""
+    """Return for each point the fraction f of its light to the visible pupil that lands in a window's lenses."""
     fraction = np.ones(len(positions))
     if not len(positions):
         return fraction
-    # Which rays land there is asked of the light that rays follow.
+    # The wave model's own lens states where light lands, so that it agrees with the point spreads.
     lens, radius = system.waves_of(positions), system.lens.reach
-    # Only where the rays from the pupil's edge leave those lenses is there anything to count.
+    # The fraction differs from 1 only where rays from the pupil's edge land outside these lenses.
     rim = np.arange(8) * (math.pi / 4)
     edges = lens.bind(positions).land((radius * np.cos(rim), radius * np.sin(rim)), tuple(positions.T[..., None]))
     within = [(low < edge) & (edge < high) for edge, low, high in zip(edges, window.low, window.high, strict=True)]
@@ -255,23 +255,23 @@ def _landing(
         if weights is not None:
             power *= 1 + weights.slant[some] @ np.stack([x, y])
             power *= weights.table.reshape(-1, _CELLS**2)[weights.index[some]][:, inside]
-        # The ray that has found the point has landed.
+        # At least the ray that found the point has landed.
         fraction[some] = np.maximum((landed * power).sum(1), 1) / np.maximum(power.sum(1), 1)
     return fraction
 
 
 @dataclass(frozen=True)
 class PointsCapture:
-    """What is recorded, and how exactly."""
+    """A capture by method ``points``: the camera, the light, the spectrum and the accuracy."""
 
     camera: PlenopticCamera
-    # Find the radiance along rays; their channels, one after another, are those of the light.
+    # Radiance along rays; the channels of the light are those of all entries, one after another.
     lights: Sequence[SceneLight]
-    # Wavelengths, and what the channels answer to.
+    # Wavelengths and the channels' responses.
     spectrum: Spectrum
-    # From the radiance to its spectrum; None if it has a value for each wavelength; (channels of light, wavelengths).
+    # Matrix (channels of light, wavelengths) from radiance to spectra; None if the light has a value per wavelength.
     upsampling: NDArray[np.float64] | None
-    # As of `CaptureOperator`.
+    # Tolerance as in `CaptureOperator`.
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
@@ -292,12 +292,12 @@ class PointsCapture:
             lambda: self._facts(points),
         )
         if np.min(self.spectrum.responses) >= 0:
-            # What interpolation leaves below zero is not light; colours outside of a gamut are.
+            # Negative values are errors of interpolation, unless responses are negative (colours outside of a gamut).
             np.maximum(image, 0, out=image)
         return image
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate what `compute` takes beside the tracing of rays, from all points and some of their spreads."""
+        """Estimate the cost of `compute` without ray tracing, from all points and some of their spreads."""
         points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
         return replace(self._operator(points).estimate(job), points=len(points.positions))
 
@@ -315,7 +315,7 @@ class PointsCapture:
         return points.weights if self.upsampling is None else points.weights @ self.upsampling
 
     def _facts(self, points: ScenePoints) -> dict[str, Any]:
-        """Return by what a capture is known as the same."""
+        """Return the data by which a checkpoint recognises the same capture."""
         pupil = points.pupil_weights
         masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
         return {

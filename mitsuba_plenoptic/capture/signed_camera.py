@@ -1,16 +1,17 @@
-r"""Derivatives of captures by signed rays by the camera's parameters: rays are held in the scene.
+r"""Derivatives of signed-ray captures with respect to the camera's parameters, with rays fixed in the scene.
 
-A ray is held before the main lens: where it meets the pupil, its direction, its radiance and its étendue. A changed
-camera bends it elsewhere: it meets its lens at another point m, lands elsewhere on the detector, in the cell u of its
-grid, and counts by another measure, of logarithm f. With a prime for derivatives by a parameter, the capture changes by
+On the scene's side of the main lens a ray is fixed: its pupil point, direction, radiance and étendue. A changed camera
+refracts it differently: it meets its microlens at another point m, lands at another position u of the detector, in
+cells of the grid, and has another weight, of logarithm f. With primes for derivatives by a parameter, the capture
+changes by
 
 .. math:: I' = \sum_n \left[ \varphi_n * \sum_{rays} L\, (f' A_n + m' \cdot \nabla_m A_n + q'\, \partial_q A_n)
           - \nabla \varphi_n * \sum_{rays} L A_n u' + \varphi_n' * \sum_{rays} L A_n \right] ,
 
-where q is the logarithm of the width of the pupil's diffraction over the pitch, on which alone the coefficients depend
-otherwise. As the rays that the changed camera would draw fill the same light, this is the derivative of its capture:
-nothing need be known of how radiance differs from ray to ray. What shines with the mean radiance c keeps its known
-integral over m: of it only where rays land, and how densely, changes.
+where q is the logarithm of the width of the pupil's diffraction over the pitch, the only other quantity on which the
+coefficients depend. The rays that the changed camera would draw sample the same light, so this is the derivative of its
+capture; how radiance changes between rays need not be known. The part with the mean radiance c has a known integral
+over m, which does not change: only the landing positions of its rays and their density do.
 """
 
 from __future__ import annotations
@@ -40,23 +41,23 @@ from .signed_draws import Cells, Drawn, Lot, Pair
 from .signed_rays import REACH, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
-"""Parameters of a camera by which captures by signed rays have derivatives."""
+"""Camera parameters with respect to which signed-ray captures have derivatives."""
 
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
-"""Those on which the kernels depend."""
+"""Parameters on which the kernels depend."""
 
 _REFUSED = ("main_lens", "wavefront", "distortion", "glass", "mla_glass", "mla_jitter", "mla_tilt", "pixel_response")
-"""What a camera must not have: rays that are held in the scene are followed behind thin main lenses alone."""
+"""Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
 
 _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
-"""Relative steps of the differences of kernels, and of tables, whose overlaps are sampled."""
+"""Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
 
 _REACHED, _SHAPE = 16, 8.0
-"""Samples that slopes are taken from on either side, and the shape of their weights, of Kaiser."""
+"""Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
 
 
 class Held(NamedTuple):
-    """Rays that are held in the scene, as they meet a changed camera."""
+    """Rays that are fixed in the scene, as they meet a changed camera."""
 
     point: Pair  # on the array, from the lens's centre, in the lattice's frame, in which lengths grow with the pitch
     cell: Pair  # on the detector, in cells of the grid from the axis
@@ -70,7 +71,7 @@ def parameters_of(camera: PlenopticCamera) -> Values:
 
 
 def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
-    """Refuse parameters by which captures by signed rays, or those of rays that land by their own points, have none."""
+    """Refuse parameters with respect to which a signed-ray capture of this camera has no derivative."""
     for name in names:
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
@@ -88,7 +89,7 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
 
 
 class CameraTangents(SignedRaySum):
-    """The change of a capture with parts of some `PARAMETERS` of its camera."""
+    """Directional derivative of a capture along changes of its camera's `PARAMETERS`."""
 
     _sets = 4
 
@@ -122,7 +123,7 @@ class CameraTangents(SignedRaySum):
         number: int,
         lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, what rays bring of each kernel, of its slopes, and of its change."""
+        """Return, for each image of a node, the rays' coefficients of each kernel, of its slopes, and of its change."""
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * dr.opaque(mi.UInt32, self._spp)
         node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
         used, weights = node.mixture(lanes)
@@ -171,7 +172,7 @@ class CameraTangents(SignedRaySum):
 
 
 class CameraAdjoint(SignedRaySum):
-    """The gradient of a figure of a capture by some `PARAMETERS` of its camera."""
+    """Gradient of a function of a capture with respect to its camera's `PARAMETERS`."""
 
     def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
         self._names = names
@@ -180,7 +181,7 @@ class CameraAdjoint(SignedRaySum):
 
     @cached_property
     def _of_kernels(self) -> list[tuple[str, int]]:
-        """Those parts of parameters that kernels depend on."""
+        """Return the components of parameters on which kernels depend."""
         start = parameters_of(self._camera)
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
@@ -194,7 +195,7 @@ class CameraAdjoint(SignedRaySum):
         return [width_slopes(node.plan) for node in self._nodes]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
-        """Return the gradient by each part of the parameters from that of the sum, by channel (rows, columns)."""
+        """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._pull(lot, felt, total)
@@ -272,20 +273,20 @@ class CameraAdjoint(SignedRaySum):
 
 
 def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
-    """Return the parts of all `PARAMETERS` as Dr.Jit's."""
+    """Return the components of all `PARAMETERS` as Dr.Jit arrays."""
     return {name: [dr.opaque(mi.Float, value) for value in values] for name, values in parameters_of(camera).items()}
 
 
 def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
-    """Follow rays that a camera has drawn, by their slopes in the scene, into one whose `PARAMETERS` are Dr.Jit's.
+    """Trace rays that a camera has drawn, with their slopes in the scene, through a camera with varying `PARAMETERS`.
 
-    The step is the width of a cell of the detector's grid.
+    `step` is the width of a cell of the detector's grid.
     """
     ((f1,), (b,), (z,), (width,)) = (
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
     )
     pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
-    # Back through the lens: what it has bent it bends the other way.
+    # Back through the lens: a lens of the opposite focal length undoes the refraction.
     cosines = (
         rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
     )
@@ -325,7 +326,7 @@ def width_slopes(plan: PhaseSpace) -> RayCoefficients:
 
 @functools.lru_cache(maxsize=4)
 def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
-    """Return the table of these derivatives."""
+    """Return the table of the derivatives of coefficients by the logarithm of the width."""
     distance = plan.camera.mla_distance
     sides = [
         plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table
@@ -336,7 +337,7 @@ def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
 
 @functools.lru_cache(maxsize=32)
 def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
-    """Return the derivatives of kernels by each part of a parameter."""
+    """Return the derivatives of kernels by each component of a parameter."""
     camera, start = plan.camera, parameters_of(plan.camera)[name]
     samples = plan.kernel_samples(step, REACH * max(camera.mla_pitches), kind)
     if name not in _OF_KERNELS:
@@ -356,10 +357,10 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
 
 
 def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return by how much kernels change as they move by a cell along x, and then along y."""
+    """Return the changes of kernels per cell of displacement, along x and then along y."""
     from scipy.ndimage import convolve1d
 
-    # Kernels end abruptly, which is a part of how they change: a filter of few samples stays where they end.
+    # Kernels end abruptly, and their slopes include these ends: a short filter confines them to their surroundings.
     steps = np.arange(-_REACHED, _REACHED + 1)
     ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
     wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])

@@ -1,4 +1,4 @@
-"""A scene's capture by signed rays: its plan, its noise, what it takes."""
+"""Captures of scenes by signed rays: plan, noise, and cost."""
 
 from __future__ import annotations
 
@@ -25,38 +25,39 @@ from .signed_rays import SignedRaySum
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
 _SAMPLES = 4
-"""Rays a cell of each of the captures from whose spread the noise is found: few correct each other less well."""
+"""Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less well."""
 
 _SPOTS = 1.5
-"""Distance, in spots of a lens's diffraction, within which chance below zero is made up for."""
+"""Distance, in diffraction spots of a microlens, within which noise below zero is compensated."""
 
 _KEPT = (1.5, 4.0)
-"""Cells of the grid over the highest frequency of a lens's diffraction, in cycles: half of them hold it whole, of which
-the last quarter is next to nothing; twice as many hold the interference of neighbours, too."""
+"""Cells of the grid per period of the highest frequency of a microlens's diffraction, at usual and fine accuracy. Two
+would resolve it; 1.5 lose the last quarter of frequencies, which is negligible; 4 also resolve the interference of
+neighbouring lenses."""
 
 
 @dataclass(frozen=True)
 class SignedCapture:
-    """What is recorded, and how exactly."""
+    """A capture by signed rays: the camera, the light, the channels' responses and the accuracy."""
 
     camera: PlenopticCamera
-    # Finds the radiance along rays.
+    # Radiance along rays.
     light: SceneLight
-    # What the channels answer to.
+    # Responses of the channels.
     colours: SignedColours
     accuracy: float
 
     @cached_property
     def nodes(self) -> list[Node]:
-        """Light that is diffracted alike."""
+        """Return the nodes, the wavelengths at which diffraction is computed."""
         return self.colours.planned(self.camera, self.accuracy)
 
     @property
     def _parts(self) -> int:
-        """Cells of the grid across a pixel."""
+        """Return the count of grid cells across a pixel."""
         camera = self.camera
         if any(node.plan.by_points for node in self.nodes):
-            return 1  # kernels of such are integrated over pixels
+            return 1  # the kernels of these plans are integrated over pixels
         extent = in_millimetres(min(node.plan.wavelength for node in self.nodes)) * camera.detector_distance
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
         return math.ceil(_KEPT[self.accuracy < FINE] * highest)
@@ -64,9 +65,10 @@ class SignedCapture:
     def sums(
         self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: SceneLight | None = None
     ) -> list[Callable[[], Sum]]:
-        """Return what makes the sums of so many independent captures of equal parts of the rays, of its or other light.
+        """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 
-        What one holds is given back before the next is made.
+        They are functions so that the memory of one sum is freed before the next is made. The light is the capture's
+        own by default.
         """
         return [
             partial(
@@ -79,7 +81,7 @@ class SignedCapture:
                 spp=-(-spp // runs),
                 seed=own,
             )
-            # Neighbouring seeds must not share runs.
+            # Captures with neighbouring seeds must not share runs.
             for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
 
@@ -114,7 +116,7 @@ class SignedCapture:
         return image
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
-        """Return the channels of an image that only chance takes below zero, without what is there."""
+        """Return the channels of an image that only noise can make negative, with negative values compensated."""
         extent = in_millimetres(max(node.plan.wavelength for node in self.nodes)) * self.camera.detector_distance
         spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
         size = 2 * math.ceil(_SPOTS * spot) + 1
@@ -122,11 +124,11 @@ class SignedCapture:
         return {channel: Mended(image[..., channel], size) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate what `compute` takes, from some of the rays."""
+        """Estimate the cost of `compute` from some of the rays."""
         seconds, memory = self.sums(spp, seed, 1, SignedRaySum)[0]().cost()
         return Cost(0, 0, seconds, memory)
 
 
 def _part(runs: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return what one of some captures adds to their mean."""
+    """Return the contribution of one of `runs` captures to their mean."""
     return image * np.float32(1 / runs)

@@ -1,12 +1,12 @@
-r"""The wavelengths at which captures by signed rays diffract light, and what rays bring to each.
+r"""The wavelengths at which signed-ray captures compute diffraction, and the weights of rays at each.
 
-Coefficients and kernels are those of a few wavelengths, the nodes. Light of a wavelength between two of them is shared
-by both, as by straight lines between values; beyond the outermost, these take all of it. So each channel has an image
-at each node that it answers to, and records the sum of their convolutions.
+Coefficients and kernels are computed at a few wavelengths, the nodes. Light of a wavelength between two nodes is
+distributed to both by linear interpolation; light beyond the outermost nodes goes to these. So each channel has an
+image at each node to which it responds, and records the sum of their convolutions.
 
-In spectral variants rays have wavelengths of their own, which are drawn where the channels answer. The two rays that
-correct each other have the same, so that light which is even over a lens has no noise but that of the wavelengths; and
-from cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
+In spectral variants rays have wavelengths of their own, which are drawn from the channels' responses. The two rays that
+correct each other have the same wavelengths, so that light which is even over a lens has only the noise of the
+wavelengths. From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
 """
 
 from __future__ import annotations
@@ -32,32 +32,32 @@ FINE = 0.005
 """Accuracy below which finer plans are made."""
 
 _DEGREES, _WINDOWS = (4, 6), (9, 13)
-"""Degrees of the polynomials and windows of plans, usual and finer ones."""
+"""Degrees of the polynomials, and windows, of usual and of finer plans."""
 
 _DEFOCUS = 4.0
-"""Radians of the microlenses' defocus from which on polynomials are of two degrees more."""
+"""Defocus of the microlenses in radians beyond which the degree of the polynomials is increased by two."""
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
-"""Allowed error of a lens's spot over that of the capture, in which spots overlap, and the least error asked for."""
+"""Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
 
 _BLUR = 10.0
-"""Blur from one node to the next in lenses, over the root of the capture's error: the errors of straight lines go with
-the square of the steps."""
+"""Largest blur from one node to the next, in lenses, over the square root of the capture's error: the error of linear
+interpolation grows with the square of the step."""
 
 _TAIL = 0.01
-"""Part of the responses that is beyond the outermost nodes, on either side."""
+"""Fraction of the responses beyond the outermost node, on either side."""
 
 _MOST_NODES = 32
-"""Nodes of a band at most, unless more are given."""
+"""Largest count of nodes of a band, unless `nodes` is given."""
 
 _DENSE = 33
-"""Wavelengths at which spots are compared, with straight lines between."""
+"""Wavelengths at which spots are compared, with linear interpolation between them."""
 
 _SPOTS = (4.0, 4)
-"""Half the width of the compared spots in widths of diffraction, and samples a width."""
+"""Half the width of the compared spots in diffraction widths, and samples per diffraction width."""
 
 _STRATA, _STEPS = 4096, 2**14
-"""Parts of equal chance from which wavelengths are drawn, and steps of the sums by which these are found."""
+"""Strata of equal probability from which wavelengths are drawn, and integration steps by which they are found."""
 
 _TURNS = tuple(int(part * 2**32) for part in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
 """Steps of additive sequences, along rows and columns (the inverse of the plastic number, and its square) and from pass
@@ -65,18 +65,18 @@ to pass (of the golden ratio), in units of 2^-32."""
 
 
 class Lanes(NamedTuple):
-    """Wavelengths that are drawn for some cells."""
+    """Wavelengths that are drawn for cells."""
 
     wavelengths: list[Any]
-    # In which stratum each lies, and how far in it.
+    # Index of the stratum in which each lies, and its position there from 0 to 1.
     stratum: list[Any]
     part: list[Any]
-    # One over their number and the density.
+    # Reciprocal of the product of their count and the density.
     weight: list[Any]
 
 
 class DrawnWavelengths:
-    """Wavelengths as random as they may be where channels answer."""
+    """Random wavelengths with the density of the channels' responses, which are stratified."""
 
     def __init__(self, responses: Responses) -> None:
         steps = np.linspace(responses.low, responses.high, _STEPS + 1)
@@ -87,7 +87,7 @@ class DrawnWavelengths:
         self._edges = mi.Float(self.edges)
 
     def draw(self, chance: Any, span: tuple[float, float]) -> Lanes:
-        """Return as many wavelengths as rays of the active variant have, in a part of the strata, by random numbers."""
+        """Draw the wavelengths of rays of the active variant from a range of the strata, by random numbers."""
         count = dr.size_v(mi.UnpolarizedSpectrum)
         low, high = (dr.opaque(mi.Float, end * _STRATA) for end in span)
         lanes = Lanes([], [], [], [])
@@ -104,7 +104,7 @@ class DrawnWavelengths:
 
 
 def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
-    """Return random numbers of cells of a grid, evenly spread among neighbours and over passes of these numbers."""
+    """Return random numbers for cells of a grid that are evenly spread among neighbouring cells and over passes."""
     row = index // columns
     turned = [
         value * dr.opaque(mi.UInt32, turn) for value, turn in zip((index - row * columns, row), _TURNS, strict=False)
@@ -115,21 +115,21 @@ def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
 
 @dataclass(frozen=True)
 class Node:
-    """Light that is diffracted alike."""
+    """A wavelength at which diffraction is computed, and the light for which it is used."""
 
-    # How: of the camera at one wavelength.
+    # Coefficients and kernels of the camera at this wavelength.
     plan: PhaseSpace
-    # Those of the capture that have an image of it.
+    # Channels of the capture that have an image at this node.
     channels: tuple[int, ...]
-    # For each of these channels, the factors on the values of a ray's light whose sum is added to the image; of light
-    # of drawn wavelengths those at the edges of the strata; (channels, values).
+    # Weights of the values of a ray's light in the image of each of these channels, an array (channels, values). For
+    # drawn wavelengths, the values are those at the edges of the strata.
     weights: NDArray[np.float64]
 
     def mixture(self, lanes: Lanes | None = None) -> tuple[list[int], list[list[Any]]]:
-        """Return which values of rays count, and their weights for each channel, of drawn wavelengths by cell."""
+        """Return the indices of the values used, and their weights for each channel; for drawn wavelengths, by cell."""
         if lanes is None:
             used = np.flatnonzero(self.weights.any(0)).tolist()
-            # Opaque numbers do not compile the kernels again.
+            # Opaque values are kernel inputs, so that other values do not compile the kernels again.
             return used, [[dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, used].tolist()]
         made = []
         for row in self.weights:
@@ -145,49 +145,48 @@ class Node:
 
 
 def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return the sum of the products."""
+    """Return the weighted sum of values."""
     return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
 
 
 def span(nodes: list[Node]) -> tuple[float, float]:
-    """Return the part of the strata, from 0 to 1, whose wavelengths some nodes share."""
+    """Return the range of the strata, within 0 to 1, whose wavelengths contribute to the nodes."""
     lit = np.flatnonzero(np.any([node.weights.any(0) for node in nodes], axis=0))
     return max(int(lit[0]) - 1, 0) / _STRATA, min(int(lit[-1]) + 1, _STRATA) / _STRATA
 
 
 @dataclass(frozen=True)
 class SignedColours:
-    """What the channels of a capture answer to."""
+    """The responses of a capture's channels."""
 
     # Wavelengths, and the channels' responses.
     spectrum: Spectrum
-    # Whether each channel has nodes of its own: lines, and bands of one width.
+    # Whether each channel has nodes of its own, as for lines and for bands of one width.
     apart: bool
-    # Spectra of which the values of a ray's light are the factors; None if it has a spectrum of its own; (values,
-    # wavelengths).
+    # Matrix (values, wavelengths) from the values of a ray's light to its spectrum; None if light has its own spectrum.
     upsampling: NDArray[np.float64] | None
-    # What the channels answer to where light has a spectrum of its own.
+    # Responses of the channels if light has its own spectrum.
     responses: Responses | None = None
-    # Nodes, of each channel if they are apart; None: as many as `accuracy` needs.
+    # Count of nodes, for each channel if they are apart; None means as many as `accuracy` needs.
     nodes: int | None = None
 
     @classmethod
     def lines(cls, wavelengths: tuple[float, ...]) -> SignedColours:
-        """Return those of light that has a value for each channel, of one wavelength."""
+        """Return the responses for light that has one value, of one wavelength, for each channel."""
         return cls(Spectrum.lines(*wavelengths), True, np.eye(len(wavelengths)))
 
     @functools.cached_property
     def drawn(self) -> DrawnWavelengths | None:
-        """Wavelengths of rays, where light has a spectrum of its own."""
+        """Return the distribution from which rays' wavelengths are drawn, or None if light has no spectrum."""
         return None if self.responses is None else DrawnWavelengths(self.responses)
 
     def places(self, camera: PlenopticCamera, accuracy: float) -> list[float]:
         """Return the wavelengths of the nodes.
 
-        Those of a band, or of channels that share theirs, divide its wavelengths evenly by their logarithm, but for the
-        last hundredth of the responses on either side; a single one is their mean. There are as many as each channel's
-        spot of a microlens needs in even light, to three times the accuracy, and so many that from one to the next a
-        dispersing main lens blurs what is in focus by no more than a lens at the usual accuracy.
+        The nodes of a band, or of channels with common nodes, are spaced evenly in the logarithm of the wavelength,
+        without the outermost 1 % of the responses on either side; a single node is the mean wavelength. Their count is
+        the smallest that gives each channel's spot of a microlens in even light to three times `accuracy`, and limits
+        the blur that a dispersive main lens causes between neighbouring nodes, at the usual accuracy to one lens.
         """
         wavelengths, responses = np.array(self.spectrum.wavelengths), np.abs(self.spectrum.matrix().astype(np.float64))
         found: set[float] = set()
@@ -221,23 +220,23 @@ class SignedColours:
 
 @functools.lru_cache(maxsize=16)
 def _plan(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
-    """Return a plan, which several captures of a camera share."""
+    """Return a plan, which is cached for further captures of the camera."""
     plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine], shortest=shortest)
     return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
 
 
 def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.float64]:
-    """Return the shares (nodes, wavelengths) that nodes have of light."""
+    """Return the linear interpolation weights (nodes, wavelengths) of nodes."""
     return np.stack([np.interp(wavelengths, places, unit) for unit in np.eye(len(places))])
 
 
 def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return weights of which those of each channel have the sum 1."""
+    """Normalise the weights of each channel to the sum 1."""
     return np.asarray(weights / weights.sum(1, keepdims=True))
 
 
 def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> list[float]:
-    """Return so many nodes of responses (channels, n) to rising wavelengths, each of sum 1."""
+    """Return `count` nodes for normalised responses (channels, n) at rising wavelengths."""
     weight = weights.mean(0)
     if count == 1 or wavelengths[0] == wavelengths[-1]:
         return [float(weight @ wavelengths)]
@@ -248,7 +247,7 @@ def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], cou
 def _enough(
     camera: PlenopticCamera, wavelengths: NDArray[np.float64], weights: NDArray[np.float64], error: float
 ) -> list[float]:
-    """Return as few nodes as `SignedColours.places` states."""
+    """Return the fewest nodes that satisfy the conditions that `SignedColours.places` states."""
     if wavelengths[0] == wavelengths[-1]:
         return [float(wavelengths[0])]
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
@@ -271,6 +270,6 @@ def _enough(
 
 
 def _power(camera: PlenopticCamera, wavelength: float) -> float:
-    """Return the reciprocal of the distance behind the main lens at which what is in focus is imaged."""
+    """Return the reciprocal of the image distance behind the main lens for objects at the focus distance."""
     lens = OpticalSystem(camera.at_wavelength(wavelength), wavelength).lens
     return float(lens.vergence(camera.focus_distance))

@@ -1,4 +1,4 @@
-"""Rays that signed captures draw: from cells of the detector, through points about lenses and points of the pupil."""
+"""Sampling of rays for signed-ray captures: from detector cells, through points around lenses and of the pupil."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from .signed_colours import Lanes
 Pair = tuple[Any, Any]
 
 _STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
-"""Steps of an additive sequence that fills four dimensions evenly: powers of 1 over the root of x^5 = x + 1."""
+"""Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""
 
 _AIRY, _AIRY_REACH = 1024, 200.0
-"""Steps of the energy of Airy's pattern, and how far it goes in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+"""Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
 
 ORDER = 2
-"""Points of the detector about a cell are drawn with the density of a B-spline of this order, so that what varies from
-cell to cell faster than the grid can hold does not fold back into it."""
+"""Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
+frequencies that the grid cannot represent."""
 
 
 class Drawn(NamedTuple):
     """Rays that are drawn for cells of the detector."""
 
-    # Where they pass the pupil, and the round pupil that stands for it.
+    # Their points on the pupil, and on the equivalent round pupil.
     pupil: Pair
     inner: Pair
-    # Where they pass the array, from the centre of the lens, and in the camera frame.
+    # Their points on the array, relative to the centre of the lens, and in the camera frame.
     point: Pair
     place: Pair
-    # Where they meet the detector, from the centre of the lens.
+    # Their points on the detector, relative to the centre of the lens.
     detector: Pair
-    # By how much the lens stands nearer to the main lens than the one on the axis.
+    # Distance by which the lens is nearer to the main lens than the lens on the axis.
     height: Any
-    # One over the density of the points over the aperture.
+    # Reciprocal of the density of the points, relative to the aperture.
     weight: Any
-    # By which they take one of the table's nodes around them.
+    # Random numbers by which each ray takes one of the table nodes around it.
     chance: tuple[Any, Any, Any, Any]
-    # Whether the pupil lets them through.
+    # Whether the pupil transmits them.
     open: Any
 
 
@@ -62,16 +62,16 @@ class Cells:
 
     # A rectangle of the grid.
     box: Box
-    # Their numbers in it, row by row.
+    # Their indices in the rectangle, row by row.
     index: Any
-    # Their lenses, in steps of the lattice's indices from those of their chief rays; (2,).
+    # Lattice indices (i, j) of their lenses relative to the lenses of their chief rays.
     steps: NDArray[np.int64]
 
 
 class Lot(NamedTuple):
-    """Cells with a lens that lights each, whose rays are traced at once."""
+    """Cells, each with a lens that lights it, whose rays are traced at once."""
 
-    # Which of all cells they are.
+    # Their indices among all cells.
     some: Any
     kind: Any
     cells: Cells
@@ -80,24 +80,24 @@ class Lot(NamedTuple):
     seed: int
 
     def first(self, every: Any, values: int) -> Any:
-        """Return where their first values are in an image of so many values of so many cells, of each kind."""
+        """Return the positions of the lot's first values in an image of `values` for each kind of `every` cells."""
         return self.some + every * (self.kind * values)
 
 
 class Aims(NamedTuple):
-    """What cells of the detector look at through lenses."""
+    """Detector cells, and the lenses through which they see the pupil."""
 
-    # The cells' middles.
+    # Centres of the cells.
     middle: Pair
-    # The lenses' centres.
+    # Centres of the lenses.
     centre: Pair
-    # By how much the lenses stand nearer to the main lens than the one on the axis.
+    # Distance by which the lenses are nearer to the main lens than the lens on the axis.
     height: Any
     kind: Any
 
 
 class Draws:
-    """How rays are drawn for the cells of a camera's detector."""
+    """Draws rays for the cells of a camera's detector."""
 
     def __init__(
         self,
@@ -109,47 +109,47 @@ class Draws:
         self._camera, self._step = camera, step
         self.pupil = RayPupil(plans[0].system)
         self.kinds = LensKinds(camera)
-        # Rays that land by their own points of a lens see the pupil from there.
+        # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
         self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
         self._longest = max(plans, key=lambda plan: plan.wavelength)
 
     @cached_property
     def _points(self) -> LensPoints:
-        """Points about lenses, as light of the longest wavelength needs them, which is spread most."""
+        """Return the distribution of points around lenses for the longest wavelength, which is diffracted most."""
         return LensPoints(self._longest)
 
     @property
     def widest(self) -> float:
-        """Distance from the axis, on the pupil's plane, within which the ray from a lit cell's middle comes."""
+        """Return the radius in the pupil's plane within which the ray through a lit cell's centre passes."""
         camera = self._camera
-        # Other points of the cell look aside.
+        # Other points of the cell see other points of the pupil.
         cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
         return self.pupil.reach + cell + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
-        """Lenses that can light a cell, in steps from that of its chief ray."""
+        """Return the lenses that can light a cell, as lattice indices relative to the lens of its chief ray."""
         camera = self._camera
-        # No lens stands farther off.
+        # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
         return camera.lattice.neighbours(self._seen(self.widest) + beyond)
 
     @property
     def lit_lenses(self) -> float:
-        """Mean number of lenses that light a cell."""
+        """Return the mean count of lenses that light a cell."""
         return float(math.pi * self._seen(self.widest) ** 2 / self._camera.lattice.cell_area)
 
     def _seen(self, radius: float) -> float:
-        """Return how far apart rays from one point of the detector pass the array that go to the pupil so far apart."""
+        """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
         camera = self._camera
         return radius * camera.detector_distance / self.pupil.distance_from(camera.detector_distance)
 
     def aims(self, cells: Cells) -> Aims:
-        """Return what cells look at through their lenses."""
+        """Return the centres of cells and of the lenses through which they are lit."""
         camera, lattice = self._camera, self._camera.lattice
-        # Opaque numbers do not compile the kernels again.
+        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, cells.box.columns)
         left, top = (dr.opaque(mi.Int32, number) for number in (cells.box.left, cells.box.top))
         row = cells.index // columns
@@ -164,11 +164,11 @@ class Draws:
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
-        """Return the points of the pupil that points of the detector see through the lenses' centres."""
+        """Return the pupil points that detector points see through the lenses' centres."""
         return self.pupil.seen(detector, aims.centre, self._camera.detector_distance, aims.height)
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
-        """Return the rays of these numbers; those of even and of odd numbers are independent."""
+        """Return the rays of the given sample indices; those of even and of odd indices are independent."""
         aims, lattice = self.aims(cells), self._camera.lattice
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
@@ -193,19 +193,19 @@ class Draws:
         return Drawn(pupil, inner, point, place, detector, aims.height, weight, chance, is_open)
 
     def _within(self, point: Pair) -> Pair:
-        """Return the nearest places on a lens."""
+        """Return the nearest points on a lens."""
         lattice = self._camera.lattice
         (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
         return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
 
     def incidence(self, drawn: Drawn) -> Any:
-        """Return the angles at which light of rays comes to the detector: beside a lens, from its nearest point."""
+        """Return the angles of incidence on the detector; for points outside a lens, those from its nearest point."""
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return dr.atan(aside / (self._camera.detector_distance + drawn.height))
 
     def _diffracted(self, cell: Any, sample: Any, seed: Any) -> Pair:
-        """Draw by how much the whole pupil moves light on the array, from Airy's pattern."""
+        """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""
         first, second = (mi.sample_tea_float32(cell, seed ^ (sample << 4) ^ number) for number in (11, 12))
         place = first * (_AIRY - 1)
         low = mi.UInt32(place)
@@ -215,7 +215,7 @@ class Draws:
 
     @cached_property
     def _airy(self) -> Any:
-        """Radii within which even steps of the energy of Airy's pattern lie (Born and Wolf, section 8.5.2)."""
+        """Return the radii that encircle even steps of the Airy pattern's energy (Born and Wolf, section 8.5.2)."""
         from scipy.special import j0, j1
 
         camera = self._camera
@@ -235,5 +235,5 @@ def _chance(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def _tent(value: Any) -> Any:
-    """Turn evenly distributed numbers into those of the density 1 - |t|, a B-spline of order 2."""
+    """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
     return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))

@@ -1,14 +1,14 @@
-r"""Derivatives of captures by signed rays, by what a scene's radiance depends on: textures, emitters, BSDFs, media.
+r"""Derivatives of signed-ray captures with respect to scene parameters: textures, emitters, BSDFs, media.
 
-A capture is linear in the radiances of its rays, so that its change is the same sum of the changes of these. In
-reverse, with the correlations :math:`J_n` of a figure's gradient and the kernels, the figure changes with the radiance
-of ray k of N through a cell and lens by
+A capture is linear in the radiances of its rays, so its change is the same sum of their changes. In reverse, let
+:math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
+function by the radiance of ray k of N through a cell and lens is
 
 .. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
           \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,
 
-of which the second part is that of the mean c which the ray's half h of the rays, :math:`N_h` of them, gives the other
-half. What nodes of wavelengths mix of a ray's values into a channel is linear, too, and is transposed on the way back.
+where the second term is due to the mean c that the ray's half h, of :math:`N_h` rays, provides to the other half. The
+mixing of a ray's values into channels by the nodes is linear as well, and is transposed in reverse.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from .signed_rays import SignedRaySum
 
 
 class SignedRayAdjoint(SignedRaySum):
-    """The way back through a capture by signed rays; its light is a `LightDerivatives`."""
+    """The reverse pass of a signed-ray capture; its light is a `LightDerivatives`."""
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
-        """Add to the gradients of parameters what follows from that of the sum, by channel (rows, columns)."""
+        """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
         for lot, felt in self._back(gradient):
             self._pull(lot, felt)
 
     def _pull(self, lot: Lot, felt: list[list[Any]]) -> None:
-        """Take back what rays of a lot have brought; see `_back`."""
+        """Propagate the gradients of the coefficient images through the rays of a lot; see `_back`."""
         drawn, own = self._drawn_rays(lot.cells, dr.opaque(mi.UInt32, lot.seed & ~15))
         spp, rays = dr.opaque(mi.UInt32, self._spp), dr.width(own)
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             replay = self._light.replay(*self._asked(pupil, drawn, own, lanes, lot.seed))
-            # Rays of a cell that meets nothing bring nothing, whatever they would bring.
+            # Cells of which no ray hits a surface are left out.
             meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
             met = dr.compress(dr.block_sum(meets, self._spp) > 0)
             if not dr.width(met):
@@ -65,7 +65,7 @@ class SignedRayAdjoint(SignedRaySum):
     def _cotangents(
         self, lot: Lot, met: Any, felt: list[list[Any]], nodes: Sequence[int], lanes: Lanes | None
     ) -> dict[int, Any]:
-        """Return by how much the figure changes with values of the radiance of each ray of some of a lot's cells."""
+        """Return the derivatives by the radiance values of each ray of the cells `met` of a lot."""
         spp, every = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
         cells, key = (
             replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, met)),
@@ -73,7 +73,7 @@ class SignedRayAdjoint(SignedRaySum):
         )
         drawn, own = self._drawn_rays(cells, key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
-        # Of each value: by its own ray, and by what rays of the other half bring less where the mean of this one does.
+        # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:
             node = self._nodes[number]
@@ -112,16 +112,16 @@ class SignedRayAdjoint(SignedRaySum):
 
 @dataclass(frozen=True)
 class SignedGradients:
-    """The derivatives of a capture by signed rays, with the same rays as its `compute` draws."""
+    """The derivatives of a signed-ray capture, with the same rays as its `compute` draws."""
 
     capture: SignedCapture
-    # The derivatives of its light; None: the light is held.
+    # The derivatives of its light; None means that the light does not change.
     light: LightDerivatives | None
     seed: int
     spp: int
 
     def forward(self, changes: Values) -> NDArray[np.float32]:
-        """Return the change of the capture, (rows, columns, channels)."""
+        """Return the change of the capture, an array (rows, columns, channels)."""
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
             if self.light is not None:
@@ -133,7 +133,7 @@ class SignedGradients:
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
-        """Return the gradients by the camera's parameters; those by the scene's are added to Dr.Jit's.
+        """Return the gradients for the camera's parameters; those for the scene's are accumulated in Dr.Jit.
 
         Shapes: `gradient` (rows, columns, channels).
         """
@@ -149,7 +149,7 @@ class SignedGradients:
         return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
 
     def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:
-        """Return what a sum of a kind makes of the rays, (rows, columns, channels)."""
+        """Return the image of a kind of sum, an array (rows, columns, channels)."""
         work = self._sum(kind, light)
         items = int(work.items.sum())
         shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels

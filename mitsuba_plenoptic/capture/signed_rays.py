@@ -1,15 +1,15 @@
-r"""A scene's capture by waves from the rays of a capture by rays: signed coefficients a ray, and convolutions.
+r"""Wave captures of scenes from the rays of a ray capture: signed coefficients for each ray, and convolutions.
 
-Each cell of the detector's grid looks, through a lens that lights it, at points about that lens, and on through the
-pupil into the scene; `system.phase_space` says how much light of each ray arrives, and how it is spread. Nothing need
-be known of the scene but the radiance along rays.
+Rays start from each cell of the detector's grid, pass points around a lens that lights the cell, and continue through
+the pupil into the scene. `system.phase_space` gives the light that arrives with each ray, and its distribution on the
+detector. Only the radiance along rays is needed of the scene.
 
-Coefficients change sign and size within a lens, so that their plain sum is uneven even for a scene of one radiance.
-With the mean c of the radiances that other, independent rays of the same cell and lens have found, the sum is therefore
+Coefficients vary in sign and magnitude within a lens, so that their plain sum is noisy even for a uniform scene. With
+the mean c of the radiances that other, independent rays of the same cell and lens have found, the sum is therefore
 
 .. math:: \frac{1}{N} \sum_k \left[ w_k A_n(m_k, P_k)\, (L_k - c) + \delta_{n0}\, c \right] ,
 
-which has the same mean, as the coefficients' integral over m is known, and no noise where the radiance is the same
+which has the same mean, because the coefficients' integral over m is known, and no noise where the radiance is uniform
 (a control variate: Owen, "Monte Carlo theory, methods and examples", section 8.9).
 """
 
@@ -39,45 +39,45 @@ from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair
 
 _BLOCK_BYTES = 2**29
-"""Memory of the images of one block of the detector."""
+"""Bytes of the images of one block of the detector."""
 
 _LANES = 2**22
-"""Rays that are traced at once, about."""
+"""Approximate count of rays that are traced at once."""
 
 _RAY_BYTES = 100
-"""Memory of a ray, about."""
+"""Approximate bytes of a ray."""
 
 _PROBES, _CELLS = 2**10, 2**16
-"""Cells whose light a capture is known by, and those that are timed for an estimate."""
+"""Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
 
 _LEAST = 2
-"""Rays from each cell through each lens at least: two halves of them correct each other."""
+"""Smallest count of rays from each cell through each lens: two halves of them correct each other."""
 
 REACH = 1.25
-"""Distance in lenses to which kernels are computed."""
+"""Distance in microlens pitches to which kernels are computed."""
 
 
 class SignedRaySum:
-    """A capture by signed rays, block of the detector by block; a `runtime.jobs.LongSum`."""
+    """A signed-ray capture, computed by blocks of the detector; a `runtime.jobs.LongSum`."""
 
     arrays: Any = np
     _sets = 1
-    """How often a ray has a value for each coefficient: once, but for derivatives."""
+    """Values of a ray for each coefficient: 1, except for derivatives."""
 
     def __init__(
         self,
-        # The camera; its recorded window may be a crop.
+        # The camera, whose recorded window may be a crop.
         camera: PlenopticCamera,
-        # Finds the radiance along rays.
+        # Radiance along rays, a `SceneLight`.
         light: Any,
-        # The wavelengths at which the radiance is diffracted, and the channels that record it.
+        # The wavelengths at which diffraction is computed, and the channels that record each.
         nodes: Sequence[Node],
-        # From which rays have wavelengths of their own.
+        # The distribution of the rays' wavelengths, if rays have wavelengths of their own.
         drawn: DrawnWavelengths | None = None,
         *,
-        # Cells of the grid across a pixel.
+        # Count of grid cells across a pixel.
         parts: int,
-        # Rays of a pixel, shared by its cells and by the lenses that light them: each pair of these gets two at least.
+        # Rays per pixel, divided among its cells and the lenses that light them; each pair of these gets at least two.
         spp: int,
         seed: int,
     ) -> None:
@@ -91,24 +91,24 @@ class SignedRaySum:
         self._known_part = 0.0 if self._draws.by_points else 1.0
         self._response = angular_response(camera.pixel_response)
         rays = max(_LEAST, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
-        # Of drawn wavelengths, the least that correct each other have the same.
+        # With drawn wavelengths, a pass has only the fewest rays that correct each other and share their wavelengths.
         self._spp = rays if drawn is None else _LEAST
         self._passes = round(rays / self._spp)
         self._channels = [channel for node in nodes for channel in node.channels]
         self.channels = max(self._channels) + 1
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
-        # Kernels are made before the images, whose memory they would add to.
+        # Kernels are computed before the images, so that the peaks of their memory do not add up.
         self._bins = box_of(camera, self._step, max(margin_of(kernels) for kernels in self._kernels))
         values = sum(len(kernels) * len(node.channels) for kernels, node in zip(self._kernels, nodes, strict=True))
         self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
     def batches(self, first: int) -> Iterator[Block]:
-        """Trace the rays of the blocks from one on, and yield what is left to do."""
+        """Trace the rays of the blocks from index `first`, and yield their images, which are to be convolved."""
         for number, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, number])
-            # The threads that compute the batches have put Dr.Jit's own to rest.
+            # Dr.Jit's own threads rest while others compute the batches; here they are needed.
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.numpy().reshape(-1, bins.rows, bins.columns) for part in sums]
@@ -120,7 +120,7 @@ class SignedRaySum:
 
     @cached_property
     def _kernels(self) -> list[list[NDArray[np.float32]]]:
-        """Those of each node, for each type of lenses. A pixel is the mean of its cells."""
+        """Return the kernels of each node for each lens type, scaled so that a pixel is the mean of its cells."""
         return [
             [
                 (kernel / self._parts**2).astype(np.float32)
@@ -131,12 +131,12 @@ class SignedRaySum:
         ]
 
     def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        """Return the kernels of lenses of a kind, for each value of a ray."""
+        """Return the kernels of a kind of lenses, one for each value of a ray."""
         return list(plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind))
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
-        """That of each image: those of a node's channels share one."""
+        """Return the convolution of each image; the channels of a node share one."""
         size = self._blocks[0].rows, self._blocks[0].columns
         order = 0 if self._draws.by_points else ORDER - 1
         made = [Convolution(self._camera, kernels, self._step, order, size) for kernels in self._kernels]
@@ -147,9 +147,9 @@ class SignedRaySum:
         return [coefficients_of(node.plan) for node in self._nodes]
 
     def _trace(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> list[Any]:
-        """Trace the rays of some cells of a box.
+        """Trace the rays of cells of a box.
 
-        Return for each image what they bring of each kernel, (values, cells) flat.
+        Return each image's coefficients, an array (kinds * values, cells) that is flattened.
         """
         kinds = len(self._draws.kinds.every)
         sums = [
@@ -163,7 +163,7 @@ class SignedRaySum:
             for total, parts in zip(sums, self._collect(lot), strict=True):
                 first = lot.first(every, len(parts))
                 for number, part in enumerate(parts):
-                    # Every cell is in it once.
+                    # No conflicts, because a lot contains each cell at most once.
                     dr.scatter_reduce(
                         dr.ReduceOp.Add, total, part, first + every * number, mode=dr.ReduceMode.NoConflicts
                     )
@@ -171,11 +171,11 @@ class SignedRaySum:
         return sums
 
     def _values_of(self, node: Node) -> int:
-        """Return how many values a ray has for each image of a node."""
+        """Return the count of values that a ray has for each image of a node."""
         return self._sets * len(node.plan.exponents)
 
     def _lots(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
-        """Yield some cells of a box with all lenses that light them, in lots."""
+        """Yield cells of a box with each lens that lights them, in lots."""
         for steps in self._draws.candidates:
             aims = self._draws.aims(Cells(box, cells, steps))
             pupil = self._draws.seen(aims.middle, aims)
@@ -193,10 +193,10 @@ class SignedRaySum:
                     yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
 
     def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[Any]]]]:
-        """Yield the lots of all blocks, and what a figure changes by with what their rays bring.
+        """Yield the lots of all blocks, and the gradients with respect to the images of their coefficients.
 
-        Given is the figure's gradient with respect to the sum, by channel (rows, columns). The changes are those with
-        each image of each node, flat as `_trace` returns the images.
+        `gradient` is that with respect to the sum, by channel (rows, columns). A gradient is yielded for each image of
+        each node, in the flat layout in which `_trace` returns the images.
         """
         for number, bins in enumerate(self._blocks):
             convolutions, felt = iter(self._convolutions), []
@@ -208,31 +208,31 @@ class SignedRaySum:
                 yield lot, felt
 
     def probe(self) -> NDArray[np.float32]:
-        """Return what some cells' rays bring, by which a scene and its camera are known as the same."""
+        """Return the coefficients of some cells, which identify a scene and its camera."""
         cells = self._some(_PROBES)
         return np.concatenate([part.numpy() for part in self._trace(self._bins, cells, np.random.SeedSequence(0))])
 
     def cost(self) -> tuple[float, float]:
-        """Estimate the time, in seconds, from some of the cells and tiles, and the bytes that the sum takes."""
+        """Estimate from some of the cells and tiles the time in seconds and the bytes that the sum takes."""
         start = time.perf_counter()
         convolutions = self._convolutions
         made = time.perf_counter() - start
         count = self._bins.rows * self._bins.columns
         convolved, memory = cost_of(convolutions, self._blocks[0], count)
-        # The first compiles the kernels.
+        # The first run compiles the kernels, and is left out.
         seconds = [self._timed(self._some(_CELLS), seed) for seed in range(3)]
-        # Tables are held by their plans and on the device.
+        # Tables are in memory twice: in their plans and in Dr.Jit's arrays.
         plans = [node.plan for node in self._nodes if not node.plan.by_points]
         tables = 2 * sum(part.nbytes for plan in plans for part in plan.table)
         return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
 
     def _some(self, count: int) -> Any:
-        """Return some cells, evenly over all."""
+        """Return the indices of `count` cells, evenly spaced over all."""
         every = self._bins.rows * self._bins.columns
         return mi.UInt32(np.linspace(0, every - 1, min(count, every)).astype(np.uint32))
 
     def _timed(self, cells: Any, seed: int) -> float:
-        """Time the rays of some cells; return the seconds a cell."""
+        """Time the rays of cells; return the seconds per cell."""
         with busy_drjit():
             dr.sync_thread()
             start = time.perf_counter()
@@ -241,7 +241,7 @@ class SignedRaySum:
             return (time.perf_counter() - start) / dr.width(cells)
 
     def _lanes(self, cells: Cells, turn: int, seed: int) -> list[Lanes | None]:
-        """Return the wavelengths of the rays of some cells in one of the passes, for each group of nodes."""
+        """Return the wavelengths of the rays of cells in one of the passes, for each group of nodes."""
         if self._drawn is None:
             return [None for _ in self._groups]
         chance = chances(dr.opaque(mi.UInt32, cells.box.columns), cells.index, turn, seed)
@@ -252,7 +252,7 @@ class SignedRaySum:
         return lanes
 
     def _collect(self, lot: Lot) -> list[list[Any]]:
-        """Trace the rays of a lot; return for each image what they bring."""
+        """Trace the rays of a lot; return the coefficients for each image."""
         count, key = dr.width(lot.cells.index), dr.opaque(mi.UInt32, lot.seed & ~15)
         drawn, own = self._drawn_rays(lot.cells, key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
@@ -267,7 +267,7 @@ class SignedRaySum:
         return brought
 
     def _drawn_rays(self, cells: Cells, key: Any) -> tuple[Drawn, Any]:
-        """Return all rays of some cells, a lane each, and the places of their cells among these."""
+        """Return all rays of cells, one per lane, and for each ray the position of its cell among these."""
         spp = dr.opaque(mi.UInt32, self._spp)
         lane = dr.arange(mi.UInt32, dr.width(cells.index) * self._spp)
         own = lane // spp
@@ -275,22 +275,22 @@ class SignedRaySum:
         return self._draws.draw(each, lane - own * spp, key), own
 
     def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
-        """Return what finds the radiance along rays takes: see `SceneLight`."""
+        """Return the arguments of the light: see `SceneLight`."""
         start, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
-        # Beside a lens, surfaces may send rays back.
+        # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
         seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
         if lanes is None:
             return start, direction, seen, seed
         return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
 
     def _answer(self, drawn: Drawn) -> Any:
-        """Return how the pixels answer to light from the directions of rays."""
+        """Return the angular response of the pixels for the directions of rays."""
         return 1 if self._response is None else self._response(self._draws.incidence(drawn))
 
     def _known(self, radiance: list[Any], seen: Any, count: int) -> tuple[list[Pair], Any]:
-        """Return, for each of its values, the mean radiance that the rays of even and of odd numbers have found.
+        """Return, for each value of the radiance, the means over the rays of even and over those of odd indices.
 
-        Return, too, which cells have any; derivatives of radiance may cancel in the means.
+        Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
         """
         (counts, *sums), lit = self._halves(seen, radiance, count)
         means = [
@@ -301,9 +301,9 @@ class SignedRaySum:
         return means, lit
 
     def _halves(self, seen: Any, values: list[Any], count: int) -> tuple[list[Pair], Any]:
-        """Return sums over the rays of even and those of odd numbers of cells: of `seen`, and of each of some values.
+        """Return for each cell the sums over rays of even and of odd indices, of `seen` and of each of the values.
 
-        Return, too, where any of these values is not zero.
+        Return also the mask of the cells in which any of the values is not zero.
         """
         spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
 
@@ -330,10 +330,10 @@ class SignedRaySum:
         number: int,
         lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, what rays bring of each kernel."""
+        """Return, for each image of a node, the rays' mean coefficients of each kernel."""
         spp = dr.opaque(mi.UInt32, self._spp)
         first = dr.arange(mi.UInt32, dr.width(cells.index)) * spp
-        # Made before the loop, of which they are no part.
+        # Computed before the recorded loop, so as not to become a part of it.
         node, coefficients = self._nodes[number], self._coefficients[number]
         used, weights = node.mixture(lanes)
         radiance, known = [radiance[i] for i in used], [known[i] for i in used]
@@ -357,7 +357,7 @@ class SignedRaySum:
         return self._mean_of(bring, lit, node)
 
     def _mean_of(self, bring: Callable[..., Any], lit: Any, node: Node) -> list[list[Any]]:
-        """Return the mean of what the rays of each lit cell bring, one after another, for each image of a node."""
+        """Return the mean coefficients of each lit cell, over its rays in a loop, for each image of a node."""
         nothing = [[mi.Float(0) for _ in range(self._values_of(node))] for _ in node.channels]
         end = dr.select(lit, dr.opaque(mi.UInt32, self._spp), 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
@@ -366,7 +366,7 @@ class SignedRaySum:
 
 
 def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:
-    """Return the main lens of nodes whose rays go the same ways, and their numbers."""
+    """Group the nodes whose rays follow the same paths; return the main lens and the node indices of each group."""
     found: dict[float, tuple[RayPupil, list[int]]] = {}
     for number, node in enumerate(nodes):
         pupil = RayPupil(node.plan.system)

@@ -1,10 +1,10 @@
-"""Quantities that follow from a camera's parameters: functions of a `PlenopticCamera`, in closed form and by rays.
+"""Quantities that follow from a camera's parameters: functions of a `PlenopticCamera`.
 
-`focus` says what the microlenses are focused on, and how sharply the camera sees at which distance; `micro_images`
-how large the micro-images are, by rays and with diffraction, and which lenses light a pixel; `deconvolution`
-how finely a plane can be resolved by inverting the camera's response; `microscope` is for objectives.
+`focus` has the planes in focus and the resolution at each distance; `micro_images` the size of micro-images, with and
+without diffraction, and the lenses that light a pixel; `deconvolution` the resolution that can be reached by inverting
+the camera's response; `microscope` quantities of cameras with objectives.
 
-A wavelength is in nanometres; where it may be left out, diffraction then is, too.
+Wavelengths are in nanometres. Where a wavelength is optional, diffraction is neglected without it.
 """
 
 from .deconvolution import ResolutionLimit, resolution_limit

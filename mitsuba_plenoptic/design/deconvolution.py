@@ -1,4 +1,4 @@
-r"""How finely a capture can be resolved by inverting the camera's response, away from focus.
+r"""The resolution that can be reached out of focus by inverting the camera's response.
 
 A point out of focus lights many lenses, each of which sees it from elsewhere at another phase of the pixels. At the
 defocus s (see `PlenopticCamera.defocus`) two things limit their joint resolution: the diffraction of a microlens of the
@@ -83,7 +83,8 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
         Object distance from the main lens in millimetres, or depth beyond an objective's native object plane; at
         infinity line pairs count per unit of slope.
     wavelength : float, optional
-        Wavelength in nanometres. Default: by rays, where a plane is in focus whose blur is below one lens.
+        Wavelength in nanometres. By default diffraction is neglected; a plane is then in focus if its blur is below one
+        lens.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-r"""How sharply a camera sees at which distance, whatever its microlenses are focused on.
+r"""The resolution of a camera at each object distance, for unfocused and focused microlenses.
 
 A pixel gathers the rays through all of its lens. In the plane of the main lens's image of an object, a before the MLA,
 they fill a spot, by the similar triangles of thin lenses: as wide as the lens where the MLA is, and as the image of a
@@ -33,7 +33,7 @@ from .micro_images import direction_count, spot_radius
 
 
 def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
-    r"""Return what each type of microlens is focused on.
+    r"""Return for each type of microlens the name of what it is focused on.
 
     - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
       spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.

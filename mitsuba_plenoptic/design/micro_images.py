@@ -1,4 +1,4 @@
-"""How large a camera's micro-images are, by rays and with diffraction, and which lenses light a pixel."""
+"""The size of a camera's micro-images, with and without diffraction, and the lenses that light a pixel."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
 
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
-    """Directions told apart across a micro-image: its diameter over a pixel or the spot, whichever is larger."""
+    """Return the directions resolved across a micro-image: its diameter over a pixel or the spot, if that is larger."""
     spot = 0.0 if wavelength is None else spot_radius(camera, wavelength)
     return camera.micro_image_diameter / max(camera.pixel_size, spot)
 
@@ -73,7 +73,7 @@ def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
 
 
 def white_mean(camera: PlenopticCamera) -> float:
-    r"""Mean of an endless capture of a scene of uniform radiance 1.
+    r"""Return the mean of an unbounded capture of a scene of uniform radiance 1.
 
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
     mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
@@ -89,7 +89,7 @@ def white_mean(camera: PlenopticCamera) -> float:
 
 
 def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
-    """Find the lenses that can light a pixel, from the one of its chief ray, and those up to a distance beyond.
+    """Find the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
 
     The ray from a detector point p through the point c + d of a lens meets the pupil plane in
     :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
@@ -101,7 +101,7 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
     camera : PlenopticCamera
         The camera.
     beyond : float
-        Distance in millimetres by which lenses are looked for farther out.
+        Width in millimetres of the margin.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
 
 
 def crosstalk_lenses(camera: PlenopticCamera) -> int:
-    """Count the lenses that can light one pixel; above 100,000 by the area that they cover."""
+    """Count the lenses that can light one pixel; counts above 100,000 are estimated from the area."""
     lenses = _crosstalk(camera)[0]
     return len(crosstalk_neighbours(camera)) if lenses <= MOST_OVERLAP else round(lenses)
 

@@ -107,7 +107,7 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
 
 
 def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Say in one sentence each what is poor about a microscope."""
+    """Return warnings about the design of a microscope, one sentence each."""
     lens, found = objective_of(camera), []
     if lens.images_stop:
         across = lenses_across_stop(camera)

@@ -14,7 +14,7 @@ _SMALLEST_PIXEL = 2e-4
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Say in one sentence each what is poor about a design."""
+    """Return warnings about a design, one sentence each."""
     if not camera.lens_data.converges:
         return microscope_warnings(camera, wavelength)
     found = []
@@ -65,7 +65,7 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
 
 
 def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
-    """Say where the lenses of a focused camera leave gaps between their pictures."""
+    """Return warnings if the lenses of a focused camera leave gaps at the distances where they are sharpest."""
     if focus_type(camera) == "unfocused":
         return []
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}

@@ -1,4 +1,4 @@
-"""Fitting a camera's parameters to captures of known light, by waves or by rays."""
+"""Fitting of a camera's parameters to captures of known light, with the wave model or the ray model."""
 
 from .approach import coarse_fit, lattice_from_white
 from .fit import fit

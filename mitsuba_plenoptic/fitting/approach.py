@@ -1,4 +1,4 @@
-"""A camera near the one that has recorded known light, found from afar."""
+"""Coarse fits: a camera near enough to the true one for `fit` to converge."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     Parameters
     ----------
     camera : PlenopticCamera
-        What is known of the camera: its distances give how much closer than their micro-images the lenses stand, and
-        its lattice which of all equal ones is meant: the one whose axis and angle are nearest.
+        The approximate camera. Its distances determine the ratio of the lens pitch to that of the micro-images, and its
+        lattice selects, among equivalent lattices, the one of the nearest axis and angle.
     white : array (rows, columns)
         A capture of something evenly white.
 
@@ -42,7 +42,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     distance = np.hypot(*place.T)
     reach, found = 3 * max(camera.mla_pitches), camera
     while True:
-        # From the axis outwards, so that what is wrong of the start does not count in whole lenses.
+        # From the axis outwards, so that errors of the start do not add up to whole lenses.
         found = _fitted(found, place[distance <= reach])
         if reach > distance.max():
             return found
@@ -104,10 +104,10 @@ def coarse_fit(
 ) -> PlenopticCamera:
     """Find a camera from which `fit` converges, where the start is some percent off in every length.
 
-    Spots of a model that do not overlap those of a capture do not find them. Here both are blurred, at first so far
-    that they overlap and then less and less, and the least squares of their differences are found by rays, which is
-    quick. What rays do not know, diffraction, and what is blurred make the result wrong by more than the noise of
-    photons.
+    A fit does not converge if the spots of the model do not overlap those of a capture. Here both are blurred, at first
+    so that they overlap and then less and less, and the least squares of their differences are found with the fast ray
+    model. Because of the blur, and of diffraction, which the ray model neglects, the error of the result is larger than
+    that due to photon noise.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def coarse_fit(
     views : View, or sequence of View
         Captures by one camera, and their light.
     names : str or iterable of str
-        What is sought, as for `fit`.
+        The parameters that are fitted, as for `fit`.
     wavelength : float
         In nanometres.
     bounds : mapping, optional

@@ -49,15 +49,15 @@ def fit(
 ) -> Fit:
     r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
 
-    Least squares of the pixels over their deviations (a trust region method: ``scipy.optimize.least_squares``), by
-    waves with the derivatives of `CaptureOperator`, by rays with differences of captures whose rays are held. The light
-    is held. Where the noise is that of counted electrons, its variance is the one that the model expects, taken anew
-    after a first fit: with that of the data, bright pixels would count too little, and the numbers would be biased.
-    In the dark, where less than one electron is expected, pixels are weighted as if it were one; deviations and
+    The weighted squares of the residuals are minimised by a trust region method (``scipy.optimize.least_squares``). The
+    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays.
+    The light does not change. If the noise is that of counted electrons, its variance is the one that the model
+    expects, which is updated after a first fit: variances from the data would give bright pixels the wrong weights and
+    bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one; deviations and
     chi-square take that into account.
 
-    A warning follows where chi-square is more than five of its deviations from 1, where a number ends at a bound, and
-    where the search has not settled.
+    A warning is issued if chi-square differs from 1 by more than five of its deviations, if a parameter ends at a
+    bound, or if the search has not converged.
 
     Parameters
     ----------
@@ -73,13 +73,13 @@ def fit(
     wavelength : float
         In nanometres.
     photons : float, optional
-        Photons that are counted in a pixel of value 1, for views whose noise is not given.
+        Photons counted in a pixel of value 1, for views whose noise is not given.
     bounds : mapping, optional
-        By name, as in `Fit.values`, the lowest and the highest value. Default: what keeps lengths within half of where
-        they start, angles within 50 degrees, and ``mla_fill`` at most 1. A number that ends there is warned of, and
-        its deviation is one-sided, see `Fit`.
+        By name, as in `Fit.values`, the lowest and the highest value. By default lengths stay within 50 % of their
+        start, angles within 50 degrees of it, and ``mla_fill`` is at most 1. A parameter that ends at a bound causes a
+        warning, and its deviation is one-sided, see `Fit`.
     model : {"ray", "wave"}
-        How the light of the points goes through the camera. Rays are quicker and know no diffraction.
+        Model of the light in the camera. The ray model is faster and neglects diffraction.
     accuracy : float
         As for `CaptureOperator`, for the wave model. Above 0 shared point spreads make the model jump a little.
     progress : callable, optional
@@ -91,7 +91,7 @@ def fit(
     ------
     InputError
         If an input has a wrong value, the camera has an objective, a capture is black or negative, the noise of a view
-        is not known, or a number changes no pixel.
+        is not known, or a parameter changes no pixel.
     """
     from scipy.optimize import least_squares
 
@@ -222,7 +222,7 @@ class _Trials:
 
 
 def _digest(views: list[View]) -> str:
-    """Return by what captures and their light are known as the same."""
+    """Return a digest that identifies captures and their light."""
     arrays: list[NDArray[Any] | None] = []
     for view in views:
         pupil = PupilWeights.of(view.pupil_weights, len(view.points))

@@ -249,7 +249,7 @@ class View:
 
 
 def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:
-    """Refuse no view at all, captures of another size than the camera's, and those that show no light.
+    """Refuse an empty list, captures whose size differs from the camera's, and captures that show no light.
 
     `default` is the noise of views that have none.
     """
@@ -274,7 +274,7 @@ def known_view(
     mask: Any = None,
     saturation: float | None = None,
 ) -> View:
-    """Return a capture of a scene with points of its surfaces, found by rays as for method ``points`` of waves.
+    """Return a view of a scene's capture, whose points are found as for the wave captures' method ``points``.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def known_view(
     Raises
     ------
     InputError
-        If an input has a wrong value, or the scene shows nothing that shines or what is no matte surface.
+        If an input has a wrong value, the scene shows no light, or it has a surface that is not matte.
     """
     seen = with_camera(scene, camera)
     sensor = plenoptic_sensor(seen)

@@ -1,4 +1,4 @@
-"""The numbers of a camera that a fit varies, and the wave capture that a camera of other numbers would record."""
+"""The parameters of a camera that a fit varies, and the expected wave captures of a camera."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .light import View
 
 
 def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVector:
-    """Return the numbers of a camera that are fitted, of aberrations all but the piston.
+    """Return the vector of the fitted parameters; the piston of aberrations is left out.
 
-    Names are refused that captures have no derivative by, or that mean nothing to the camera.
+    Names of parameters without a derivative, or that do not apply to the camera, are refused.
     """
     given = (names,) if isinstance(names, str) else tuple(names)
     chosen = check_names(dict.fromkeys(given))
@@ -32,14 +32,14 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
 
 
 class Model:
-    """What a camera is expected to record of some views by waves."""
+    """The captures of views that are expected of a camera by the wave model."""
 
     def __init__(
         self,
         camera: PlenopticCamera,
         views: list[View],
         wavelength: float,
-        # As of `CaptureOperator`.
+        # Tolerance as in `CaptureOperator`.
         accuracy: float,
     ) -> None:
         self._camera, self._views = camera, views
@@ -64,14 +64,14 @@ class Model:
         return np.stack([operator.forward(weights) for operator, weights in pairs]).astype(np.float64)
 
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of `images` by numbers, (numbers, views, rows, columns)."""
+        """Return the derivatives of `images`, an array (parameters, views, rows, columns)."""
         names, directions = vector.names, vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
             slopes = light_slopes(self._system, names, view.points)
             growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
             grown = [
-                # All the light together, or each point's by itself.
+                # If the weights of all points grow equally, the image is scaled; otherwise it is computed anew.
                 each[0] * image if (each == each[0]).all() else operator.forward(each * weights)
                 for each in growth
             ]

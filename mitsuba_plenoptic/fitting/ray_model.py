@@ -1,4 +1,4 @@
-"""What a camera of other numbers would record by rays."""
+"""The captures of known light that are expected of a camera by the ray model."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ _SHARPEST = 1e-3
 
 
 class PointRays:
-    """The rays of some points, of which the counts are planned for one camera and held for others that are near it."""
+    """The rays of points, whose counts are planned for one camera and used for all cameras near it."""
 
     def __init__(
         self,
         camera: PlenopticCamera,
-        # Incoherent points in the camera frame, in millimetres; (n, 3).
+        # Incoherent points (x, y, z) in the camera frame, in millimetres, an array (n, 3).
         points: NDArray[np.float64],
-        # In nanometres; rays of real main lenses depend on it.
+        # Wavelength in nanometres, on which rays through real main lenses depend.
         wavelength: float,
         # Relative power over the pupil.
         pupil_weights: PupilWeights | None = None,
@@ -93,7 +93,7 @@ class PointRays:
 
 
 def _require_known(camera: PlenopticCamera) -> None:
-    """Refuse a camera through which points cannot be followed, as `PointRays` says."""
+    """Refuse a camera through which the rays of points cannot be traced."""
     require_known_to(camera, Captures.POINTS, "points are followed")
     require_no_glass(camera, "points are followed at one wavelength;")
     camera.require_no_objective("points are followed by rays")
@@ -105,7 +105,7 @@ def _require_known(camera: PlenopticCamera) -> None:
 
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Return by how much rays move on the array, and on the detector, as they move on the pupil."""
+    """Return the displacements of rays on the array and on the detector per displacement on the pupil."""
     b, z = float(lens.pupil_distance), camera.detector_distance
     on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
     bends = [1 + z / b - z / f2 for f2 in camera.mla_focal_lengths]
@@ -118,7 +118,7 @@ class _Bundles:
 
     camera: PlenopticCamera
     lens: MainLens
-    # The points; (n, 3).
+    # The points (x, y, z), an array (n, 3).
     points: NDArray[np.float64]
     across: int
     # Relative power over the pupil.
@@ -135,7 +135,7 @@ class _Bundles:
         def value(numbers: NDArray[np.float64]) -> Any:
             return dr.gather(Float64, Float64(np.ascontiguousarray(numbers)), which)
 
-        # One place beyond the edge on either side.
+        # One pixel beyond the edge on either side.
         radius = self._number(self.lens.pupil_radius)
         step = radius * (2 / (side - 2))
         pupil = tuple((Float64(part) + (0.5 - side / 2)) * step for part in (within % side, within // side))
@@ -153,17 +153,17 @@ class _Bundles:
 
     @staticmethod
     def _number(value: Any) -> Any:
-        """Return a number that is not compiled into kernels, so that they serve cameras that are a little different."""
+        """Return an opaque value, so that the compiled kernels can be reused for other values."""
         return dr.opaque(array_module().Float64, float(value))
 
     @cached_property
     def _lens(self) -> MainLens:
-        """The main lens, of such numbers where it is thin."""
+        """Return the main lens, with opaque values if it is thin."""
         return self.lens.opaque(self._number)
 
     @cached_property
     def _lattice(self) -> Lattice:
-        """The microlens array, of such numbers."""
+        """Return the microlens array with opaque values."""
         camera = self.camera
         along, across = (self._number(pitch) for pitch in camera.mla_pitches)
         offset = tuple(self._number(part) for part in camera.mla_offset)
@@ -172,7 +172,7 @@ class _Bundles:
         )
 
     def _lenses(self, place: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
-        """Return the lenses that rays come to, and the part of each ray's light that each of them gets."""
+        """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
         lattice, plain = self._lattice, self.camera.lattice
         cell = lattice.cell(*place)
         u, v = lattice.to_frame(place[0] - lattice.offset[0], place[1] - lattice.offset[1])
@@ -196,7 +196,7 @@ class _Bundles:
         return [(lens, share / whole) for lens, share in found]
 
     def _detector_place(self, pupil: tuple[Any, Any], place: tuple[Any, Any], i: Any, j: Any) -> tuple[Any, Any]:
-        """Return where rays come to the detector through lenses of some numbers."""
+        """Return the positions at which rays through lenses of the given indices hit the detector."""
         camera, lattice = self.camera, self._lattice
         lengths = [self._number(length) for length in camera.mla_focal_lengths]
         f2 = lengths[0]
@@ -214,7 +214,7 @@ class _Bundles:
         return x, y
 
     def _detect(self, image: Any, place: tuple[Any, Any], width: Any, power: Any) -> None:
-        """Add squares of some width around places of the detector to the pixels that they lie on."""
+        """Add squares around positions on the detector to the pixels that they cover."""
         camera, UInt32 = self.camera, array_module().UInt32
         rows, columns = camera.shape
         size = self._number(camera.pixel_size)
@@ -223,7 +223,7 @@ class _Bundles:
         for axis, q in enumerate(place):
             pixel = q / size + (camera.resolution[axis] / 2 - camera.crop_offset[axis])
             first = dr.floor(pixel - half)
-            # The part of the square beyond the border of the two pixels.
+            # The fraction of the square beyond the border of the two pixels.
             beyond = dr.clip((pixel + half - first - 1) / (2 * half), 0, 1)
             sides.append([(first, 1 - beyond), (first + 1, beyond)])
         for (column, across), (row, down) in itertools.product(*sides):
@@ -240,7 +240,7 @@ Over longer ones dark pixels beside edges of the light seem to change with a num
 
 
 def check_numbers(vector: CameraVector) -> None:
-    """Refuse numbers that rays from points do not depend on."""
+    """Refuse parameters on which the rays of points do not depend."""
     if "mla_fill" in vector.names:
         raise InputError("mla_fill: rays from points know no gaps between lenses; fit it by waves")
 
@@ -256,7 +256,7 @@ class RayModels:
         ]
 
     def at(self, camera: PlenopticCamera) -> RayModel:
-        """Return what one of them records."""
+        """Return the model of one of these cameras."""
         return RayModel(self, camera)
 
     def images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
@@ -271,7 +271,7 @@ class RayModels:
 
 
 class RayModel:
-    """What a camera is expected to record of some views by rays; see `RayModels.at`."""
+    """The captures of views that are expected of a camera by the ray model; see `RayModels.at`."""
 
     def __init__(self, models: RayModels, camera: PlenopticCamera) -> None:
         self._models, self._camera = models, camera
@@ -281,7 +281,7 @@ class RayModel:
         return self._models.images(self._camera)
 
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of `images` by numbers, (numbers, views, rows, columns): central differences."""
+        """Return the derivatives of `images`, an array (parameters, views, rows, columns), by central differences."""
         own = vector.of(self._camera)
         x, steps = own.values, _STEP * own.scales
         rows = np.empty((len(x), *images.shape))

@@ -157,7 +157,7 @@ def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Seq
 
 
 def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> Iterator[str]:
-    """Yield why a fit is not to be believed as it stands."""
+    """Yield reasons to doubt a fit, one sentence each."""
     if found.at_bounds:
         named = ", ".join(f"{name} = {found.values[name]:.6g} (its {side})" for name, side in found.at_bounds.items())
         yield (
@@ -165,7 +165,7 @@ def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> 
             "others hold it there"
         )
     off = abs(found.chi_square - 1)
-    # Written so that what is not a number is doubted.
+    # Written so that NaN is also doubted.
     if off <= _FAR * found.chi_square_deviation:
         return
     hints = ""

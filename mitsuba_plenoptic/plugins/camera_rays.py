@@ -23,17 +23,17 @@ from ..prescription.glass import LINE_D
 from ..system.lens_kinds import MOST_DEVIATIONS, irregularities
 
 _STEP = 1.0
-"""Distance in nanometres of the wavelengths between which indices go in straight lines: right to 1e-7."""
+"""Step in nanometres of the wavelengths between which refractive indices are interpolated linearly, right to 1e-7."""
 
 
 @dataclass(frozen=True)
 class RayColours:
-    """Focal lengths and indices of single rays, each of a wavelength of its own."""
+    """Focal lengths and refractive indices for single rays, each with its own wavelength."""
 
-    # Focal lengths of the thin main lens and of the microlenses over those that are stated.
+    # Ratios of the focal lengths of the thin main lens and of the microlenses to the camera's parameters.
     ratio: Any
     mla_ratio: Any
-    # Behind each surface of a real main lens.
+    # Refractive indices behind each surface of a real main lens.
     indices: list[Any] | None
 
     def through(self, lens: Any) -> Any:
@@ -45,18 +45,18 @@ class RayColours:
 
 @dataclass(frozen=True)
 class Dispersion:
-    """A camera's glasses, for the colours of the active variant."""
+    """The dispersion of a camera's glasses, for the colours of the active variant."""
 
-    # In rgb variants those of the channels, in spectral ones a grid, in nanometres.
+    # In nanometres: the wavelengths of the channels in rgb variants, a grid in spectral variants.
     wavelengths: tuple[float, ...]
-    # As of `RayColours`, at these wavelengths; what is the same for all of them is a float.
+    # As in `RayColours`, at these wavelengths; a float where the value does not depend on the wavelength.
     ratio: Any
     mla_ratio: Any
     indices: list[Any] | None
 
     @classmethod
     def of(cls, camera: PlenopticCamera) -> Dispersion | None:
-        """Return that of a camera; None where all rays go the same ways."""
+        """Return the dispersion of a camera, or None if the paths of rays do not depend on colour."""
         if not camera.is_dispersive or not (mi.is_rgb or mi.is_spectral):
             return None
         wavelengths = RGB_WAVELENGTHS
@@ -66,7 +66,7 @@ class Dispersion:
         def along(glass: Glass | None, value: Callable[[Glass, float], float]) -> Any:
             if glass is None:
                 return 1.0
-            # Beyond a table detectors are all but blind; its ends stand for what it does not tell.
+            # Beyond a glass's table detectors are nearly blind; the values at its ends are used there.
             low, high = glass.reach
             table = mi.Float([value(glass, min(max(wavelength, low), high)) for wavelength in wavelengths])
             dr.make_opaque(table)
@@ -79,14 +79,14 @@ class Dispersion:
         )
 
     def ends(self, camera: PlenopticCamera) -> list[PlenopticCamera]:
-        """Return a camera as its shortest and longest wavelengths meet it."""
+        """Return the camera at its shortest and at its longest wavelength."""
         glasses = [glass for glass in (camera.glass, camera.mla_glass) if glass is not None]
         low = max([min(self.wavelengths), *(glass.reach[0] for glass in glasses)])
         high = min([max(self.wavelengths), *(glass.reach[1] for glass in glasses)])
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
     def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
-        """Choose the light of rays."""
+        """Choose the wavelength of each ray; return its optics, the rest of the sample, and the channels' weights."""
         if mi.is_spectral:
             place = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(place), len(self.wavelengths) - 2))
@@ -118,11 +118,11 @@ Pair = tuple[Any, Any]
 """x and y in the camera frame."""
 
 Traced = tuple[tuple[Any, Any, Any], Pair, Any]
-"""Where a ray starts towards the scene, its slopes there, and whether the main lens lets it through."""
+"""The point from which a ray starts towards the scene, its slopes there, and whether the main lens transmits it."""
 
 
 class Passage(NamedTuple):
-    """Where rays pass the microlens array: a point of a lens, the lens's centre and its focal length."""
+    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length."""
 
     point: Pair
     centre: Pair
@@ -131,23 +131,23 @@ class Passage(NamedTuple):
 
 @dataclass(frozen=True)
 class CameraRays:
-    """A camera as its rays meet it. Numbers that may carry gradients are Dr.Jit's."""
+    """The geometry of a camera for ray tracing; parameters that may carry gradients are Dr.Jit arrays."""
 
-    # The plain numbers, of which those that have no gradient are taken.
+    # The camera with plain values, for the parameters without gradients.
     camera: PlenopticCamera
     lens: MainLens
     lattice: Lattice
     # Focal lengths of the microlenses, one for each type or one for all.
     focal_lengths: Any
-    # From the array to the detector.
+    # Distance from the array to the detector.
     detector_distance: Any
-    # Of its glasses, if rays of different colours go different ways.
+    # Dispersion of the glasses, if the paths of rays depend on colour.
     dispersion: Dispersion | None
 
     @classmethod
     def of(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays:
-        """Return the rays of a camera."""
-        # An upright lattice needs no turning, unless the gradient for its angle is asked for.
+        """Return the geometry of a camera whose exposed parameters are given as Dr.Jit arrays."""
+        # The rotation is applied only if it is not zero, or a gradient for its angle is requested.
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
         pitch, offset = numbers["mla_pitch"], numbers["mla_offset"]
         lattice = make_lattice(
@@ -170,17 +170,17 @@ class CameraRays:
         )
 
     def neighbours(self, beyond: float = 0.0) -> np.ndarray:
-        """Return the lenses that are tried around the chief ray's, at the wavelength at which most can light it."""
+        """Return the lenses around the chief ray's from which rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
-        # No lens stands farther off.
+        # Irregularities displace lenses by at most this distance.
         beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
         return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
 
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: list[Any]) -> tuple[Passage, Any]:
-        """Choose where rays from points of the detector pass the array.
+        """Choose the points of the array through which rays from detector points pass.
 
-        Shapes: `pixel` (Float, Float).
+        `pixel` is the detector point, a pair of Dr.Jit arrays.
         """
         lattice = self.lattice
         b, z = self.lens.pupil_distance, self.detector_distance
@@ -208,9 +208,9 @@ class CameraRays:
         return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate
 
     def trace(self, pixel: Pair, passage: Passage, light: RayColours | None = None) -> Traced:
-        """Follow rays from points of the detector through the array and the main lens.
+        """Trace rays from points of the detector through the array and the main lens.
 
-        Shapes: `pixel` (Float, Float).
+        `pixel` is the detector point, a pair of Dr.Jit arrays.
         """
         (px, py), (mx, my), (cx, cy), f2 = pixel, *passage
         lens = self.lens
@@ -227,16 +227,16 @@ class CameraRays:
             sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
             slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
         if height is not None:
-            # Where it crosses the plane of the lens on the axis.
+            # The point at which the ray crosses the plane of the lens on the axis.
             mx, my = mx - height * slope[0], my - height * slope[1]
         return lens.trace((mx, my), slope)
 
     def from_pupil(self, pupil: Pair, place: Pair) -> Traced:
-        """Follow the rays through places of the array and points of the pupil."""
+        """Trace the rays through points of the array and points of the pupil."""
         slope = tuple((P - m) / self.lens.pupil_distance for P, m in zip(pupil, place, strict=True))
         return self.lens.trace(place, slope)
 
     def _height(self, x: Any, y: Any) -> Any:
-        """Return by how much a lens of a tilted array stands nearer to the main lens than the one on the axis."""
+        """Return the distance by which a lens of a tilted array is nearer to the main lens than the one on the axis."""
         across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
         return x * across + y * up

@@ -1,4 +1,4 @@
-"""What a wave capture's film answers to: the integrator's parameters on wavelengths, bands and responses."""
+"""The spectral responses of a wave capture's film: the integrator's parameters for wavelengths, bands and responses."""
 
 from __future__ import annotations
 
@@ -21,23 +21,20 @@ from .properties import read_count, read_number, read_plain
 
 
 def put(film: Any, image: NDArray[np.float32], channels: int) -> None:
-    """Fill a film with an image (rows, columns, channels), of which those beyond some are extra ones, of noise."""
+    """Fill a film with an image (rows, columns, channels), whose channels after the first `channels` are noise."""
     extra = image.shape[2] - channels
     film.prepare([f"noise.{channel}" for channel in range(extra)])
     film.put_block(mi.ImageBlock(mi.TensorXf(_block(image, channels)), film.crop_offset()))
 
 
 def develop(film: Any, image: NDArray[np.float32]) -> Any:
-    """Return what a film makes of an image (rows, columns, channels): it is linear in it."""
+    """Return an image (rows, columns, channels) as the film develops it, which is a linear operation."""
     put(film, image, image.shape[2])
     return film.develop()
 
 
 def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Apply the transpose of `develop`.
-
-    Shapes: `shape` (int, int, int).
-    """
+    """Apply the transpose of `develop` to a gradient; `shape` is that of the image (rows, columns, channels)."""
     block = mi.TensorXf(_block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
     film.prepare([])
@@ -49,7 +46,7 @@ def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArr
 
 
 def _block(image: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
-    """Return red, green, blue, a weight of 1, and what else there is."""
+    """Return a block with the channels red, green, blue, a weight of 1, and the extra channels."""
     block = np.ones((*image.shape[:2], 4 + image.shape[2] - channels), dtype=np.float32)
     block[..., :3] = image[..., :channels]
     block[..., 4:] = image[..., channels:]
@@ -63,40 +60,40 @@ DEFAULT_WAVELENGTH = 633.0
 SRGB = "srgb"
 
 BAND_NODES = 8
-"""Wavelengths of a band where their number is not given, of which fewer point spreads may be computed."""
+"""Default count of wavelengths of a band; point spreads may be computed at fewer."""
 
 SHARED = 32
-"""Wavelengths of a band whose light is shared by nodes of signed rays."""
+"""Count of wavelengths of a band whose light is distributed to the nodes of signed rays."""
 
 
 @dataclass(frozen=True)
 class Colours:
     """Wavelengths and responses of the channels of wave captures."""
 
-    # Of each channel of light in nanometres; with responses those of the default.
+    # Wavelength of each channel of light in nanometres; the default if responses are given.
     wavelengths: tuple[float, ...]
-    # Whether they are given, or those of the default.
+    # Whether the wavelengths are given, or the default.
     given: bool
-    # Full width of the band around each.
+    # Full width in nanometres of the band around each wavelength.
     bandwidth: float | None
     # ``srgb``, or the name of a file.
     responses: str | None
-    # What the file holds: a wavelength and each channel's response to a row; (rows, 1 + channels).
+    # Content of the file, (rows, 1 + channels): each row has a wavelength and the response of each channel.
     table: NDArray[np.float64] | None
-    # Wavelengths of responses.
+    # Count of wavelengths of the responses.
     count: int
-    # At how many wavelengths point spreads are computed.
+    # Count of wavelengths at which diffraction is computed; None means as many as the accuracy needs.
     nodes: int | None
 
     def spectrum_for(self, channels: int, tables: Sequence[Table], count: int | None = None) -> Spectrum | None:
-        """Return the spectrum of a film of so many channels; None if each channel of light has one wavelength.
+        """Return the spectrum of a film with `channels`; None if each channel of light has one wavelength.
 
-        `tables` are spectra of the scene whose products with the responses must be integrated right, and `count` the
-        wavelengths of each band; by default `nodes`.
+        `tables` are spectra of the scene whose products with the responses must be integrated accurately. `count` is
+        that of the wavelengths of each band, by default `nodes`.
         """
         if self.table is not None:
             columns = self.table.shape[1] - 1
-            # A film of luminance takes three channels, too, but would add up what it does not know as colours.
+            # A luminance film accepts three channels, too, but would add them up as if they were colours.
             if columns not in (1, channels):
                 raise InputError(
                     f"responses = {self.responses}: {columns} channels, and the film has {channels}: "
@@ -115,7 +112,7 @@ class Colours:
         return None
 
     def signed(self, channels: int) -> SignedColours:
-        """Return what captures by signed rays need to know."""
+        """Return the responses in the form that signed-ray captures use."""
         spectrum, nodes = self.spectrum_for(channels, (), SHARED), self.nodes
         if spectrum is None:
             return SignedColours.lines(self.wavelengths)
@@ -135,7 +132,7 @@ class Colours:
         return Responses(lambda places: np.full((1, len(places)), 1 / width), centre - width / 2, centre + width / 2)
 
     def upsampling(self, spectrum: Spectrum) -> NDArray[np.float64] | None:
-        """Return the matrix (channels of light, wavelengths) from radiance to spectra; None if it has one already."""
+        """Return the matrix (channels of light, wavelengths) from radiance to spectra; None in spectral variants."""
         if mi.is_spectral:
             return None
         if self.bandwidth is not None:
@@ -147,15 +144,15 @@ class Colours:
         basis = colour.upsampling(spectrum.wavelengths)
         if self.responses != SRGB:
             return basis
-        # Their sums are no integrals to the last digit; what is grey shall stay so.
+        # Sums over wavelengths approximate integrals; the matrix is corrected so that grey remains exactly grey.
         return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
 
     def total_nodes(self) -> int | None:
-        """Return at how many wavelengths of the spectrum point spreads are computed; None: as many as they need."""
+        """Return the count of wavelengths at which point spreads are computed; None means as many as they need."""
         return None if self.nodes is None else self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
 
     def parameters(self) -> dict[str, Any]:
-        """Return them by name, as ``mi.load_dict`` takes them."""
+        """Return the parameters by name, as for ``mi.load_dict``."""
         made: dict[str, Any] = {}
         if self.responses is None and (self.given or not mi.is_spectral):
             made["wavelength"] = ", ".join(f"{wavelength:g}" for wavelength in self.wavelengths)
@@ -171,12 +168,12 @@ class Colours:
 def _between(
     wavelengths: NDArray[np.float64], columns: NDArray[np.float64], places: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return values between the rows of a table."""
+    """Interpolate each column of a table linearly at the given wavelengths."""
     return np.stack([np.interp(places, wavelengths, column) for column in columns])
 
 
 def read_colours(props: Any) -> Colours:
-    """Take wavelengths, bands and responses from a plugin's properties."""
+    """Read wavelengths, bands and responses from a plugin's properties."""
     responses = read_plain(props, "responses", None)
     bandwidth = read_number(props, NAME, "bandwidth", None)
     count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
@@ -210,7 +207,7 @@ def read_colours(props: Any) -> Colours:
 
 
 def _read_wavelengths(props: Any) -> tuple[float, ...]:
-    """Take one wavelength, or one a channel, for the active variant."""
+    """Read one wavelength, or one for each channel, for the active variant."""
     value = props.get("wavelength", None)
     if value is None:
         return RGB_WAVELENGTHS if mi.is_rgb else (DEFAULT_WAVELENGTH,)

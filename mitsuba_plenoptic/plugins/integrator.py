@@ -1,4 +1,4 @@
-"""The integrator plugin ``plenoptic_wave``: what a plenoptic camera records by wave optics."""
+"""The integrator plugin ``plenoptic_wave``: wave captures of plenoptic cameras."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from .properties import read_choice, read_plain
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
-    """Return the names of the camera's parameters that carry gradients, and whether any of the scene's does.
+    """Return the names of the camera's parameters that carry gradients, and whether parameters of the scene do.
 
-    Those by which captures have no derivative are refused.
+    Parameters with respect to which captures have no derivative are refused.
     """
     names, others = [], False
     for key, (_, _, node, _) in {} if params is None else params.properties.items():
@@ -54,23 +54,23 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
 
 
 def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
-    """Return the direction in which a parameter of the camera changes."""
+    """Return the tangent of a parameter of the camera."""
     return np.ravel(np.array(dr.grad(getattr(sensor, name)), np.float64))
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add to the gradient of a parameter of the camera."""
+    """Accumulate the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
 
 SIGNED_RAYS = "signed_rays"
-"""The method that takes all light from the rays of a capture by rays."""
+"""The method that computes the wave capture from the radiance along rays."""
 
 POINTS = "points"
-"""The plain reference: points of matte surfaces, of which each is propagated by itself."""
+"""The reference method: points of matte surfaces, each of which is propagated separately."""
 
-# Integrators that follow light from the emitters, and do not estimate the radiance along a ray.
+# Integrators that trace light from the emitters, and do not estimate the radiance along a ray.
 _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
 
 
@@ -91,21 +91,21 @@ def make_class() -> type:
            - Full width in nanometres of a flat band around each wavelength. (Default: none, light of one wavelength)
          * - responses
            - |string|
-           - Instead of ``wavelength``, what the film's channels answer to: ``srgb``, the colour matching functions of
-             CIE 1931 in linear sRGB, or a table of a detector, a CSV file with a wavelength in nanometres and one or
-             three responses to a row, below a line of names or without. (Default in spectral variants with a film of
-             colours, where no ``wavelength`` is given: ``srgb``)
+           - Instead of ``wavelength``, the responses of the film's channels: ``srgb``, the colour matching functions of
+             CIE 1931 in linear sRGB, or a CSV file with the responses of a detector. Each row has a wavelength in
+             nanometres and one or three responses; a first line of names is optional. (Default in spectral variants
+             with a colour film, if no ``wavelength`` is given: ``srgb``)
          * - wavelength_count
            - |int|
-           - With ``responses``: at how many wavelengths light is taken, up to 1024; more where the table, or in
-             spectral variants tables of the scene, change faster. (Default: 31)
+           - With ``responses``: count of wavelengths at which light is sampled, up to 1024; more are used where the
+             table, or in spectral variants tables of the scene, change faster. (Default: 31)
          * - nodes
            - |int|
-           - Wavelengths for which diffraction is computed, of each band or with ``responses`` of all; light between two
-             of them is shared by both. (Default: as many as ``accuracy`` needs)
+           - Count of wavelengths at which diffraction is computed, for each band, or with ``responses`` in total; light
+             between two of them is distributed to both. (Default: as many as ``accuracy`` needs)
          * - method
            - |string|
-           - ``signed_rays``: from the rays of a capture by rays. ``points``: matte surfaces point by point, the slow
+           - ``signed_rays``: computed from the radiance along rays. ``points``: matte surfaces point by point, the slow
              reference. (Default: ``signed_rays``)
          * - accuracy
            - |float|
@@ -115,46 +115,48 @@ def make_class() -> type:
            - :paramtype:`integrator`
            - Finds the radiance along rays, like ``path`` or ``direct``. (Default: ``path``)
 
-        Light from different scene points is mutually incoherent. Before the pupil its density in phase space is then
-        the radiance along rays; pupil and microlenses spread it by kernels in closed form. The rays are those that a
-        sensor with ``lens_model="parabolic"`` would draw, and some beside each lens; ``spp`` is their number for each
-        pixel, as by rays. What is diffracted is in signed coefficients of each ray and in kernels, which depend on the
-        camera alone. So the scene may hold all that the nested integrator renders, at the price of a capture by rays.
-        A scene of radiance 1 reads 1 inside wide micro-images, as by rays.
+        Light from different scene points is mutually incoherent. Its phase-space density before the pupil is therefore
+        the radiance along rays, which the pupil and the microlenses diffract by kernels in closed form. The rays are
+        those that a sensor with ``lens_model="parabolic"`` would draw, and some outside of each lens's aperture;
+        ``spp`` is their count per pixel, as in a ray capture. Diffraction is described by signed coefficients of each
+        ray and by kernels, which depend only on the camera. So the scene may contain all that the nested integrator
+        renders, and the cost is similar to that of a ray capture. As in a ray capture, a scene of radiance 1 reads 1
+        inside wide micro-images.
 
-        All main lenses and arrays that the sensor takes are served, but for the Fourier arrangement of microscopes, and
+        All main lenses and arrays of the sensor are supported, except the Fourier arrangement of microscopes, and
         detectors far from the microlenses' focus whose pixels are finer than the pupil's diffraction. With bands and
-        responses, kernels are those of some wavelengths, ``nodes``, between which light is shared in straight lines; in
-        spectral variants each ray has wavelengths of its own, whatever the scene. A main lens that disperses light
-        gives each node rays of its own.
+        responses, kernels are computed at the wavelengths of the ``nodes``, between which light is interpolated
+        linearly; in spectral variants each ray has wavelengths of its own, whatever the scene. With a dispersive main
+        lens each node has rays of its own.
 
-        Method ``points`` is what signed rays are judged by: ``spp`` rays from each microlens, of a pattern (lens point,
-        pupil point) that is the same in all lenses, find ``spp`` points of matte and emitting surfaces where they first
-        hit, shadow rays find what each sees of the pupil, and the field of each is propagated by itself
-        (`CaptureOperator`, method ``patch``); intensities add. 64 light paths are averaged for each point, whose noise
-        is then small against what the pattern of few points leaves. The time grows with ``spp``: 64 points a lens show
-        white walls in focus to 0.5 %, out of focus it takes several hundred, or the mean of seeds. At an accuracy of 0
-        each point takes some 10 ms. Gloss, glass, mirrors, masks, instances, media, environments, moving scenes and
-        objectives are refused by name; it has no gradients and states no noise.
+        Method ``points`` is the reference for signed rays. From each microlens, ``spp`` rays in a pattern (lens point,
+        pupil point) that is the same for all lenses find the ``spp`` points where they first hit matte or emitting
+        surfaces. Shadow rays find the part of the pupil that each point sees, and the field of each is propagated
+        separately (`CaptureOperator`, method ``patch``); intensities add. For each point 64 light paths are averaged,
+        so that their noise is small compared with the error of a pattern of few points. The time grows with ``spp``:
+        64 points per lens reproduce white walls in focus to 0.5 %; out of focus several hundred are needed, or the mean
+        over seeds. At an accuracy of 0 each point takes some 10 ms. Gloss, glass, mirrors, masks, instances, media,
+        environments, moving scenes and objectives are refused by name. This method has no gradients and no noise
+        estimate.
 
         With a band or responses, one set of rays serves all wavelengths. In spectral variants light has the scene's own
-        spectra, in rgb ones those of D65 times the smoothest reflectances that have the colours, in mono ones the same
-        radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has its own focal
-        lengths.
+        spectra, in rgb variants those of D65 times the smoothest reflectances that have the colours, and in mono
+        variants the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has
+        its own focal lengths.
 
-        Scalar waves and thin elements: no polarisation, and thin lenses are parabolic phases, whose geometric twin is
-        the sensor's ``lens_model="parabolic"``. Objects of the scene do not diffract. Polarized variants compute as if
-        unpolarized.
+        Waves are scalar and elements thin: there is no polarisation, and thin lenses are parabolic phases, whose
+        counterpart in the ray model is the sensor's ``lens_model="parabolic"``. Objects of the scene do not diffract.
+        Polarized variants compute as if unpolarized.
 
-        The same seed gives the same bits, on any number of threads.
+        The same seed gives the same bits, with any thread count.
 
-        ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, by what the light depends on:
-        textures, emitters, BSDFs, and media in reverse; shapes do not move. ``path`` is replaced by ``prb``, and
-        ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no gradients by the
-        scene. By the sensor's ``focal_length``, ``mla_distance``, ``mla_focal_length``, ``mla_pitch``, ``mla_offset``,
-        ``detector_distance`` and ``detector_width`` there are gradients behind thin main lenses without aberrations,
-        distortion and glass, of regular arrays near the microlenses' focus. Spectral variants have gradients in
-        reverse alone.
+        ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, with respect to textures,
+        emitters and BSDFs, and in reverse also to media, but not to the positions of shapes. ``path`` is replaced by
+        ``prb``, and ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no
+        gradients for the scene. There are gradients for the sensor's ``focal_length``, ``mla_distance``,
+        ``mla_focal_length``, ``mla_pitch``, ``mla_offset``, ``detector_distance`` and ``detector_width`` if the main
+        lens is thin, without aberrations, distortion and glass, and the array is regular and near the microlenses'
+        focus. Spectral variants have gradients only in reverse.
 
         .. tabs::
             .. code-tab:: xml
@@ -199,7 +201,7 @@ def make_class() -> type:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            """Render the capture; `spp` is the number of rays a pixel."""
+            """Render the capture; `spp` is the count of rays per pixel, or of points per lens by method ``points``."""
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
@@ -208,7 +210,7 @@ def make_class() -> type:
             return film.develop() if develop else None
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
-            """Return the change of the capture with the tangents of parameters, for `mi.render`."""
+            """Return the change of the capture along the parameters' tangents, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
@@ -218,7 +220,7 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Take the gradient of the capture back to that of parameters, for `mi.render`."""
+            """Propagate the gradient of the capture to the parameters, for `mi.render`."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
@@ -230,7 +232,7 @@ def make_class() -> type:
         def _gradients(
             self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
         ) -> tuple[tuple[str, ...], SignedGradients]:
-            """Return which of the camera's numbers have gradients, and what differentiates; or refuse."""
+            """Return the camera parameters with gradients, and the capture's derivatives; refuse what has none."""
             if self.method != SIGNED_RAYS:
                 raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}")
             names, others = numbers_and_others(params, sensor)
@@ -262,13 +264,13 @@ def make_class() -> type:
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Estimate what `record` takes, from some of the lenses and some of the rays."""
+            """Estimate the cost of `record` from a fraction of its work."""
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
             """Return the spectrum that a sensor's film records; None if each channel has one wavelength."""
-            # Signed rays draw their wavelengths, and miss no line; colours of other variants have smooth spectra.
+            # Signed rays draw their wavelengths, so they miss no line; in rgb and mono variants spectra are smooth.
             channels = sensor.film().base_channels_count()
             if self.method == SIGNED_RAYS:
                 return self.colours.spectrum_for(channels, (), SHARED)
@@ -305,7 +307,7 @@ def make_class() -> type:
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
-            """Its own parameters by name, as ``mi.load_dict`` takes them."""
+            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
             return {
                 **self.colours.parameters(),
                 "method": self.method,

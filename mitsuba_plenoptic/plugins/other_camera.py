@@ -1,4 +1,4 @@
-"""Any scene before a plenoptic camera."""
+"""Replacement of a scene's sensor by a plenoptic camera."""
 
 from __future__ import annotations
 
@@ -16,34 +16,35 @@ from ..runtime.backend import one_at_a_time
 
 @one_at_a_time
 def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
-    """Return a scene of the same objects, seen by a plenoptic camera in the place of the first sensor.
+    """Return a scene of the same objects with a plenoptic camera at the position of the first sensor.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        A scene with any sensor, or with none: then the camera is at the origin and looks along +z.
+        A scene. If it has no sensor, the camera is at the origin and looks along +z.
     camera : PlenopticCamera
-        The camera. Its lengths are in the scene's units. Its film has the three channels of an rgb variant, and
+        The camera, with lengths in the scene's units. Its film has three channels in rgb variants, and records
         luminance in others.
 
     Returns
     -------
     mitsuba.Scene
-        It shares its objects with the other one.
+        The new scene, which shares its objects with the given one.
 
     Raises
     ------
     InputError
-        If the scene or the camera is none, the first sensor's transform scales, or Mitsuba cannot render the camera.
+        If an argument is not a scene or a camera, the first sensor's transform scales, or Mitsuba cannot render the
+        camera.
     """
     if not isinstance(scene, mi.Scene):
         raise InputError(f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant")
     require_camera(camera)
-    # Emitters of surfaces come with their shapes.
+    # Area emitters are part of their shapes.
     lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
     objects: dict[str, Any] = {}
     for number, item in enumerate((*scene.shapes(), *lamps)):
-        # What has no name of its own in the file has none here, or one that Mitsuba made and does not take again.
+        # Objects without a name in the file have none here, or one that Mitsuba generated and would refuse.
         named = re.fullmatch(r"[A-Za-z]\w*", item.id()) and item.id() not in objects
         objects[item.id() if named else f"object_{number}"] = item
     sensor = camera.to_sensor()

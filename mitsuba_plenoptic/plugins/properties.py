@@ -1,6 +1,6 @@
-"""Reading plugin parameters with the checks that Mitsuba leaves out: it refuses misspelled names, and takes any type.
+"""Reading of plugin parameters, with checks of their types, which Mitsuba does not make.
 
-Messages name plugin, parameter, value and rule.
+Messages state the plugin, the parameter, its value and the rule.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from ..lens_data import LensData
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
-    """Take a value from a plugin's properties, to be checked by whom it is for."""
+    """Read a value from a plugin's properties without a check; the caller checks it."""
     return _plain(props[name]) if name in props else default
 
 
 def read_number(props: Any, plugin: str, name: str, default: float | None) -> float | None:
-    """Take a positive, finite number from a plugin's properties."""
+    """Read a positive, finite value from a plugin's properties."""
     if name not in props:
         return default
     return require_number(f"{plugin}: {name}", _plain(props[name]), positive=True)
 
 
 def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int | None = None) -> int:
-    """Take a whole number of at least 1 from a plugin's properties."""
+    """Read an integer of at least 1 from a plugin's properties."""
     return require_count(f"{plugin}: {name}", props[name], maximum=maximum) if name in props else default
 
 
 def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) -> str:
-    """Take one of several words from a plugin's properties; the first is the default."""
+    """Read one of several words from a plugin's properties; the first is the default."""
     return require_choice(f"{plugin}: {name}", props[name] if name in props else choices[0], choices)
 
 
 def _plain(value: Any) -> Any:
-    """Turn a Dr.Jit array of one entry, as ``load_dict`` accepts it, into its entry."""
+    """Return the entry of an array of one entry, which ``load_dict`` accepts for a scalar, or any other value as is."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
@@ -65,7 +65,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
 
 
 def film_numbers(film: Any) -> dict[str, Any]:
-    """Return the parameters of a camera that are its film's."""
+    """Return the camera parameters that the film determines."""
     return {
         "resolution": tuple(film.size()),
         "crop_offset": tuple(film.crop_offset()),
@@ -74,12 +74,12 @@ def film_numbers(film: Any) -> dict[str, Any]:
 
 
 def _read_one(props: Any, name: str) -> Any:
-    """Take a value that the camera checks."""
+    """Read a value that the camera will check."""
     return _plain(props[name])
 
 
 def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
-    """Take numbers that are given as one, as a point, vector or list, or as text with commas between them."""
+    """Read one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
     value = _plain(props[name])
     if isinstance(value, str):
         try:
@@ -92,13 +92,13 @@ def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
 
 
 def _read_position(props: Any, name: str) -> tuple[float, ...]:
-    """Take the x and y of a position; the z of a point or vector must be 0."""
+    """Read the x and y of a position, given as a pair or as a point or vector whose z is 0."""
     position = _read_numbers(props, name)
     return position[:2] if len(position) == 3 and position[2] == 0 else position
 
 
 def _read_main_lens(props: Any, name: str) -> LensData:
-    """Take a main lens: a file, a bundled lens or the text of a JSON file."""
+    """Read a main lens, given as a file, a bundled lens or the text of a JSON file."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
@@ -106,7 +106,7 @@ def _read_main_lens(props: Any, name: str) -> LensData:
 
 
 def _read_glass(props: Any, name: str) -> Any:
-    """Take a glass: a name, an index or the text of a JSON object."""
+    """Read a glass, given as a name, a refractive index or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or not source.lstrip().startswith("{"):
         return source
@@ -123,4 +123,4 @@ _READERS = {
     Form.LENS: _read_main_lens,
     Form.GLASS: _read_glass,
 }
-"""Readers of the forms that scene files write in ways of their own."""
+"""Readers for the forms of parameters that scene files write differently from Python."""

@@ -1,4 +1,4 @@
-"""The sensor plugin ``plenoptic``: a plenoptic camera traced by rays."""
+"""The sensor plugin ``plenoptic``: the ray model of a plenoptic camera."""
 
 from __future__ import annotations
 
@@ -51,29 +51,30 @@ def make_class() -> type:
            - Its size is the detector's resolution. Its filter must be ``box``: a wider one smears the
              micro-images.
 
-        All lengths are in scene units, taken as millimetres. Several numbers are text with commas between them, such as
-        "0.064, 0.06"; a pair is also a point or vector, whose z must be 0. A ray starts at a detector point :math:`p`,
-        passes a point :math:`m` of a microlens of centre :math:`c` with slope
+        All lengths are in scene units, which are taken as millimetres. Several values are given as text separated by
+        commas, such as "0.064, 0.06"; a pair may also be a point or vector, whose z must be 0. A ray starts at a
+        detector point :math:`p`, passes a point :math:`m` of a microlens of centre :math:`c` with slope
         :math:`t = (m - p)/z - (m - c)/f_2`, meets the main lens in :math:`P = m + b t` and leaves it with slope
-        :math:`t - P/f_1`. Where :math:`P` is outside the main lens, nothing is traced and the weight is zero.
+        :math:`t - P/f_1`. If :math:`P` is outside the main lens, nothing is traced and the weight is zero.
         The value of a pixel is the mean radiance over its lens's aperture, so that a scene of radiance 1 reads 1
         inside the micro-images, however much of its cell a lens fills; there is no :math:`\cos^4` falloff. Light
         that crosses into a neighbour's micro-image is found by drawing among all lenses that can light a pixel.
 
         With the default ``detector_distance`` this is an unfocused camera: ``mla_distance`` is the image distance of
-        what is in focus. With another one the microlenses see the main lens's image at :math:`a` before the array,
-        :math:`1/a + 1/z = 1/f_2`, or behind it: a focused camera, sharp at the object distance whose image is
-        :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix`` are such cameras.
+        objects in focus. With any other, the camera is focused: the microlenses image the main lens's image at
+        :math:`a` before the array, :math:`1/a + 1/z = 1/f_2`, or behind it. The capture is then sharp at the object
+        distance whose image is :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix``
+        are such cameras.
 
-        Where a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows
-        the way of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
-        dominant wavelengths of the primaries of sRGB), in spectral ones the first of its four. The other channels get
-        nothing of it, and it counts as much more: colours take three or four times as many samples. In mono variants
-        light is that of the line d, or of the ``main_lens``'s own wavelength.
+        If a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows the
+        path of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
+        dominant wavelengths of the primaries of sRGB), in spectral variants the first of its four. The ray contributes
+        nothing to the other channels, and its weight is three or four times as high: colours take three or four times
+        as many samples. In mono variants light has the wavelength of the line d, or the ``main_lens``'s own.
 
         The capture has the orientation of a ``perspective`` sensor's image. Gradients flow through the ``path``
         and ``direct`` integrators, but the pupil's moving edge contributes none: the gradient is that of the
-        light inside the micro-images. Those of captures by waves, through ``plenoptic_wave``, are whole.
+        light inside the micro-images. Gradients of wave captures, through ``plenoptic_wave``, include the edges.
 
         .. tabs::
             .. code-tab:: xml
@@ -111,7 +112,7 @@ def make_class() -> type:
                         f"{NAME}: {name} = {props[name]:g}: this camera has no clipping planes, its rays start "
                         "at the main lens; remove the parameter"
                     )
-            # Only objects: numbers that are looked at here would no longer be refused as unknown.
+            # Only objects are read here: Mitsuba refuses as unknown only the parameters that were never read.
             objects = [name for name in props.keys() if props.type(name) == mi.Properties.Type.Object]  # noqa: SIM118
             has_film = any(isinstance(props[name], mi.Film) for name in objects)
             super().__init__(props)
@@ -122,7 +123,7 @@ def make_class() -> type:
                 raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
             camera = self._given = read_camera(props, NAME, film)
             own = _parameters_of(camera)
-            # A parameter of no numbers is not exposed.
+            # Parameters whose value is an empty tuple are not exposed.
             self._numbers = [name for name, value in own.items() if PARAMETERS[name].is_exposed and value != ()]
             for name, value in own.items():
                 setattr(self, name, _as_drjit(PARAMETERS[name], value) if name in self._numbers else value)
@@ -138,7 +139,7 @@ def make_class() -> type:
                 callback.put(name, getattr(self, name), _flags(PARAMETERS[name]))
 
         def parameters_changed(self, keys: list[str] | None = None) -> None:
-            """Check and take over changed parameters."""
+            """Check changed parameters and apply them."""
             super().parameters_changed(keys or [])
             self._update()
 
@@ -157,7 +158,7 @@ def make_class() -> type:
 
         @property
         def camera(self) -> PlenopticCamera:
-            """The camera's present numbers."""
+            """Return the camera with the current values of the parameters."""
             given = _parameters_of(self._given)
             values = {name: getattr(self, name) for name in given}
             for name in self._numbers:
@@ -166,7 +167,7 @@ def make_class() -> type:
             return PlenopticCamera(**values, **film_numbers(self.film()))
 
         def _on_detector(self, film_sample: Any) -> Pair:
-            """Return the points of the detector that are fractions of the crop window."""
+            """Return the detector points for film samples, which are fractions of the crop window."""
             film = self.film()
             pixel = self.detector_width / film.size()[0]
             x, y = (
@@ -177,7 +178,7 @@ def make_class() -> type:
             return x, y
 
         def crosstalk_missed(self) -> float:
-            """Estimate from a sample of rays what fraction of the light lenses beyond those that are tried let in."""
+            """Estimate from a sample of rays the fraction of the light that passes lenses that are not sampled."""
             tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
             around = self._rays.neighbours(beyond=max(self._rays.camera.mla_pitches))
             random = mi.PCG32(size=_CROSSTALK_RAYS)
@@ -191,20 +192,20 @@ def make_class() -> type:
             return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
 
         def chief_ray(self, film_sample: Any) -> tuple[Any, Any]:
-            """Return the ray from a place on the film through the centre of its lens, and whether it gets through.
+            """Return the ray from a film position through the centre of its lens, and whether it is transmitted.
 
-            The place is a fraction of the crop window, as `sample_ray` takes it.
+            The position is a fraction of the crop window, as in `sample_ray`.
             """
             pixel = self._on_detector(film_sample)
             passage, _ = self._rays.pass_array(pixel, mi.Point2f(0.5), [mi.Float(0), mi.Float(0)])
             return self._in_world(self._rays.trace(pixel, passage._replace(point=passage.centre)))
 
         def pupil_ray(self, pupil: Pair, place: Pair) -> tuple[Any, Any]:
-            """Return the ray through a place of the microlens array and a point of the pupil, and whether it does."""
+            """Return the ray through points of the microlens array and the pupil, and whether it is transmitted."""
             return self._in_world(self._rays.from_pupil(pupil, place))
 
         def _in_world(self, traced: Traced) -> tuple[Any, Any]:
-            """Turn a ray behind the main lens into one in the world, at the time at which the shutter opens."""
+            """Transform a traced ray to the world frame, at the time at which the shutter opens."""
             point, slope, open_ = traced
             to_world = self.world_transform()
             ray = mi.RayDifferential3f(
@@ -233,7 +234,7 @@ def make_class() -> type:
             ray = mi.RayDifferential3f() if differential else mi.Ray3f()
             ray.o = to_world @ mi.Point3f(*point)
             ray.d = to_world @ dr.normalize(mi.Vector3f(*slope, 1))
-            # A ray of no length meets nothing: it is cheap, and depth or normals of dark pixels stay 0.
+            # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
             ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
             ray.time = time
             ray.wavelengths = wavelengths
@@ -241,7 +242,7 @@ def make_class() -> type:
                 width = self.detector_width / self.film().size()[0]
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if self.camera.lens_data.traced_surfaces:
-                        # Surface by surface it would cost three times as much.
+                        # Tracing the offset rays surface by surface would cost three times as much.
                         z = self.detector_distance
                         beside, turned = cast(RealLens, self._rays.lens).beside(point, slope, (-dx / z, -dy / z))
                     else:
@@ -254,13 +255,13 @@ def make_class() -> type:
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray and its weight; `sample2` is the place on the film's crop window, `sample3` on the lens."""
+            """Draw a ray and its weight; `sample2` is the position on the crop window, `sample3` that on the lens."""
             return self._sample(time, sample1, sample2, sample3, active, differential=False)
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray with those from the next pixel in x and y through the same lens point."""
+            """Draw a ray with differentials: the rays from the next pixels in x and y through the same lens point."""
             return self._sample(time, sample1, sample2, sample3, active, differential=True)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
@@ -271,7 +272,7 @@ def make_class() -> type:
             )
 
         def bbox(self) -> Any:
-            """Bounds of the main lens, or of its first surface, where all rays start."""
+            """Return the bounds of the main lens, or of its first surface, where all rays start."""
             to_world = self.world_transform()
             camera = self.camera
             field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches)
@@ -291,17 +292,17 @@ def make_class() -> type:
 
 
 def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
-    """Return the parameters of a camera that are not its film's."""
+    """Return the camera parameters that the film does not determine."""
     return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
 
 
 def _as_drjit(entry: Parameter, value: Any) -> Any:
-    """Return the value of a parameter as numbers that can carry gradients, in its shortest form."""
+    """Return the value of a parameter, in its shortest form, as a Dr.Jit array that can carry gradients."""
     return (mi.Point2f if entry.form is Form.PLACE else mi.Float)(entry.plain(value))
 
 
 def _flags(entry: Parameter) -> Any:
-    """Return how ray captures may be differentiated by a parameter."""
+    """Return the flags that state whether ray captures can be differentiated with respect to a parameter."""
     if Captures.RAYS not in entry.gradients:
         return mi.ParamFlags.NonDifferentiable
     flags = mi.ParamFlags.Differentiable
@@ -309,7 +310,7 @@ def _flags(entry: Parameter) -> Any:
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
-    """Return single-precision numbers as they were given, or else their shortest decimals: 0.512, not 0.5120000243."""
+    """Return single-precision values as they were given, or else as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(given).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}

@@ -1,4 +1,4 @@
-"""Refocused images from one capture, by rays and by waves.
+"""Reconstruction of refocused images from one capture, with the ray model and the wave model.
 
 A new method is a new module with a function that `methods.method` registers, imported here.
 """

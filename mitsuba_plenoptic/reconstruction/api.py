@@ -1,4 +1,4 @@
-"""`reconstruct`: what all methods have in common, from the capture to the results."""
+"""`reconstruct`: the steps that all methods have in common, from the capture to the results."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
 
 
 def _require_same_light(white: Capture, capture: Capture, channels: int) -> None:
-    """Refuse a white by waves that lost other parts of the light at the edges of its micro-images."""
+    """Refuse a white wave capture that lost a different part of the light at the edges of its micro-images."""
     if white.model == "wave" and capture.model != "wave":
         raise InputError("white: it was captured by waves, and the capture by rays, which lose no light at edges")
     if white.wavelength is None or capture.wavelength is None:
@@ -150,33 +150,34 @@ def reconstruct(
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
-    Images are in units of radiance, whatever the method: bins are divided by what they get of white, at the borders
-    too. Bins that get less than a hundredth of the rays that the best one gets are NaN.
+    With every method images are in units of radiance: each bin is divided by the light that it gets from a white scene,
+    also at the borders. Bins that get less than 1 % of the rays of the best bin are NaN.
 
     Parameters
     ----------
     capture : Capture or (rows, columns[, channels]) array
-        What the detector recorded. A plain array needs `camera`.
+        The capture. A plain array needs `camera`.
     distance : float or sequence of floats
-        Object distances in scene units, beyond the focal length; may be infinite, where bins are directions. Several
-        share the way up to the main lens. Behind an objective: depths beyond its native object plane.
+        Object distances in scene units, beyond the focal length. They may be infinite, where bins are directions.
+        Several distances share the propagation to the main lens. For an objective: depths beyond its native object
+        plane.
     method : {"ray", "coherent", "partial", "deconvolved"}
-        How light is followed back: by one ray a pixel; as one coherent wave, whose amplitude is the square root of
-        the capture; or as one such wave for each interleaved subset of lenses, whose intensities are added. Waves
-        pass the camera's lenses as thin parabolic phase elements. Or not followed back, but found: the plane, or the
-        planes, whose capture by this camera is the one recorded.
+        ``ray`` traces one ray per pixel back to the object plane. ``coherent`` propagates back one coherent wave, whose
+        amplitude is the square root of the capture. ``partial`` propagates one such wave for each interleaved subset of
+        lenses, and adds their intensities. Waves pass the camera's lenses as thin parabolic phase elements.
+        ``deconvolved`` finds the plane, or the planes, whose capture by this camera is the recorded one.
     camera : PlenopticCamera, optional
-        The camera of a plain array, or another one than the capture's.
+        The camera of a plain array, or one that replaces the capture's.
     wavelength : float or three floats, optional
-        For waves: wavelength in nanometres, or one for each of three channels. Default: the capture's own. Methods by
-        rays take none.
+        For the wave model: wavelength in nanometres, or one for each of three channels. Default: the capture's own. Ray
+        methods take none.
     interleave : int or "auto", optional
         For ``partial``: a subset is every `interleave`-th lens along both axes. 2, the default, makes four waves; 1 is
         ``coherent``;
-        ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits follow the number of the
-        BLAS's threads.
+        ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits depend on the thread
+        count of the BLAS.
     footprint : {"lens", "point"}, optional
-        For ``ray``: whether a pixel spreads over what its whole lens sees (default), or goes to one bin.
+        For ``ray``: whether a pixel is spread over the area that its whole lens sees (default), or added to one bin.
     relay : bool, optional
         For ``coherent`` and ``partial``: whether the microlenses act a second time, in the MLA plane (default). Without
         it, which is the literal reading of the paper, planes out of focus stay blurred: see
@@ -185,27 +186,27 @@ def reconstruct(
         Bins per lens along each axis. A focused camera resolves more than one:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
-        What the same camera recorded of something evenly white that fills the view, by the same wavelengths, in one
+        A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
-        stay in units of the capture (see `mitsuba_plenoptic.lightfield.white.white_radiance`). It is refocused in the
-        same way, and images are divided by it; those of unfocused
-        cameras behind thin main lenses are also drawn back, to first order, to where their light comes from, which
-        borders, diffraction and interference displace (see `mitsuba_plenoptic.reconstruction.radiance`). This takes
-        the time of one refocusing for the white and of two more for each distance. Default: what the camera would
-        record by rays; a capture by waves, whose micro-images lose light at their edges, then reads less
-        (0.85 for the paper's camera).
+        stay in units of the capture (see `mitsuba_plenoptic.lightfield.white.white_radiance`). It is refocused by the
+        same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
+        light by borders, diffraction and interference are also corrected to first order (see
+        `mitsuba_plenoptic.reconstruction.radiance`). This takes the time of one refocusing for the white and of two
+        more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
+        at their edges, then read less than the radiance (0.85 for the paper's camera).
         ``deconvolved`` takes none.
     response : {"wave", "ray"}, optional
-        For ``deconvolved``: how light goes through the camera. Default: as the capture was made; by waves where a
-        `wavelength` is given.
+        For ``deconvolved``: model of the light in the camera. Default: the wave model if a `wavelength` is given, or
+        else the capture's own.
     iterations : int, optional
-        For ``deconvolved``: steps. Default: until what is left of the capture is as large as its noise, 100 at most,
-        where that is known from `photons` or from what `expose` has kept with the capture; else 30.
+        For ``deconvolved``: count of steps. By default, if the noise is known from `photons` or from metadata of
+        `expose`, the iteration stops when the residual is as large as the noise, after at most 100 steps; otherwise
+        it makes 30 steps.
     accelerate : bool, optional
         For ``deconvolved``: whether steps start from points extrapolated along the last ones, which makes one step do
         the work of several. Default: True.
     photons : float, optional
-        For ``deconvolved``: photons that a pixel of value 1 has counted, if nothing else makes it noisy.
+        For ``deconvolved``: photons counted in a pixel of value 1, if photon noise is the only noise.
     volume : bool, optional
         For ``deconvolved``: whether all distances together explain the capture, instead of each alone (default).
     variation : float, optional
@@ -213,9 +214,9 @@ def reconstruct(
         borders; 0.002 to 0.02 suit, the more the noisier the capture. It flattens what is fainter than the noise, and
         makes steps of slopes. Default: 0.
     progress : callable, optional
-        Called with the steps done and their number.
+        Called with the finished and the total count of steps.
     checkpoint : Checkpoint, optional
-        For ``deconvolved``: what has been done is kept in its file, and taken from there.
+        For ``deconvolved``: intermediate results are saved to its file, and read from there.
     batch_map : callable, optional
         For ``deconvolved``: computes the point spreads, for example `runtime.cluster.Cluster`. Default: threads of this
         process.
@@ -232,8 +233,8 @@ def reconstruct(
         infinity; for a wave method, if pixels are wider than lenses; or if an option is out of range, or one that the
         method does not take.
     PhysicsError
-        If next to none of a capture's light goes back through the main lens by waves, or too much of it misses the
-        object plane's window.
+        If hardly any of a capture's light passes back through the main lens in the wave model, or too much of it misses
+        the object plane's window.
 
     Notes
     -----
@@ -353,7 +354,7 @@ def _by_wavelength(task: Task) -> list[Task]:
 
 
 def _recorded(capture: Capture, channels: int) -> list[float] | None:
-    """Wavelengths of the channels of a capture by waves."""
+    """Return the wavelengths at which the channels of a wave capture were recorded, or None."""
     if capture.model != "wave" or capture.wavelength is None:
         return None
     return [float(light) for light in np.broadcast_to(capture.wavelength, channels)]

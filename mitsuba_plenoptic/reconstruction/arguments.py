@@ -1,4 +1,4 @@
-"""What the arguments of `reconstruct` may be: each is returned as the methods take it, or refused in one line."""
+"""Checks of the arguments of `reconstruct`: each function returns the form for the methods, or refuses the value."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def require_interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
 
 
 def require_response(response: Any, capture: Capture, wavelength: Any) -> str:
-    """Return how light goes through the camera: by default as the capture was made, by waves at a given wavelength."""
+    """Return the model of the light: if not given, the wave model if there is a wavelength, else the capture's own."""
     if response is None:
         return capture.model if wavelength is None else "wave"
     if require_choice("response", response, RESPONSES) == "ray" and wavelength is not None:
@@ -108,7 +108,7 @@ def require_image_memory(
 
     def memory(oversample: int) -> float:
         across, down = float(columns * oversample), float(rows * oversample)
-        # By rays one axis is binned before the other; by waves powers are summed in double precision.
+        # Ray methods bin one axis before the other; wave methods sum powers in double precision.
         fits = 20 * 8 * channels * across * down if drawn_back else 0
         return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
 

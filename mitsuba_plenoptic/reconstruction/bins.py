@@ -84,7 +84,7 @@ class Integrals:
 class BinSums:
     """Sums over the bins of one object plane, `oversample` of them to a lens, of the power at directions.
 
-    Sums are in pixel values times pixels. What cubics make of them below zero is cut.
+    Sums are in pixel values times pixels. Negative sums, which cubics may produce, are set to zero.
     """
 
     def __init__(self, step: Step, camera: PlenopticCamera, wavelength: float, oversample: int) -> None:

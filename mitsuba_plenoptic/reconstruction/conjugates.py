@@ -1,12 +1,12 @@
-r"""From the exit pupil to object planes: the path that brings waves from a place on the array to its conjugate.
+r"""Propagation from the exit pupil to object planes: the path of waves from a point of the array to its conjugate.
 
-Waves are followed back to the plane of the main lens's exit pupil, and only what multiplies them there knows the lens:
-the path from a scene point, and which part of the pupil its light passes. A real lens is seen from behind as a thin one
-in its exit pupil. With the pupils' magnification m and the entrance pupil at :math:`z_E`, the paraxial image of a point
-at the distance g is that of a thin lens at the distance :math:`m^2 (g - z_E)` (Welford, "Aberrations of Optical
+Waves are propagated back to the plane of the main lens's exit pupil. Only the factor at the pupil depends on the lens:
+the path from a scene point, and the part of the pupil that its light passes. Seen from behind, a real lens is a thin
+lens in its exit pupil. With the pupils' magnification m and the entrance pupil at :math:`z_E`, the paraxial image of a
+point at the distance g is that of a thin lens at the distance :math:`m^2 (g - z_E)` (Welford, "Aberrations of Optical
 Systems", section 2.6), so that everything up to the pupil is sampled as behind this thin lens, in directions of chief
-rays. What the real one differs by, aberrations and vignetting, is in the path and in the edge; its distortion is undone
-at the end, see `undistorted`.
+rays. The real lens's aberrations are in the path and its vignetting in the edge; its distortion is corrected at the
+end, see `undistorted`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Place = tuple[Any, Any]
 
 @dataclass(frozen=True)
 class Conjugate:
-    """How the light of one place on the array, or of one for each lane, passes the exit pupil."""
+    """The passage through the exit pupil of the light of one point of the array, or of one point for each lane."""
 
     light: Any
     point: tuple[Any, Any, Any]
@@ -60,7 +60,7 @@ class Conjugate:
         return waves - (pupil[0] * self.tilt[0] + pupil[1] * self.tilt[1]) * (1 / in_millimetres(self.wavelength))
 
     def inside(self, pupil: Place) -> Any:
-        """Return how far within the pupil's edge a place lies, in millimetres."""
+        """Return the distance in millimetres by which a point lies inside the pupil's edge."""
         return self.light.inside(pupil)
 
 
@@ -99,7 +99,7 @@ class ThinConjugates:
     def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of the centres of some lenses, for an object plane before the thin lens of `camera`.
 
-        Each lane has its lens's centre (x, y) and its number among the centres, float64 (n, 2).
+        Each lane has its lens's centre (x, y) and its index in `places`, the centres as a float64 array (n, 2).
         """
         # Infinity is so far that nothing changes with the distance.
         b, g = (dr.opaque(type(x), length) for length in (self.camera.mla_distance, min(distance, FAR)))
@@ -115,7 +115,7 @@ class ThinConjugates:
 
 @dataclass(frozen=True, eq=False)
 class RealConjugates:
-    """Those of a real main lens."""
+    """Conjugates behind a real main lens."""
 
     camera: PlenopticCamera
     lens: FittedLens
@@ -153,7 +153,7 @@ class RealConjugates:
         return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
 
     def _bound(self, places: NDArray[np.float64], distance: float, which: Any = None) -> Light:
-        """Return the light of the conjugates of places on the MLA; no light comes to those farther out."""
+        """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
         points = self.lens.points(self.lens.within(places), np.full(len(places), self._nearness(distance)))
         return self.lens.bind(points, which)
 
@@ -195,7 +195,7 @@ class RealConjugates:
         return worst * self.camera.pupil_distance
 
     def _astray(self, places: NDArray[np.float64], pupil: Any, distance: float) -> NDArray[np.float64]:
-        """Return the directions of rays from places of the pupil, less that of the chief ray; (2, n, rays)."""
+        """Return the directions of rays from pupil points relative to the chief ray, an array (2, n, rays)."""
         light = self._bound(places, distance)
         rim, chief = (np.stack(light.cosines(where, _NO_POINT)) for where in (pupil, _MIDDLE))
         return np.asarray(rim - chief)

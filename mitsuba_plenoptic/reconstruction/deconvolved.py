@@ -1,4 +1,4 @@
-"""Deconvolution: the planes whose capture by this very camera is the one that was recorded."""
+"""Deconvolution: finds the planes whose capture by the camera is the recorded one."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _OPTIONS = ("response", "iterations", "accelerate", "photons", "volume", "variat
 def refocus(task: Task, **options: Any) -> list[Found]:
     """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
 
-    Each plane alone explains the whole capture, or all of them do together as a volume. Light from elsewhere is put
-    down to the planes all the same.
+    Either each plane alone explains the whole capture, or all planes do together as a volume. Light from other
+    distances is attributed to these planes.
 
     Returns
     -------
     list of Found
-        Radiance, and what is known of it.
+        Radiance, and facts about it.
     """
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
@@ -72,7 +72,7 @@ def _solve(
     kept: SolverCheckpoint,
     report: Progress,
 ) -> Iterator[Solved]:
-    """Yield what is found of each plane, from one channel."""
+    """Yield the result of each plane for one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
     response = FourierResponse if task.camera.lens_data.images_stop else Response
@@ -103,7 +103,7 @@ def _solve(
 
 
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:
-    """Return what is known of a plane."""
+    """Return the facts about a plane that results state."""
     wavelengths: Sequence[float | None] = task.wavelengths or [None]
     limits = [resolution_limit(task.camera, distance, wavelength) for wavelength in wavelengths]
     return {
@@ -116,7 +116,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 
 
 def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return what the bits of the result depend on, by which a checkpoint of the same run is known."""
+    """Return all inputs on which the result depends, by which a checkpoint recognises the same run."""
     return {
         "capture": digest(task.image),
         "camera": task.camera.to_dict(),
@@ -129,14 +129,14 @@ def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _require_different(distances: Sequence[float]) -> None:
-    """Refuse planes of a volume that are one: which of them light is from is undetermined."""
+    """Refuse a volume with coinciding planes, between which the light is undetermined."""
     for number, distance in enumerate(distances):
         if distance in distances[:number]:
             raise InputError(f"distance = {distance:g}: it is given twice; the planes of a volume are different ones")
 
 
 def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
-    """Refuse what no light can have made."""
+    """Refuse a capture that no light can have produced."""
     if not (image > 0).any():
         raise InputError("capture: none of its pixels is lit: there is nothing to deconvolve")
     negative = int(np.count_nonzero(image < 0))

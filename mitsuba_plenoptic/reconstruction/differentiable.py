@@ -1,4 +1,4 @@
-"""Refocusing by rays as a function of the capture that Dr.Jit differentiates, and through it PyTorch."""
+"""Refocusing as a function of the capture that Dr.Jit, and through it PyTorch, can differentiate."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .white import white_light
 
 
 class RayRefocus:
-    """Refocus captures of one camera to one distance by rays: linear in the capture, with its transpose.
+    """Refocus captures of one camera to one distance with the ray model: a linear operator, with its transpose.
 
     Called with an array of Dr.Jit it is differentiable, forward and in reverse; ``drjit.wrap("torch", "drjit")`` makes
     it a function of PyTorch's tensors.
@@ -73,7 +73,7 @@ class RayRefocus:
         Parameters
         ----------
         capture : array (rows, columns) or (rows, columns, channels)
-            What the detector has recorded.
+            The recorded pixels.
 
         Returns
         -------
@@ -140,7 +140,7 @@ def as_channels(values: np.ndarray, shape: tuple[int, ...], name: str) -> np.nda
 
 
 class CoherentRefocus:
-    """Refocus captures of one camera to one distance by waves, with derivatives by the pixels.
+    """Refocus captures of one camera to one distance with the wave model, with derivatives by the pixels.
 
     The wave's amplitude is the square root of a pixel, so that the image is no linear function of the capture:
     `derivative` and `gradient` hold at one capture. Called with an array of Dr.Jit it is differentiable, forward and in
@@ -172,7 +172,7 @@ class CoherentRefocus:
         camera.require_thin("captures are reconstructed")
         require_ideal(camera)
         camera.require_resolved()
-        # Images are formed by the lens as it should be.
+        # Images are formed by the ideal lens, without aberrations.
         camera = camera.replace(wavefront=())
         distance = require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, distance)
@@ -201,7 +201,7 @@ class CoherentRefocus:
         Parameters
         ----------
         capture : array (rows, columns) or (rows, columns, channels)
-            What the detector has recorded. Pixels below zero are refocused by their magnitude and subtracted.
+            The recorded pixels. Pixels below zero are refocused by their magnitude and subtracted.
 
         Returns
         -------
@@ -228,14 +228,14 @@ class CoherentRefocus:
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Apply the transpose of `derivative`: take the gradient of a figure back from the image to the capture.
+        """Apply the transpose of `derivative`: propagate a gradient from the image to the capture.
 
         Parameters
         ----------
         capture : array (rows, columns) or (rows, columns, channels)
             Where the image is differentiated.
         image_gradient : array
-            Derivatives of the figure with respect to the bins, of the shape of the image.
+            Gradient with respect to the bins, with the shape of the image.
 
         Returns
         -------

@@ -46,9 +46,9 @@ def reconstruct_subsets(
 ) -> list[np.ndarray]:
     """Propagate interleaved subsets of lenses coherently, and return the power in bins of object planes.
 
-    The image is not negative; distances share the light up to the main lens. The period of a subset along each axis is
-    `interleave`; 1 is one coherent field. Guards look at the light that is lost where `checked`. Powers (rows, columns)
-    are in pixel values times pixels.
+    The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
+    subset along each axis is `interleave`; 1 is one coherent field. If `checked`, guards check the light that is lost.
+    Powers (rows, columns) are in pixel values times pixels.
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
@@ -198,8 +198,8 @@ class BackwardFields:
     def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
         """Take the light of a strip to the MLA, that of all lenses or of a subset.
 
-        What strays to a cell from another lens's pixels is bent aside by a micro-image and misses the main lens: so
-        the light of all lenses may go to the MLA at once, and a subset is what its lenses let through.
+        Light that strays to a cell from another lens's pixels is deflected by a micro-image and misses the main lens.
+        So the light of all lenses may propagate to the MLA at once, and a subset is the light that passes its lenses.
         """
         step, z = strip.to_mla, self._camera.detector_distance
         light = converging(step, self._camera, self._wavelength, self._interleave, subset)

@@ -89,11 +89,11 @@ class LensSet:
         self._aperture = None if camera.lenses_are_bins else _aperture(tile)
 
     def find(self, i: float, j: float) -> int:
-        """Return the number of the lens with these indices."""
+        """Return the position in this set of the lens with these lattice indices."""
         return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
 
     def lit(self, image: np.ndarray) -> np.ndarray:
-        """Return the numbers of the lenses whose pixels hold light; int64 (n,)."""
+        """Return the positions of the lenses whose pixels contain light, an int64 array (n,)."""
         lit, n = np.zeros(len(self._index), bool), self.tile.subsamples
         for start in range(0, len(lit), _LIT_BATCH):
             which = np.arange(start, min(start + _LIT_BATCH, len(lit)))
@@ -108,7 +108,7 @@ class LensSet:
         return np.flatnonzero(lit)
 
     def batch(self, which: np.ndarray) -> LensBatch:
-        """Take some lenses by their numbers."""
+        """Return the batch of the lenses at the given positions."""
         tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
         z, types = camera.detector_distance, np.array(camera.mla_focal_lengths)
         axes = x, y = self._samples(which)
@@ -153,8 +153,8 @@ class LensSet:
 class _DetectorSamples:
     """Samples of the detector along an axis that hold the pixels of some lenses; arrays (lenses, samples).
 
-    `pixel` are recorded pixels, clipped to the image, and `recorded` says whether they are recorded. `chief` is the
-    place of the array that chief rays to the samples' coordinates pass.
+    `pixel` are pixel indices, clipped to the image, and `recorded` states whether the pixels are recorded. `chief` is
+    the position on the array at which the chief rays to the samples pass.
     """
 
     pixel: np.ndarray
@@ -268,7 +268,7 @@ def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, rel
 def _product(fields: Field, matrix: Field) -> Field:
     """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p).
 
-    One lens, as the white throughput by which every image is divided, has the same bits on any number of threads.
+    The result for one lens, as in the white throughput, has the same bits with any thread count.
     """
     arrays = backend().arrays
     if len(fields) == 1:
@@ -307,7 +307,7 @@ def passing_power(fields: Field, tile: LensTile, batch: LensBatch, distance: flo
 
 
 def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
-    """Multiply pupil fields by the way from the lens's centre to its image's, the main lens, and the pupil."""
+    """Multiply pupil fields by the phase of the path from the lens's centre to its image, and by the pupil."""
     types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(fields), tile.pupil.size

@@ -1,4 +1,4 @@
-"""How finely and widely the light of one lens is sampled on its way back, the same for all lenses."""
+"""Sampling of the light of one lens as it is propagated back; it is the same for all lenses."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class LensTile:
 
     @property
     def _chief_shift(self) -> float:
-        """How far micro-images at the rim lie from their lenses."""
+        """Distance of micro-images at the rim of the detector from their lenses."""
         half_field = max(self.camera.detector_width, self.camera.detector_height) / 2
         return half_field * self.camera.detector_distance / self.camera.mla_distance
 
@@ -191,7 +191,7 @@ class LensTile:
 
     @property
     def memory(self) -> float:
-        """Bytes of the fields of one batch on the way, and of the matrices that serve all."""
+        """Bytes of the intermediate fields of one batch, and of the matrices that all batches use."""
         bins = self.lenses * self.oversample
         matrices = (
             32.0 * self.cell_samples * self.pupil_samples + 16.0 * self.padded**2 + 8.0 * bins * self.object_samples
@@ -206,7 +206,7 @@ class LensTile:
 
 
 def fine_bins(system: OpticalSystem, oversample: int) -> int:
-    """Return the number of fine bins across a bin in which power is summed before it is spread over lenses."""
+    """Return the count of fine bins across a bin, in which power is summed before it is spread over lenses."""
     camera = system.camera
     if camera.lens_data.traced_surfaces:
         camera = behind_thin_lens(system)

@@ -20,7 +20,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The work of a method of reconstruction; all of it is checked.
+    """The inputs of a method of reconstruction, all of which have been checked.
 
     Attributes
     ----------
@@ -33,21 +33,21 @@ class Task:
     oversample : int
         Bins per lens along each axis.
     wavelengths : sequence of floats
-        Of the channels, in nanometres; empty for a method without waves.
+        Wavelengths of the channels in nanometres; empty for ray methods.
     white : (rows, columns, 1 or channels) float32 array, or None
-        What the same camera recorded of a scene of uniform radiance 1.
+        Capture of a scene of uniform radiance 1 by the same camera.
     progress : callable
         Called with the fraction of the work that is done.
     recorded : sequence of floats, optional
-        Of the channels, the wavelengths in nanometres at which waves recorded the capture; None by rays.
+        Wavelengths of the channels in nanometres at which a wave capture was recorded; None for a ray capture.
     exposure : dict, optional
-        What `expose` has kept with the capture.
+        Metadata that `expose` has stored with the capture.
     checkpoint : Checkpoint, optional
-        For a method that is long: keeps what is done.
+        For long methods: saves intermediate results.
     batch_map : BatchMap, optional
-        For a method that is long: computes its point spreads.
+        For long methods: computes their point spreads.
     systems : dict
-        What `system` has bound.
+        Optical systems that `system` has built.
     """
 
     image: np.ndarray
@@ -79,7 +79,7 @@ class Found:
 
 
 def portion(progress: Progress, number: int, count: int) -> Progress:
-    """Return who hears of the progress of one of several parts of a work."""
+    """Return a progress callback for one of several parts of a computation."""
     return lambda done: progress((number + done) / count)
 
 
@@ -124,7 +124,7 @@ def method(
     Parameters
     ----------
     name : str
-        As users call it.
+        The name under which users select it.
     options : tuple of str
         The options of `reconstruct` that it takes.
     waves : bool

@@ -35,7 +35,7 @@ _BLOCK, _CUDA_BLOCK = 64, 4096
 # Columns that are turned into rows together: more of them would not stay in the first cache.
 _TILE = 512
 
-# Columns a whole number of pages apart would fall on the same few lines of the cache when they are turned.
+# Columns whose distance is a multiple of the page size would map to the same few cache lines during transposition.
 _PAGE, _STAGGER = 512, 24
 
 
@@ -77,7 +77,7 @@ class ThinElement:
             backend().arrays.multiply(samples, factor, out=out)
 
     def back(self, rows: slice, samples: Field, scale: float) -> Field:
-        """Return rows of a field, multiplied by the conjugates of all factors and a number."""
+        """Return rows of a field, multiplied by the conjugates of all factors and by a scale."""
         for factor in (self._factor(rows), None if self.along_y is None else self.along_y[rows, None]):
             samples = samples if factor is None else samples * factor.conj()
         return samples * np.float32(scale)
@@ -229,7 +229,7 @@ def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Fiel
 
 
 def _lowest(size: int, held: int) -> tuple[slice, slice]:
-    """Where the lowest frequencies are in a spectrum with zero frequency first: from zero on, and below zero."""
+    """Return the slices of the lowest frequencies, from zero on and below zero, in a spectrum that begins with zero."""
     positive = (held + 1) // 2
     return slice(0, positive), slice(size - (held - positive), size)
 

@@ -1,4 +1,4 @@
-r"""How finely and how widely the fields of a back-propagation are sampled: the rules, and the choice.
+r"""Sampling of the fields in back-propagation: the rules for pitches and windows, and the choice of grids.
 
 Detector to MLA and MLA to main lens go by the angular spectrum, whose windows are periodic. The rules:
 
@@ -132,7 +132,7 @@ class Step:
 
     @property
     def columns(self) -> tuple[int, int]:
-        """Number of columns that rows are turned into, and their longest length: source and destination share them."""
+        """Count and largest length of the transposed columns, whose memory source and destination share."""
         return self.x.held, max(self.y.count, self.y.wanted)
 
     @property
@@ -142,7 +142,7 @@ class Step:
 
     @property
     def transforms(self) -> tuple[tuple[int, int, bool], ...]:
-        """Fourier transforms of the step, in order: their number, their length, and whether they are inverse."""
+        """Fourier transforms of the step, in order: their count, their length, and whether they are inverse."""
         x, y = self.x, self.y
         return (
             (y.count, x.padded, False),
@@ -241,7 +241,7 @@ def field_memory() -> float:
 def _plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int, count: int
 ) -> FieldPlan:
-    """Choose the grids for a number of strips."""
+    """Choose the grids for a given count of strips."""
     subsamples = field_subsamples(camera, wavelength)
     pitch = camera.pixel_size / subsamples
     across = _detector_step(camera, wavelength, 0, lit[0], pitch)
@@ -271,16 +271,16 @@ def require_feasible(made: FieldPlan) -> None:
 
 
 def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
-    """Plan the way from some pixels to the cells of their own lenses: light that leaves these misses the pupil.
+    """Plan the step from pixels to the cells of their own lenses; light that leaves these cells misses the pupil.
 
-    Every direction is kept, and the window leaves room for them on both sides.
+    All directions are included, and the window has room for them on both sides.
     """
     b, z = camera.mla_distance, camera.detector_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
     low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
-    wanted = math.ceil((high - low) / pitch - 1e-6)  # whole cells often are whole numbers of samples
+    wanted = math.ceil((high - low) / pitch - 1e-6)  # the width of cells is often a multiple of the pitch
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
     padded = fast_length(max(count + 2 * spread, wanted))
@@ -296,7 +296,7 @@ def _main_lens_steps(
     detector: Sequence[AxisStep],
     oversample: int,
 ) -> tuple[list[AxisStep], list[AxisStep]]:
-    """Plan the ways from the MLA, in strips, to the main lens, and from there to the object planes."""
+    """Plan the steps from the MLA, in strips, to the main lens, and from there to the object planes."""
     b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
     extents = [object_extent(camera, distance, axis, lit) for distance in distances]
@@ -334,9 +334,9 @@ def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float,
 def object_extent(
     camera: PlenopticCamera, distance: float, axis: int, lit: Span
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Slopes, from the main lens's centre, at which the light of lit pixels goes to an object plane, and goes to bins.
+    """Return the ranges of slopes, from the main lens's centre, of the light of lit pixels and of that in bins.
 
-    Where all of it does the two are the same.
+    The two are equal if all of the light goes to bins.
     """
     b = camera.mla_distance
     spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.mla_pitch / b

@@ -1,30 +1,30 @@
-r"""From sums over bins to radiance, by one rule for all methods and lattices.
+r"""Conversion of sums over bins to radiance, by one rule for all methods and lattices.
 
-A bin is divided by what it gets of white in the same way: of a white capture of the same camera where there is one,
-else of the white that the camera would record. So a white scene reads 1 everywhere, at the borders too, where part of
-the light misses the detector. A bin that gets less than a hundredth of the rays that the best one gets is not reached:
-there is next to nothing to be divided, and it is NaN, for every method alike. Between the footprints of lenses, fine
-bins may get little light of waves though many rays reach them: by the computed white, which is least sure of them, they
-are not brightened without end. A white capture holds what they get, also where waves interfere, and shows from where
-bins get their light; the image is drawn back from there.
+A bin is divided by the light that it gets from a white scene by the same method: from a white capture of the camera if
+there is one, or else from a computed white image. So a white scene reads 1 everywhere, also at the borders, where part
+of the light misses the detector. A bin that gets less than 1 % of the rays of the best bin contains hardly any light,
+and is NaN with every method. Between the footprints of lenses, fine bins may get little light in the wave model though
+many rays reach them; the computed white is least accurate there, and the brightening by it is limited. A white capture
+contains the true light of these bins, including interference, and shows the positions from which bins get their light;
+the image is corrected for their displacements.
 
 Displacement
 ------------
-A bin gets light from about its place. The microlenses' diffraction takes light of one point of the pupil for that of
-another; in the middle of the field this averages out, but where the pupil or the detector ends it comes from one side
-only. Where lenses interfere, the phases of their fields weigh the places from which light comes. So a bin at x
-that is divided by white reads a slope of radiance at :math:`x + s`, to first order.
+A bin gets light from around its position. By the microlenses' diffraction, light of one point of the pupil appears to
+come from another. In the middle of the field this averages out, but at the border of the pupil or the detector the
+light comes from one side only. If lenses interfere, the phases of their fields weight the positions from which light
+comes. So, to first order, a bin at x that is divided by white reads a linear radiance at :math:`x + s`.
 
-The displacement s is the first moment of white. A scene whose radiance rises along the plane of the bins makes a
-capture that is white times the radiance at the places that pixels have their light from,
+The displacement s is the first moment of white. In a scene whose radiance rises linearly along the plane of the bins,
+the capture is the white capture times the radiance at the positions from which pixels get their light,
 :math:`W (1 + \epsilon u)`. Refocused by the same method and divided by white it reads :math:`1 + \epsilon (x + s)`.
-The place u of a pixel is where the ray through the middle of its lens meets the bins, from that point of the pupil
-where the pixel's light has its centroid: with K the spread of intensities over the pupil plane by a lens's diffraction,
+The position u of a pixel is the intersection of the bins' plane with the ray through the centre of its lens and the
+centroid of the pixel's light in the pupil. With K, the spread of intensities over the pupil plane by diffraction, it is
 :math:`K * (P \, A) / K * A` over the pupil A (Goodman, "Introduction to Fourier Optics", sections 4.4 and 5.2).
 
-The image is then drawn back to first order, by the slope of a plane fitted to the bins about each one, at the places
-where they have their light from (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and Its
-Applications", section 3.1).
+The image is then corrected to first order by the slope of a plane that is fitted to the bins around each bin, at the
+positions from which they get their light (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and
+Its Applications", section 3.1).
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ _LEAST_SAMPLES = 512
 
 
 class PupilCentroid:
-    """Where in the pupil the light has its centroid that a pixel gets by a microlens's diffraction."""
+    """The centroid in the pupil of the light that a pixel receives, given the diffraction of its microlens."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         window = _PLANE * camera.aperture_radius
-        # A frequency over the pupil plane is a place in the lens.
+        # Spatial frequencies over the pupil plane correspond to positions in the microlens.
         lens = camera.lattice.aperture_image(in_millimetres(wavelength) * camera.mla_distance / window, 1.0)
         size = scipy.fft.next_fast_len(max(_LEAST_SAMPLES, 2 * len(lens)), real=True)
         require_memory(100.0 * size**2, f"pupil of {size} x {size} samples")
@@ -84,7 +84,7 @@ class PupilCentroid:
         ]
 
     def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the places, along x and y, for pixels that see (x, y) through their lens's centre; in millimetres."""
+        """Return the centroids in millimetres, along x and y, of pixels that see (x, y) through their lens's centre."""
         at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
         return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
 
@@ -103,14 +103,14 @@ _BLOCK = 2**18
 
 
 def is_known(camera: PlenopticCamera) -> bool:
-    """Whether displacements are known: behind thin lenses, of unfocused cameras, whose pixels see pupil points."""
+    """Return whether displacements are known: for unfocused cameras with thin lenses, whose pixels see pupil points."""
     return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
 
 
 def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
     """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
 
-    Then the farthest place on the bins that counts, and how far a pixel's place there moves with its pupil point.
+    Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
     """
     at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
@@ -126,8 +126,8 @@ def tilted_whites(
 ) -> Iterator[tuple[float, NDArray[np.float32]]]:
     """Yield for each distance the captures of scenes whose radiance rises along the bins, to the right and downwards.
 
-    They are made of a white capture. The wavelengths in nanometres are those at which each channel was recorded by
-    waves; None for a ray capture.
+    They are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave capture;
+    None means a ray capture.
     """
     recorded = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
     known = {light: PupilCentroid(camera, light) for light in recorded if light is not None}
@@ -144,7 +144,7 @@ def tilted_whites(
 def _places(
     camera: PlenopticCamera, distance: float, axis: int, lights: Sequence[PupilCentroid | None], of_pupil: float
 ) -> Iterator[tuple[slice, list[NDArray[np.float64]]]]:
-    """Yield rows of pixels, and where along an axis of the bins the light of each channel comes from, on the MLA."""
+    """Yield rows of pixels, and the positions, along an axis of the MLA, from which each channel's light comes."""
     px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
     height = max(1, _BLOCK // len(px))
     for first in range(0, len(down), height):
@@ -189,7 +189,7 @@ def brought_back(
         moved[1] + (np.arange(rows) - rows / 2)[:, None, None],
         values,
     )
-    # Means over the bins about each one: of place and value, and of their products.
+    # Means over the bins around each bin: of position and value, and of their products.
     mass = _mean_about(light, reach)
     mass = np.where(mass > 0, mass, 1)
     x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
@@ -247,8 +247,7 @@ def to_radiance(
     sums : sequence of sequences of (rows, columns, channels) arrays
         For each of the `captures` of the task the sums over bins at its distances.
     white : sequence of arrays (rows, columns) or (rows, columns, channels)
-        What the bins get of the white that the camera would record, for every distance; with a white capture it is
-        not looked at.
+        Sums over bins of the computed white image, for every distance; ignored if there is a white capture.
     reach : sequence of (rows, columns) arrays
         Pixels of white whose rays reach the bins, for every distance.
 

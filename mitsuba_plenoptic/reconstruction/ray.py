@@ -1,6 +1,6 @@
-"""Refocusing by rays, after Ng, "Digital Light Field Photography" (2006), section 4, and the sums over bins of it.
+"""Refocusing with the ray model, after Ng, "Digital Light Field Photography" (2006), section 4, and its sums over bins.
 
-Where a pixel's light goes is separable in x and y, but whether it passes the pupil is not:
+The bin of a pixel's light is separable in x and y, but the condition that the light passes the pupil is not:
 
     out[j, i] = sum_r sum_c  Wy[j, r] Wx[i, c] [Px[c]^2 + Py[r]^2 <= R^2] image[r, c]
 
@@ -35,17 +35,17 @@ from .splatting import Splat, traced_white
 
 @method("ray", options=("footprint",), waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
-    r"""Follow one ray a pixel back to the object plane and add the pixel's value to the bin it meets.
+    r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
 
-    The ray goes from the pixel's centre through the centre of its lens. With ``footprint="point"`` the whole value
-    goes to one bin; with ``"lens"`` it is spread over the places that the rays through the whole lens meet, because the
-    pixel has integrated over the lens: this leaves no grid pattern out of focus. For an unfocused camera that is about
-    one bin. Where a focused one is sharp, those places are one point, and what the pixel itself covers is wider: the
-    pixel is spread over the wider of the two (see `mitsuba_plenoptic.design`; their convolution is what it has
-    integrated over, but once more on the way back that would only blur).
+    The ray passes the centres of the pixel and of its lens. With ``footprint="point"`` the whole value is added to one
+    bin. With ``"lens"`` it is spread over the area that rays through the whole lens hit, because the pixel has
+    integrated over the lens: this avoids grid patterns out of focus. For an unfocused camera the area is about one bin.
+    Where a focused camera is sharp it shrinks to a point, and the projection of the pixel itself is wider: the pixel is
+    spread over the wider of the two (see `mitsuba_plenoptic.design`). The pixel has integrated over their convolution,
+    but spreading it over that would only blur the image further.
 
-    Bins are divided by what they get of white in the same way. In the plane in focus a point version leaves those bins
-    empty that hold no lens's centre; they are NaN.
+    Each bin is divided by the light that it gets from a white scene by the same method. In the plane in focus,
+    ``"point"`` leaves bins empty that do not contain the centre of a lens; they are NaN.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def aligned_axes(
 def _axis(
     camera: PlenopticCamera, distance: float, radius: float, axis: int, footprint: str, oversample: int
 ) -> AxisBins:
-    """Where the pixels of one axis go, in bins, and where they meet the pupil."""
+    """Return the positions of the pixels of one axis on the bins, and on the pupil."""
     count = camera.bin_count[axis] * oversample
     p = camera.pixel_coordinates(axis)
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)

@@ -75,9 +75,9 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
     path : path
         File to write.
     result : Reconstruction
-        What to write.
+        The reconstruction.
     source : dict, optional
-        Metadata of the capture, kept in the header.
+        Metadata of the capture, which are written to the header.
 
     Raises
     ------
@@ -111,7 +111,7 @@ class Volume:
     voxel_size : float
         Width and height of a voxel in scene units.
     attributes : dict
-        What is known of it, as plain data: camera, method, options, and the facts of each plane.
+        Facts as plain data: camera, method, options, and the facts about each plane.
     """
 
     values: NDArray[np.float32]
@@ -138,7 +138,7 @@ class Volume:
         Raises
         ------
         InputError
-            If there are none, a distance is infinite or given twice, or images differ in their channels.
+            If the sequence is empty, a distance is infinite or given twice, or images differ in their channels.
         """
         if not results:
             raise InputError("results = []: a volume needs one plane at least")
@@ -264,7 +264,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
         A name that ends in ``.tif`` or ``.tiff``, which ImageJ reads as a hyperstack; in ``.ome.tif`` or ``.ome.tiff``,
         where planes may be unevenly spaced; or in ``.zarr``, which xarray reads and needs the package zarr.
     volume : Volume
-        What to write, as float32.
+        The volume, which is written as float32.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 r"""Pixels summed over bins on any lattice.
 
-A pixel p of the lens with centre c goes to the place u(c) of the bins, through the point P(c) of the pupil. Through
-another point c + d of its lens it goes to u(c) + a d, with the same a for all pixels of one type of lens, so that its
-footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
+A pixel p of the lens with centre c is projected to the position u(c) on the bins, through the point P(c) of the pupil.
+Through another point c + d of its lens it is projected to u(c) + a d, with the same a for all pixels of one lens type.
+Its footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
 first counted on a grid finer than the bins, one for each type of lens; what such a sample gives to each of the bins
 about it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
 bit.
@@ -42,7 +42,7 @@ _BLOCK = 2**16
 
 @dataclass(frozen=True)
 class Splat:
-    """Where the pixels go, and what they cover there.
+    """The positions of the pixels on the bins, and their footprints there.
 
     There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
     counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
@@ -136,7 +136,7 @@ def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
     kernels = footprint.reshape(taps, taps, -1)
     rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
     spectrum = scipy.fft.rfft2(window)
-    # A correlation of the window with each kernel; what wraps lies beyond the rows and columns that are kept.
+    # A correlation of the window with each kernel; values that wrap around lie outside the returned rows and columns.
     return np.stack(
         [
             scipy.fft.irfft2(spectrum * scipy.fft.rfft2(kernels[..., fine], window.shape).conj(), window.shape)[
@@ -239,8 +239,8 @@ def traced_places(
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
     """Follow one ray a pixel, through the centre of its lens, back to an object plane.
 
-    Yields rows of pixels, x and y of their places in the object plane times -b / g in millimetres, which undoes the
-    distortion, and whether the lens lets the ray, or that from the middle of one of the pixel's edges, through.
+    Yields rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which corrects
+    the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
     """
     types, lens = array_module(), main_lens(camera)
     half, b = camera.pixel_size / 2, camera.mla_distance
@@ -259,9 +259,9 @@ def traced_places(
 
 
 def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
-    """Return what a camera with a real main lens records of a scene of uniform radiance 1, by rays.
+    """Return the capture by the ray model of a scene of uniform radiance 1, for a camera with a real main lens.
 
-    Every pixel has its own shift of one even set of rays: what few of them miss at the rims of micro-images averages
+    Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
     out over the pixels of a bin.
     """
     types, lens, lattice, p = array_module(), main_lens(camera), camera.lattice, camera.pixel_size
@@ -326,7 +326,7 @@ def _back(
 
 
 def _scrambled(types: Any, number: Any, axis: int) -> Any:
-    """Return evenly scattered numbers from 0 to 1 for consecutive ones: a hash of their bits (Wellons, 2018)."""
+    """Hash consecutive integers to evenly scattered values from 0 to 1 (Wellons, 2018)."""
     x = types.UInt32(number) * 4 + axis
     for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
         x = (x ^ (x >> shift)) * types.UInt32(factor)

@@ -1,18 +1,18 @@
-r"""Refocusing by waves of the square root of a capture: as one coherent wave, or as waves of subsets of lenses.
+r"""Refocusing with the wave model: the square root of a capture is one coherent wave, or one for each lens subset.
 
 The detector has lost the phase of the light. Coherent reconstruction supplies one: under each microlens, of centre
 c, the light is taken to converge from its whole micro-image towards c,
 
 .. math:: U_0(p) = \sqrt{I(p)} \, \exp\left(-i \pi \frac{|p - c|^2}{\lambda z}\right)
 
-and goes back by the angular spectrum to the MLA, through the microlenses :math:`\exp(-i \pi |m - c|^2 / \lambda f_2)`,
+and is propagated back by the angular spectrum to the MLA, the microlenses :math:`\exp(-i \pi |m - c|^2 / \lambda f_2)`,
 to the main lens :math:`\exp(-i \pi P^2 / \lambda f_1)` and its pupil, and to the object plane, where
 :math:`|U|^2` is summed over bins.
 
 Why the microlens acts a second time
 ------------------------------------
-The converging phase undoes what the microlens did on the way in, and it is tempting to go straight on to the main
-lens. But at its focus in the MLA plane, a field that converges from z away is the Fourier transform of
+The converging phase undoes the effect of the microlens during the capture, which suggests that the microlens can be
+left out. But at its focus in the MLA plane, a field that converges from a distance z is the Fourier transform of
 :math:`\sqrt{I}` *times* :math:`\exp(i \pi |m - c|^2 / \lambda z)` (Goodman, "Introduction to Fourier Optics", section
 5.2). If that factor stays, the light that reaches the main lens is not the micro-image enlarged but the micro-image
 after :math:`(\lambda z)^{1/2}` of Fresnel blur: 18 um of a micro-image of 43 um for the paper's camera, where a
@@ -117,7 +117,7 @@ def _signed_power(
 ) -> list[np.ndarray]:
     """Return the power in bins, in pixel values times pixels, spread over lenses where these do not lie on bins.
 
-    Object distances share the light up to the main lens. A real main lens is seen from behind as a thin one.
+    The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
     """
     camera, wavelength, planes = system.camera, system.wavelength, list(distances)
     fine, real, seen = fine_bins(system, oversample), None, camera
@@ -148,9 +148,9 @@ def _signed_power(
 def full_field_period(
     image: np.ndarray, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
 ) -> int | None:
-    """Period at which subsets of lenses do not interfere, where full fields are cheaper than single lenses; else None.
+    """Return the period from which subsets of lenses do not interfere, or None if single lenses are cheaper.
 
-    Full fields are, near focus, where few subsets do; the cost is the number of samples that are transformed.
+    Full fields are cheaper near focus, where few subsets suffice. The cost is the count of transformed samples.
     """
     lit = lit_window(image, camera)
     if lit is None:

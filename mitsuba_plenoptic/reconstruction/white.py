@@ -1,4 +1,4 @@
-"""What a white scene gives by waves, by which images are divided: 1 then is the radiance of white."""
+"""The light of a white scene in the wave model, by which images are divided, so that white has the radiance 1."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def white_power(
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
-    """Return the camera with the pixels of a number of lenses on each side of the axis, whether it has them or not."""
+    """Return the camera with a crop of `lenses` lenses on each side of the axis; the detector grows if needed."""
     around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
     if around > MOST_PIXELS // 2:
         raise InputError(

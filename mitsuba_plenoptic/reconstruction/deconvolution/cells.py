@@ -1,13 +1,13 @@
-r"""The periodic cells of a camera: which bins of an object plane, and which samples of the detector, repeat together.
+r"""The periodic cells of a camera: groups of object-plane bins and of detector samples that repeat together.
 
 Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
 :math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `capture.grid.Grid` that is a whole
 number of samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses
 where three types are interleaved), and the response of all bins is known from that of the bins of one cell.
 
-A cell (I, J) stands for the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as
-high as :math:`v_2`, and for the samples around the same place times :math:`(b + z) / b`. :math:`v_1` is along x; rows
-of cells may be staggered. All of this is in the frame of the lattice.
+A cell (I, J) contains the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as
+high as :math:`v_2`, and the samples around the same position times :math:`(b + z) / b`. :math:`v_1` is along x; rows
+of cells may be staggered. All coordinates are in the frame of the lattice.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CellSet:
 
     @cached_property
     def start(self) -> NDArray[np.int64]:
-        """Number of each row's first cell."""
+        """Index of each row's first cell."""
         return np.concatenate([[0], np.cumsum(self.count)[:-1]]).astype(np.int64)
 
     @cached_property
@@ -48,7 +48,7 @@ class CellSet:
         return np.stack([np.arange(len(self)) - self.start[row] + self.first[row], row + self.top], axis=-1)
 
     def find(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the numbers of cells (..., 2); that of a cell that is not among these is their count."""
+        """Return the positions in this set of cells (..., 2); for a cell that is not in it, the set's length."""
         row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
         inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
@@ -88,7 +88,7 @@ class BinCells:
 
     @cached_property
     def _steps(self) -> NDArray[np.int64]:
-        # A lens's type is (i - j) modulo their number.
+        # A lens's type is (i - j) modulo the count of types.
         return np.array([[self._types, 0], [0 if self._types == 1 else 1, 1]])
 
     @cached_property
@@ -118,7 +118,7 @@ class BinCells:
         return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
 
     def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> NDArray[np.float64]:
-        """Return places in the bins of a cell on the MLA, evenly over each."""
+        """Return points on the MLA that are evenly spaced in each bin of a cell."""
         x, y = (
             (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
             for count, size in zip(self.bins, self.bin_sizes, strict=True)
@@ -157,7 +157,7 @@ class BinCells:
         return result
 
     def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
-        """Return for each row of cells its first one's number, their count, and where its strip and the box meet."""
+        """Return for each row of cells the first cell's index, the count, and the overlap of its strip with the box."""
         width, height = self.size
         strips = []
         for row, (number, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
@@ -186,7 +186,7 @@ def to_bins(
 ) -> NDArray[np.float32]:
     """Interpolate between the centres of bins; where the two grids are one, nothing changes.
 
-    Behind a real main lens cells are places of chief rays on the array, and its distortion is undone.
+    Behind a real main lens, cells are positions of chief rays on the array, and its distortion is corrected.
     """
     pitch = camera.mla_pitch / oversample
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)

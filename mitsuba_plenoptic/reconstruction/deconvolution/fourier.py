@@ -2,13 +2,13 @@ r"""The response of a Fourier light-field microscope to the bins of object plane
 
 The array stands in the image of the stop, where a point (X, Y, d) has the field of the point (0, 0, d) times a plane
 wave of the direction cosines :math:`M X / f_F`. All lenses together are one thin screen there, and free space behind it
-takes a tilted wave to the same intensity, moved by :math:`z M X / f_F` (Goodman, "Introduction to Fourier Optics",
-section 4.2; exact where directions are small, and behind an objective they are). So all points of a plane have one
-spread, whatever they share a lens with, and a plane's capture is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier
-light-field microscopy", Optics Express 27, 25573).
+propagates a tilted wave to the same intensity, shifted by :math:`z M X / f_F` (Goodman, "Introduction to Fourier
+Optics", section 4.2; exact for small directions, as behind an objective). So all points of a plane have the same point
+spread, and a plane's capture is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier light-field microscopy", Optics
+Express 27, 25573).
 
-Bins lie on a grid that is `oversample` times as fine as the pixels, in the pictures that the lenses make. Those at the
-same place of a pixel light the pixels by one kernel, so that a plane has as many kernels as bins lie on a pixel.
+Bins lie on a grid that is `oversample` times as fine as the pixels, in the pictures that the lenses make. Bins at the
+same position within a pixel have one kernel, so that a plane has as many kernels as there are bins on a pixel.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _DARK = 2
 class FourierResponse(StoredResponse):
     r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
 
-    Bins fill the picture of one lens, `PlenopticCamera.bin_count` of them times `oversample`. What lies beyond that is
-    taken for dark: behind a real microscope a field stop hides it.
+    Bins fill the picture of one lens, with `PlenopticCamera.bin_count` times `oversample` bins. Everything outside is
+    taken to be dark: in a real microscope a field stop hides it.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class FourierResponse(StoredResponse):
         return TotalVariation.of_grids(self.shapes)
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return numbers of a plane's bins, which lie as in a lens's picture, upright, as in a reconstruction."""
+        """Return the values of a plane's bins, which are ordered as in a lens's picture, as an upright image."""
         return np.ascontiguousarray(values[::-1, ::-1])
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -118,7 +118,7 @@ class FourierResponse(StoredResponse):
 
     @property
     def _phases(self) -> list[tuple[slice, slice]]:
-        """The bins at each place of a pixel."""
+        """The bins at each position within a pixel."""
         starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
         return list(itertools.product(starts, starts))
 
@@ -215,7 +215,7 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
 
 
 def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
-    """Return the mean of a point's spread over the places of the point in a bin, `width` samples wide."""
+    """Return the mean of a point's spread over the positions of the point in a bin, `width` samples wide."""
     length = spread.shape[axis]
     spectrum = np.fft.rfft(spread, axis=axis).astype(np.complex64)
     factor = np.sinc(np.fft.rfftfreq(length) * width).astype(np.float32)

@@ -1,8 +1,8 @@
-"""How the bins of one cell light the samples of the cells around: a few dense blocks of a mostly dark array.
+"""The kernels from the bins of one cell to the samples of the cells around: a few dense blocks of a sparse array.
 
-Through one lens a bin lights a spot; the next lens has that spot elsewhere. So of all pairs of a cell and a block
-of its samples few hold light, and the others are left out. What they would hold is given to those that stay, all alike,
-so that no power is lost.
+Through each lens a bin lights a spot, at another position than through the next lens. So only a few of all pairs of a
+cell and a block of its samples contain light, and the others are left out. Their power is distributed to the remaining
+blocks by a common factor, so that no power is lost.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEAST = 2e-3
 
 @dataclass(frozen=True)
 class SampleBlock:
-    """What one block of a cell's samples gets."""
+    """The light that one block of a cell's samples receives."""
 
     rows: slice
     columns: slice
@@ -44,7 +44,7 @@ class SampleBlock:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """The response of the bins of any cell near some place."""
+    """The response of the bins of any cell near one position."""
 
     steps: NDArray[np.int64]
     blocks: list[SampleBlock]
@@ -88,7 +88,7 @@ class StoredResponse:
 
 
 def require_response_memory(memory: Callable[[int], float], oversample: int, distances: Sequence[float]) -> None:
-    """Refuse a response that does not fit, by the bytes that numbers of bins take, before anything is allocated."""
+    """Refuse a response that does not fit into memory, before anything is allocated; `memory` gives its bytes."""
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, oversample)
@@ -120,8 +120,8 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
 
 
 def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kernel:
-    """Leave out of a response, (steps, bins, rows, columns), what is next to dark."""
-    np.maximum(dense, 0, out=dense)  # what interpolation leaves below zero between samples is not light
+    """Leave the nearly dark blocks out of a response (steps, bins, rows, columns)."""
+    np.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
     edges = [
         np.linspace(0, length, max(1, round(length / _BLOCK)) + 1).round().astype(int) for length in dense.shape[2:]
     ]
@@ -160,7 +160,7 @@ def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
 
 
 class PlaneResponse:
-    """What the samples of all cells get of the bins of a plane."""
+    """The light that the samples of all cells receive from the bins of a plane."""
 
     def __init__(
         self, cells: BinCells, sampled: CellSet, zones: Sequence[NDArray[np.int64]], kernels: Sequence[Kernel]

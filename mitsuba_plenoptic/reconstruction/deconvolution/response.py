@@ -82,7 +82,7 @@ def wave_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> l
 
 
 def _points(cells: BinCells, distance: float) -> int:
-    """Return how many points along a lens stand for its bins."""
+    """Return the count of points along a lens by which its bins are sampled."""
     camera = cells.camera
     limit = resolution_limit(camera, distance, cells.grid.wavelength)
     lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
@@ -90,7 +90,7 @@ def _points(cells: BinCells, distance: float) -> int:
 
 
 def bin_weight(cells: BinCells) -> float:
-    """Return what all pixels together record of a bin of radiance 1, where no light is lost."""
+    """Return the light that all pixels together record from a bin of radiance 1 if no light is lost."""
     return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
 
 
@@ -128,7 +128,7 @@ class RayBatch:
 
     @property
     def samples(self) -> int:
-        """Rays."""
+        """Count of rays."""
         return _RAYS**2
 
     def prepare(self) -> Callable[[], Part]:
@@ -148,7 +148,7 @@ def _pairs() -> NDArray[np.float64]:
 
 
 def _trace(batch: RayBatch) -> Part:
-    """Trace the rays of a bin, and share each among the four samples around."""
+    """Trace the rays of a bin, and distribute each to the four samples around it."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
     lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
     pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
@@ -221,7 +221,7 @@ class Response(StoredResponse):
         each = [self._kernel_memory(distance, oversample) for distance in distances]
         alike = _alike(camera, wavelength)
         groups = self._zones(max(each), alike)
-        # Where all lenses are alike one kernel serves all zones, which share the work among the cores.
+        # If all lenses are alike, one kernel serves all zones, which only divide the work among the cores.
         asked = groups[len(groups) // 2 :][:1] if alike else groups
         super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
         self._require_memory(len(asked))
@@ -254,7 +254,7 @@ class Response(StoredResponse):
         return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches))
 
     def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
-        """Cut the cells into zones, so few that their kernels fit where each has its own."""
+        """Cut the cells into zones; if each zone has its own kernel, into so large ones that the kernels fit."""
         width, rows = _ZONE, len(self._sampled.count)
         widest = max(rows, int(self._sampled.count.max()))
         while True:
@@ -290,7 +290,7 @@ class Response(StoredResponse):
         return TotalVariation.of_cells(self.cells, [plane.lit for plane in self.planes])
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return numbers of a plane's bins, (cells, bins), as those of the upright bins of a reconstruction."""
+        """Return the values of a plane's bins (cells, bins) as an upright image of a reconstruction's bins."""
         lit, distance = self.planes[plane].lit, self._distances[plane]
         return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
 
@@ -313,11 +313,11 @@ class Response(StoredResponse):
 
 
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
-    """Whether points a lens apart have one spread: behind an objective, and by rays where there are no aberrations."""
+    """Return whether points one lens apart have equal spreads: with an objective, or without aberrations for rays."""
     by_rays = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
     return by_rays or not camera.lens_data.converges
 
 
 def _period(camera: PlenopticCamera) -> int:
-    """Return how many lenses a cell stands for."""
+    """Return the count of lenses in a cell."""
     return len(camera.mla_focal_lengths)

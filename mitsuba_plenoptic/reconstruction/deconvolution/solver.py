@@ -4,7 +4,7 @@ r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the nois
 
 (Richardson 1972, J. Opt. Soc. Am. 62, 55; Lucy 1974, Astron. J. 79, 745). It keeps x positive and raises the likelihood
 of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value that counts one electron: with it a
-Poisson law stands for photons and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
+Poisson law describes photon and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
 
 Accelerated, each step starts from a point extrapolated along the last one by Nesterov's momentum (1983, Soviet Math.
 Dokl. 27, 372; for this iteration Wang and Miller 2014, IEEE Trans. Image Process. 23, 848),
@@ -66,7 +66,7 @@ class Linear(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlaneEstimates:
-    """Where an iteration has ended."""
+    """The result of an iteration."""
 
     values: Values
     seen: Values
@@ -84,7 +84,7 @@ class Penalty(Protocol):
 
 @dataclass
 class State:
-    """How far an iteration has come: all that its next steps depend on."""
+    """The state of an iteration: all data on which its next steps depend."""
 
     found: Values
     last: Values
@@ -154,7 +154,7 @@ def richardson_lucy(
 
 
 def _explained(misfits: list[float]) -> bool:
-    """Whether what is left is noise, or will not become less."""
+    """Return whether the residual is as small as noise, or hardly decreases any more."""
     above = [value - 1 for value in misfits[-1 - _SPAN :]]
     return above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
 
@@ -183,7 +183,7 @@ class Solved:
 
 
 class SolverCheckpoint:
-    """What an earlier process has done, and what this one adds to it."""
+    """The results of earlier processes in a checkpoint, and those that this one adds."""
 
     def __init__(self, checkpoint: Checkpoint | None, facts: dict[str, Any]) -> None:
         self._checkpoint = checkpoint
@@ -198,7 +198,7 @@ class SolverCheckpoint:
             raise InputError(f"checkpoint: it is damaged: {error}") from None
 
     def state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
-        """Return where the iteration under way was stopped, once; refuse one of bins of other shapes."""
+        """Return, only once, the saved state of the unfinished iteration; refuse one with bins of other shapes."""
         state, self._state = self._state, None
         for values in [] if state is None else [state.found, state.last]:
             if [part.shape for part in values] != list(shapes):
@@ -206,7 +206,7 @@ class SolverCheckpoint:
         return state
 
     def keep(self, state: State) -> None:
-        """Keep what is done, if it is time to."""
+        """Save the state if the checkpoint is due."""
         if self._checkpoint:
             self._checkpoint.save_arrays(lambda: self._solved_arrays() | _arrays(state))
 

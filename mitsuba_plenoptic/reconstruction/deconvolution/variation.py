@@ -35,14 +35,14 @@ class Noise:
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Return the noise by a number of photons if given, else by what `expose` has stored with the capture."""
+        """Return the noise from `photons` if given, or else from the metadata that `expose` has stored."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
         return None if exposure is None else cls._exposed(exposure)
 
     @classmethod
     def _exposed(cls, exposure: Any) -> Noise:
-        """Take it from the detector's numbers: EMVA 1288, Release 4.0 Linear, equation for the digital number."""
+        """Return a detector's noise (EMVA 1288, Release 4.0 Linear, equation for the digital number)."""
         try:
             photons = exposure["photons"]
             detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
@@ -101,7 +101,7 @@ class TotalVariation:
     def gradient(
         self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
     ) -> list[NDArray[np.float32]]:
-        """Return the gradient, one number a bin, free of units."""
+        """Return the dimensionless gradient, one value for each bin."""
         return [
             _gradient(steps, part, kept) for steps, part, kept in zip(self._differences, values, inside, strict=True)
         ]
@@ -109,7 +109,7 @@ class TotalVariation:
 
 def _gradient(differences: Differences, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     flat, beyond = values.ravel(), (~inside.ravel()).astype(np.float32)
-    # A step that touches a bin beyond is none.
+    # Steps to bins that are not inside do not count.
     steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
     even = _SMOOTH * float(values[inside].mean()) if inside.any() else 0.0
     length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
