@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from ..lenses.base import MainLens, PointLight
 from ..lenses.factory import main_lens
 from ..lenses.wave_cameras import require_ideal
 from ..prescription.glass import LINE_D
+from ..runtime.backend import array_module
 from .microlens_orders import MicrolensArray
 from .microlenses import upright
 
@@ -46,18 +49,18 @@ class OpticalSystem:
     @cached_property
     def microlenses(self) -> MicrolensArray:
         """The transmission of the microlenses, in the frame of the camera."""
-        return MicrolensArray(self.camera, self.wavelength)
+        return _microlens_array(self.camera, self.wavelength, array_module())
 
     @cached_property
     def upright_microlenses(self) -> MicrolensArray:
         """The transmission of the microlenses, in the frame that is rotated with their lattice about the axis."""
         turned = self.camera.mla_rotation != 0
-        return MicrolensArray(upright(self.camera), self.wavelength) if turned else self.microlenses
+        return _microlens_array(upright(self.camera), self.wavelength, array_module()) if turned else self.microlenses
 
     @cached_property
     def lens(self) -> MainLens:
         """The main lens, with rays refracted as in the wave model; see `MainLens` for its methods."""
-        return main_lens(self.camera, self.wavelength, model="parabolic")
+        return _wave_lens(self.camera, self.wavelength)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens for wave propagation from scene points (n, 3).
@@ -81,3 +84,19 @@ class OpticalSystem:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
         require_ideal(self.camera)
         return self.lens.waves_of_one(point)
+
+
+@functools.lru_cache(maxsize=4)
+def _microlens_array(camera: PlenopticCamera, wavelength: float, types: Any) -> MicrolensArray:
+    """Return the microlenses of a camera on the active processor.
+
+    The last few are remembered: the tables of arrays that are not separable take longer than a point spread, and many
+    operators of one camera are made one after another.
+    """
+    return MicrolensArray(camera, wavelength)
+
+
+@functools.lru_cache(maxsize=4)
+def _wave_lens(camera: PlenopticCamera, wavelength: float) -> MainLens:
+    """Return the main lens of a camera for waves; the last few are remembered with their fits, for the same reason."""
+    return main_lens(camera, wavelength, model="parabolic")

@@ -46,12 +46,13 @@ def test_what_waves_do_not_know_is_refused():
         OpticalSystem(REAL.replace(mla_tilt=(1.0, 0.0)), WAVELENGTH).waves_of(POINTS)
 
 
-def test_a_system_holds_its_fits_and_no_other_does():
+def test_fits_are_held_and_shared_by_systems_of_the_same_camera_and_wavelength():
     system = OpticalSystem(REAL, WAVELENGTH)
     lens = system.waves_of(POINTS)
     assert system.waves_of(POINTS) is lens
     assert system.waves_of_one(POINTS[0]) is system.waves_of_one(POINTS[0])
-    assert OpticalSystem(REAL, WAVELENGTH).lens is not system.lens
+    assert OpticalSystem(REAL, WAVELENGTH).lens is system.lens
+    assert OpticalSystem(REAL, WAVELENGTH + 1).lens is not system.lens
 
 
 def test_sums_share_the_system_of_their_own_camera_only():
