@@ -271,7 +271,7 @@ class MicrolensArray:
         self.axes: list[tuple[int, ...]] = [(0,), (1,)] if is_separable(camera) else [(0, 1)]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _received, (self._camera, self._wavelength)
+        return microlens_array, (self._camera, self._wavelength)
 
     def factors(self, cosine: float) -> list[ArrayFactor]:
         """Return the factors on the active device, with directions up to a cosine relative to the incident light."""
@@ -300,9 +300,13 @@ class MicrolensArray:
         return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT), self._wavelength)
 
 
-@functools.lru_cache(maxsize=1)
-def _received(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
-    """Return the array of a batch from another process; it is cached, since most batches use the previous one."""
+@functools.lru_cache(maxsize=4)
+def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
+    """Return the microlenses of a camera; the last few are remembered.
+
+    The tables of arrays that are not separable take longer than a point spread. Many operators of one camera are made
+    one after another, and batches of another process mostly need the array of the previous one.
+    """
     return MicrolensArray(camera, wavelength)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,7 @@ from ..lenses.base import MainLens, PointLight
 from ..lenses.factory import main_lens
 from ..lenses.wave_cameras import require_ideal
 from ..prescription.glass import LINE_D
-from ..runtime.backend import array_module
-from .microlens_orders import MicrolensArray
+from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
 
 
@@ -49,13 +47,13 @@ class OpticalSystem:
     @cached_property
     def microlenses(self) -> MicrolensArray:
         """The transmission of the microlenses, in the frame of the camera."""
-        return _microlens_array(self.camera, self.wavelength, array_module())
+        return microlens_array(self.camera, self.wavelength)
 
     @cached_property
     def upright_microlenses(self) -> MicrolensArray:
         """The transmission of the microlenses, in the frame that is rotated with their lattice about the axis."""
         turned = self.camera.mla_rotation != 0
-        return _microlens_array(upright(self.camera), self.wavelength, array_module()) if turned else self.microlenses
+        return microlens_array(upright(self.camera), self.wavelength) if turned else self.microlenses
 
     @cached_property
     def lens(self) -> MainLens:
@@ -87,16 +85,6 @@ class OpticalSystem:
 
 
 @functools.lru_cache(maxsize=4)
-def _microlens_array(camera: PlenopticCamera, wavelength: float, types: Any) -> MicrolensArray:
-    """Return the microlenses of a camera on the active processor.
-
-    The last few are remembered: the tables of arrays that are not separable take longer than a point spread, and many
-    operators of one camera are made one after another.
-    """
-    return MicrolensArray(camera, wavelength)
-
-
-@functools.lru_cache(maxsize=4)
 def _wave_lens(camera: PlenopticCamera, wavelength: float) -> MainLens:
-    """Return the main lens of a camera for waves; the last few are remembered with their fits, for the same reason."""
+    """Return the main lens of a camera for waves; the last few are remembered, with their slow fits."""
     return main_lens(camera, wavelength, model="parabolic")
