@@ -11,8 +11,6 @@ from __future__ import annotations
 from typing import Any
 
 import drjit as dr
-import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
@@ -57,16 +55,6 @@ def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]
     cx, cy = lattice.centre(i, j)
     several = len(camera.mla_focal_lengths) > 1
     return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
-
-
-def transmission_along(
-    camera: PlenopticCamera, wavelength: float, coordinate: NDArray[np.float64], axis: int
-) -> NDArray[np.complex64]:
-    """Return the factor of a separable transmission along one axis (0: x, 1: y), with all of its orders."""
-    lattice = camera.lattice
-    offset = coordinate - lattice.axis_centre(lattice.axis_cell(coordinate, axis), axis)
-    phase = phasor(parabola(offset * offset, camera.mla_focal_length, wavelength))
-    return phase if lattice.fills else np.where(np.abs(offset) <= lattice.aperture_widths[axis] / 2, phase, 0)
 
 
 def bend(camera: PlenopticCamera) -> float:
