@@ -55,7 +55,8 @@ def reconstruct(
         typer.Option(
             metavar="|".join(reconstruction.METHODS),
             help="How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved "
-            "subset of lenses; or deconvolved, by what this camera makes of each bin's light.",
+            "subset of lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, "
+            "deconvolved finds the plane whose capture it is.",
         ),
     ] = "ray",
     footprint: Annotated[

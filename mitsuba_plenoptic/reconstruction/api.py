@@ -161,10 +161,12 @@ def reconstruct(
         Object distances in scene units, beyond the focal length. They may be infinite, where bins are directions.
         Several distances share the propagation to the main lens. For an objective: depths beyond its native object
         plane.
-    method : {"ray", "coherent", "partial", "deconvolved"}
+    method : {"ray", "coherent", "partial", "incoherent", "deconvolved"}
         ``ray`` traces one ray per pixel back to the object plane. ``coherent`` propagates back one coherent wave, whose
         amplitude is the square root of the capture. ``partial`` propagates one such wave for each interleaved subset of
         lenses, and adds their intensities. Waves pass the camera's lenses as thin parabolic phase elements.
+        ``incoherent`` propagates each point of the object by itself through this camera, and weighs the capture with
+        its point spread (see `mitsuba_plenoptic.reconstruction.incoherent`).
         ``deconvolved`` finds the plane, or the planes, whose capture by this camera is the recorded one.
     camera : PlenopticCamera, optional
         The camera of a plain array, or one that replaces the capture's.
@@ -193,7 +195,8 @@ def reconstruct(
         light by borders, diffraction and interference are also corrected to first order (see
         `mitsuba_plenoptic.reconstruction.radiance`). This takes the time of one refocusing for the white and of two
         more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
-        at their edges, then read less than the radiance (0.85 for the paper's camera).
+        at their edges, then read less than the radiance (0.85 for the paper's camera), except with
+        ``incoherent``, whose computed white has lost the same light.
         ``deconvolved`` takes none.
     response : {"wave", "ray"}, optional
         For ``deconvolved``: model of the light in the camera. Default: the wave model if a `wavelength` is given, or
@@ -245,10 +248,11 @@ def reconstruct(
     capture = as_capture(capture, camera)
     camera = capture.camera
     chosen = METHODS[require_choice("method", method, METHODS)]
-    if not camera.lens_data.converges and method != "deconvolved":
+    if not camera.lens_data.converges and not chosen.as_it_is:
+        methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is)
         raise InputError(
-            f"method = {method}: behind main_lens = {camera.lens_data.label} captures are only deconvolved; use "
-            f"{argument('method')} deconvolved"
+            f"method = {method}: behind main_lens = {camera.lens_data.label} captures are reconstructed by the "
+            f"camera's own point spreads; use {argument('method')} {methods}"
         )
     if white is not None and method == "deconvolved":
         raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")

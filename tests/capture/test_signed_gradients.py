@@ -154,8 +154,8 @@ def proportional(scene):
 @pytest.mark.parametrize(
     ("variant", "colours", "parameters"),
     [
-        ("llvm_ad_mono", {"bandwidth": 100.0, "nodes": 2}, {}),
-        ("llvm_ad_rgb", {"responses": "srgb", "nodes": 2}, {}),
+        pytest.param("llvm_ad_mono", {"bandwidth": 100.0, "nodes": 2}, {}, marks=pytest.mark.slow),
+        pytest.param("llvm_ad_rgb", {"responses": "srgb", "nodes": 2}, {}, marks=pytest.mark.slow),
         ("llvm_ad_rgb", {"wavelength": "650, 550, 450"}, {"glass": '{"index": 1.5168, "abbe": 64.2}'}),
     ],
     ids=["band", "responses", "lines through a glass"],

@@ -36,7 +36,7 @@ def quarters(image, lenses):
     [
         {},
         {"detector_distance": 0.41},
-        {"mla_lattice": "hexagonal", "mla_focal_length": "0.48, 0.512, 0.55"},
+        pytest.param({"mla_lattice": "hexagonal", "mla_focal_length": "0.48, 0.512, 0.55"}, marks=pytest.mark.slow),
         {"mla_fill": 0.5, "mla_aperture": "circle"},
     ],
     ids=["in focus", "focused camera", "three focal lengths", "discs"],

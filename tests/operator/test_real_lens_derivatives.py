@@ -47,7 +47,7 @@ def difference(camera, step, **changes):
         # Nothing of it depends on the main lens.
         pytest.param("mla_rotation", "double_gauss", 0.1, 0.005, marks=pytest.mark.slow),
         ("wavelength", "singlet", 0.8, 0.005),
-        ("aperture_radius", "double_gauss", 9e-3, 0.025),
+        pytest.param("aperture_radius", "double_gauss", 9e-3, 0.025, marks=pytest.mark.slow),
     ],
 )
 def test_derivatives_against_differences_of_the_full_field(name, lens, step, limit):

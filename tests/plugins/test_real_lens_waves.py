@@ -31,10 +31,10 @@ def test_a_scene_is_that_by_rays_and_that_of_the_thin_lens():
     """A disk, partly hidden by another nearer one, refocused to where it stands."""
     images = {}
     for lens in (None, "double_gauss"):
-        camera = with_lens(lens)
+        camera = with_lens(lens, 10)
         scene = scene_of(camera, disk((0.1, 0.05, 236), 0.45), disk((-0.35, 0.1, 225), 0.2))
         for model, options in (("ray", {}), ("wave", {"wavelength": WAVELENGTH})):
-            capture = render_capture(scene, model=model, spp=64, **options)
+            capture = render_capture(scene, model=model, spp=32, **options)
             images[lens, model] = np.nan_to_num(reconstruct(capture, 236.0).image)
     real = images["double_gauss", "ray"]
     assert np.corrcoef(real.ravel(), images[None, "ray"].ravel())[0, 1] > 0.999

@@ -71,8 +71,15 @@ def test_pixels_below_zero_and_dark_ones():
     assert (gradient[::5] == 0).all() and (gradient[x != 0] != 0).all()
 
 
-@pytest.mark.parametrize("strips", [1, 3])
-@pytest.mark.parametrize("name", ["square", "hexagonal, turned, gaps"])
+@pytest.mark.parametrize(
+    ("name", "strips"),
+    [
+        ("square", 1),
+        ("hexagonal, turned, gaps", 3),
+        pytest.param("square", 3, marks=pytest.mark.slow),
+        pytest.param("hexagonal, turned, gaps", 1, marks=pytest.mark.slow),
+    ],
+)
 def test_adjoint_of_the_field_chain(name, strips):
     """<A x, y> = <x, Re A' y> to 1e-5 from amplitudes to the directions of the object plane, and on to the bins."""
     camera, rng = small_camera(3, **CAMERAS[name][0]), np.random.default_rng(3)

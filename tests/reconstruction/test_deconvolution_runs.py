@@ -95,7 +95,10 @@ def colours():
     return Capture(np.maximum(np.stack(images, -1), 0), TINY, (633.0, 500.0, 450.0), "wave")
 
 
-@pytest.mark.parametrize(("response", "volume", "stop"), [("wave", False, 2), ("ray", False, 11), ("ray", True, 5)])
+@pytest.mark.parametrize(
+    ("response", "volume", "stop"),
+    [("wave", False, 2), pytest.param("ray", False, 11, marks=pytest.mark.slow), ("ray", True, 5)],
+)
 def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, monkeypatch, response, volume, stop):
     """Stopped in the first plane, in a later one and channel, and in a volume: the bits of one that was not."""
     capture, path = colours(), tmp_path / "out.checkpoint"

@@ -99,7 +99,9 @@ def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
     assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("hexagonal")) for name in CAMERAS]
+)
 def test_the_adjoint_of_a_volume_is_the_transpose(name):
     camera, oversample = CAMERAS[name]
     response = response_of(camera, [-0.02, 0.01], oversample)

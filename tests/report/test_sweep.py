@@ -77,6 +77,7 @@ def test_finished_points_are_kept_and_a_grown_grid_computes_what_is_missing(tmp_
     assert stages["capture,aperture_radius=5"] == "made"
 
 
+@pytest.mark.slow
 def test_a_sweep_that_was_stopped_goes_on_in_the_midst_of_a_capture(tmp_path, computed, monkeypatch):
     # Blocks of the detector are kept one by one.
     monkeypatch.setattr(signed_rays, "_BLOCK_BYTES", 2**19)

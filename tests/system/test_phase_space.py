@@ -92,7 +92,7 @@ def test_a_wall_is_that_of_point_spreads(blur):
     "camera",
     [
         PlenopticCamera.preset("paper_double_gauss"),
-        PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0.3)),
+        pytest.param(PlenopticCamera(wavefront=(0, 0, 0, 0, 0, 0.3)), marks=pytest.mark.slow),
         pytest.param(PlenopticCamera.preset("lfm"), marks=pytest.mark.slow),
     ],
     ids=["double Gauss", "astigmatism", "objective"],

@@ -1,0 +1,111 @@
+"""Incoherent reconstruction against sums of single point spreads, uniform scenes, and places of points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    load_scene,
+    reconstruct,
+    render_capture,
+)
+
+WAVELENGTH = 633.0
+SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+CAMERAS = {
+    "square": SMALL,
+    "hexagonal": SMALL.replace(mla_lattice="hexagonal"),
+    "focused": SMALL.replace(detector_distance=0.6, mla_distance=117.0),
+    "aberrated": SMALL.replace(wavefront=(0.0, 0.0, 0.0, 0.0, 0.1, 0.05)),
+}
+
+
+def recorded(camera, image):
+    return Capture(image.astype(np.float32), camera, model="wave", wavelength=WAVELENGTH)
+
+
+def refocused(camera, image, distance=250.0, **options):
+    return reconstruct(recorded(camera, image), distance, method="incoherent", **options).image
+
+
+@pytest.mark.parametrize("name", [name for name in CAMERAS if name != "hexagonal"])
+def test_bins_weigh_the_capture_with_the_spreads_of_their_points(name):
+    """The light that a bin is divided by cancels between two captures."""
+    camera, distance, across = CAMERAS[name], 250.0, 8
+    random = np.random.default_rng(0).random(camera.shape)
+    even = np.ones(camera.shape)
+    found = refocused(camera, random, distance) / refocused(camera, even, distance)
+    count, pitch = camera.bin_count[0], camera.mla_pitch
+    row, column = 1, 2
+    inside = (np.arange(across) + 0.5) / across
+    x, y = ((index + inside - count / 2) * pitch for index in (column, row))
+    q = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0)
+    expected = operator.adjoint(random).sum() / operator.adjoint(even).sum()
+    assert found[row, column] == pytest.approx(expected, rel=1e-3)
+
+
+def test_it_is_linear_also_below_zero():
+    random = np.random.default_rng(0).normal(size=(2, *SMALL.shape))
+    parts = [refocused(SMALL, image) for image in (*random, random.sum(0))]
+    assert np.allclose(parts[0] + parts[1], parts[2], atol=1e-5 * np.abs(parts[2]).max())
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_a_uniform_scene_reads_its_radiance(model):
+    scene = load_scene("white", parameters={"detector_width": 0.512, "resolution": 128})
+    capture = render_capture(scene, model=model, spp=64)
+    options = {} if model == "wave" else {"wavelength": WAVELENGTH}
+    for result in reconstruct(capture, [210, 240], method="incoherent", **options):
+        assert np.nanmax(np.abs(result.image - 1)) < 0.02
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_point_is_seen_where_it_is(name):
+    camera, distance = CAMERAS[name], 250.0
+    place = np.array([0.05, -0.03])
+    point = np.append(-place * distance / camera.mla_distance, distance)[None]
+    image = CaptureOperator(camera, point, wavelength=WAVELENGTH).forward([1.0])
+    result = np.maximum(refocused(camera, image, distance, oversample=2), 0)
+    rows, columns = np.indices(result.shape)
+    centre = [np.average(axis, weights=result**4) for axis in (columns, rows)]
+    found = (np.array(centre) + 0.5 - np.array(result.shape[::-1]) / 2) * camera.mla_pitch / 2
+    assert found == pytest.approx(place, abs=0.25 * camera.mla_pitch)
+
+
+def test_channels_have_their_own_wavelengths():
+    image = np.random.default_rng(0).random((*SMALL.shape, 3))
+    lights = (450.0, 633.0, 633.0)
+    capture = Capture(image.astype(np.float32), SMALL, model="wave", wavelength=lights)
+    together = reconstruct(capture, 265, method="incoherent").image
+    for channel, light in enumerate(lights):
+        alone = Capture(image[..., channel].astype(np.float32), SMALL, model="wave", wavelength=light)
+        assert np.array_equal(together[..., channel], reconstruct(alone, 265, method="incoherent").image)
+
+
+def test_a_microscope_sees_a_point_where_it_is():
+    lens = Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)
+    camera = PlenopticCamera(
+        main_lens=lens, mla_pitch=0.8, mla_focal_length=20, detector_width=3.2, resolution=(128, 128)
+    )
+    size, depth = camera.bin_size(0), 0.02
+    point = np.array([[3 * size, -2 * size, depth]])
+    image = CaptureOperator(camera, point, wavelength=WAVELENGTH, method="full_field").forward([1.0])
+    result = refocused(camera, image, depth)
+    row, column = np.unravel_index(np.nanargmax(result), result.shape)
+    middle = (np.array(result.shape) - 1) / 2
+    # The object is upright, and x is to the left.
+    assert np.hypot(abs(column - middle[1]) - 3, abs(row - middle[0]) - 2) <= 1
+
+
+def test_options_of_other_methods_are_refused():
+    for option in ({"interleave": 2}, {"relay": True}, {"iterations": 3}):
+        with pytest.raises(InputError, match="method incoherent does not take it"):
+            refocused(SMALL, np.ones(SMALL.shape), **option)
