@@ -49,7 +49,7 @@ from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
 from .plugins.other_camera import with_camera
 from .prescription import Prescription
-from .runtime.cluster import Cluster
+from .runtime.batches import Cluster
 from .runtime.jobs import Job
 
 if TYPE_CHECKING:

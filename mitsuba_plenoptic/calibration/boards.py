@@ -22,7 +22,7 @@ from scipy.special import erf
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..runtime.variant import set_variant
+from ..runtime.backend import set_variant
 from .observations import Board
 
 # Disparities that are tried: below, a micro-image shows too little of the scene, above, too few lenses see a point.

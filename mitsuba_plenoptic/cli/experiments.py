@@ -12,8 +12,8 @@ from .. import reconstruction
 from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
 from ..errors import InputError, require_count, require_number
+from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
-from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import (
     Definitions,
     Distances,
@@ -30,8 +30,8 @@ from .inputs import (
     number,
     output_option,
     parse_definitions,
+    stage_lines,
 )
-from .terminal import stage_lines
 
 
 def compare(
@@ -228,7 +228,7 @@ def reproduce(
       mitsuba-plenoptic reproduce --preset paper -o paper
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report.comparison import reproduce as compute
+    from ..report.paper.reproduction import reproduce as compute
 
     with stage_lines(resume) as stages:
         results = compute(output, preset=preset, stages=stages)

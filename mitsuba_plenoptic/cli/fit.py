@@ -13,10 +13,9 @@ from ..errors import InputError, require_number
 from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
+from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
-from ..runtime.variant import DEFAULT_VARIANT
-from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions
-from .terminal import stopped_by_hand
+from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..fitting import Fit, PixelNoise

@@ -1,16 +1,21 @@
-"""Arguments and options that several commands have, and the loading of what they name."""
+"""What several commands have: options, the loading of what they name, progress, and the handling of Ctrl-C."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import re
+import signal
+import threading
 import warnings
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
@@ -18,13 +23,15 @@ from ..capture.scene import check_scene_file, load_scene, scene_names, scene_pat
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if
 from ..io.captures import MODELS, Capture, read_capture
+from ..io.checkpoints import Checkpoint
 from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, states_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.images import Brightness
-from ..runtime.batches import BatchMap
-from ..runtime.cluster import Cluster
-from ..runtime.variant import DEFAULT_VARIANT
+from ..report.stage_store import StageOptions
+from ..runtime.backend import DEFAULT_VARIANT
+from ..runtime.batches import BatchMap, Cluster
+from ..runtime.progress import ProgressBar, plain_lines
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
@@ -310,6 +317,66 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     return parameters
 
 
-def batches_on(workers: int | None, scheduler: str | None) -> AbstractContextManager[BatchMap | None]:
+def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
     """Return a context of the workers that are asked for; of None if none are."""
-    return nullcontext() if workers is None and scheduler is None else Cluster(workers=workers, scheduler=scheduler)
+    return (
+        contextlib.nullcontext()
+        if workers is None and scheduler is None
+        else Cluster(workers=workers, scheduler=scheduler)
+    )
+
+
+@contextlib.contextmanager
+def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
+    """Let Ctrl-C end a run with its checkpoint written, and say how to resume; a second Ctrl-C ends it at once."""
+    # Only the main thread receives signals.
+    on_main = threading.current_thread() is threading.main_thread()
+    before: Any = signal.getsignal(signal.SIGINT)
+
+    def stop(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        if not checkpoint.stop():
+            raise KeyboardInterrupt
+        _log.info("stopping after the current batch; Ctrl-C again stops at once")
+
+    if on_main:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        hint = ": resume with --resume" if checkpoint.path.exists() else ""
+        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, hint)
+        raise
+    finally:
+        if on_main:
+            signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def stage_lines(resume: bool) -> Iterator[StageOptions]:
+    """Print a line for each stage that is done, and show the progress of the current one."""
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with (
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+        plain_lines("starting") as line,
+    ):
+        tasks: dict[str, TaskID] = {}
+
+        def notify(name: str, done: int, total: int) -> None:
+            line.label = _words(name)
+            line(done, total)
+            if name not in tasks:
+                tasks[name] = bar.add_task(_words(name), total=None)
+            bar.update(tasks[name], completed=done, total=total or None)
+
+        def finished(name: str, seconds: float, was_there: bool) -> None:
+            if name in tasks:
+                bar.remove_task(tasks.pop(name))
+            console.print(f"{_words(name):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
+
+        yield StageOptions(notify, finished, resume)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -17,8 +17,8 @@ from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
 from ..report.images import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
+from ..runtime.backend import set_variant
 from ..runtime.progress import progress_bar
-from ..runtime.variant import set_variant
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -34,8 +34,8 @@ from .inputs import (
     output_option,
     read_recorded,
     require_linear,
+    stopped_by_hand,
 )
-from .terminal import stopped_by_hand
 
 
 def reconstruct(

@@ -16,13 +16,27 @@ import yaml
 from ..errors import naming
 from ..io.files import atomic_output, remove_leftovers
 from ..report.images import shrink, write_png
+from ..runtime.backend import set_variant
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Progress
-from ..runtime.variant import set_variant
-from .layout import CARD, CHECKSUMS, MANIFEST, PREVIEW, Layout, checksum, claim, locked, recorded_checksums
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
-from .shards import DataSet, open_shard, read_sample, whole_samples, write_samples
+from .shards import (
+    CARD,
+    CHECKSUMS,
+    MANIFEST,
+    PREVIEW,
+    DataSet,
+    Layout,
+    checksum,
+    claim,
+    locked,
+    open_shard,
+    read_sample,
+    recorded_checksums,
+    whole_samples,
+    write_samples,
+)
 
 _log = logging.getLogger(__name__)
 

@@ -27,10 +27,10 @@ from ..errors import (
     short_repr,
 )
 from ..io.captures import MODELS
+from ..io.files import read_yaml
 from ..io.ground_truth import QUANTITIES, require_quantities
-from ..io.plain_data import read_yaml
 from ..presets import PRESETS
-from ..runtime.variant import DEFAULT_VARIANT
+from ..runtime.backend import DEFAULT_VARIANT
 from .generators import GENERATORS, Illumination, SceneGenerator
 
 MOST_COUNT = 10**6

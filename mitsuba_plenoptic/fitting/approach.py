@@ -15,8 +15,7 @@ from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
 from ..lightfield.grid_estimation import estimate_lens_grid
 from .light import View, check_views
-from .model import vector_of
-from .ray_model import RayModels, check_numbers
+from .model import RayModels, check_numbers, vector_of
 
 
 def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:

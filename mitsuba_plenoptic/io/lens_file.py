@@ -14,8 +14,7 @@ from ..lens_data import LensData, known_kind
 from ..objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
-from .files import atomic_output, require_file
-from .plain_data import read_yaml
+from .files import atomic_output, read_yaml, require_file
 from .zemax_file import read_zemax
 
 DESIGNS = {".zmx": read_zemax, ".seq": read_codev}

@@ -17,7 +17,6 @@ from PIL import Image
 
 from .. import design
 from ..io.files import atomic_output
-from .claims import Claim
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, common_peak, lit_window
@@ -31,6 +30,17 @@ _EXPLANATIONS = {
     "coherent": "one field, propagated back as if all light were coherent",
     "partial": "four subsets of lenses, each coherent in itself",
 }
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A conclusion of the paper next to our results."""
+
+    statement: str
+    measured: str
+    # ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
+    verdict: str
+    remark: str
 
 
 @dataclass(frozen=True)

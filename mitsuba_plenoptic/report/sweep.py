@@ -22,11 +22,10 @@ from ..capture.render import is_wave_capture, render_capture
 from ..errors import InputError, argument, refuse_if, require_choice, require_number
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..io.files import atomic_output, remove_leftovers, require_writable
-from ..io.plain_data import read_yaml
+from ..io.files import atomic_output, read_yaml, remove_leftovers, require_writable
 from ..reconstruction import METHODS
+from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from ..runtime.batches import BatchMap
-from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from ..thin_lens import image_distance
 from .experiment import load_with_sensor, refocused
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software

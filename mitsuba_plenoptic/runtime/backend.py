@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if
+from ..errors import InputError, refuse_if, require_choice
 from . import llvm
 
 _P = ParamSpec("_P")
@@ -142,3 +142,21 @@ def _cuda() -> Backend:
             "pip install cupy-cuda12x, or cupy-cuda13x by the driver's CUDA"
         ) from None
     return Backend(dr.cuda, cupy, transforms, sparse, is_cuda=True)
+
+
+DEFAULT_VARIANT = "llvm_ad_mono"
+
+
+@one_at_a_time
+def set_variant(variant: str | None) -> None:
+    """Set a Mitsuba variant, or the default one if none is named and none is active."""
+    variant = variant or mi.variant() or DEFAULT_VARIANT
+    require_choice("variant", variant, mi.variants())
+    if variant.startswith("llvm"):
+        llvm.require()
+    refuse_if(
+        variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA),
+        f"variant = {variant!r}: no usable CUDA device was found; use an llvm_ad_* variant",
+    )
+    if mi.variant() != variant:
+        mi.set_variant(variant)

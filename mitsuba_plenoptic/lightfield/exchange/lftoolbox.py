@@ -24,8 +24,7 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_choice, require_number
-from ...io.files import atomic_output, require_file
-from ...io.plain_data import h5py_module, stored_array
+from ...io.files import atomic_output, h5py_module, require_file, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid

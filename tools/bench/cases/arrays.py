@@ -16,7 +16,7 @@ from mitsuba_plenoptic.lightfield import estimate_lens_grid
 from mitsuba_plenoptic.lightfield.grid import micro_image_centres
 from mitsuba_plenoptic.report.experiment import agreement, thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
-from mitsuba_plenoptic.report.measurements import square_sharpness
+from mitsuba_plenoptic.report.metrics import square_sharpness
 
 from .. import Row, at_most, case, pick
 from ..measures import scores, write_comparison

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-from .experiment import Experiment
-from .measurements import find
-from .metrics import image_metrics, ssim_text
+from ..comparison import find
+from ..experiment import Experiment
+from ..metrics import image_metrics, ssim_text
+from ..page import Claim
 
 CONFIRMED, PARTLY, DIFFERS = "confirmed", "partly", "differs"
 BY_CONSTRUCTION = "by construction"
@@ -25,17 +25,6 @@ _STRONGLY = 0.5
 
 # Nearly equal images, and by how much, in dB, the partially coherent one must be nearer than the coherent one.
 _NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A conclusion of the paper next to our results."""
-
-    statement: str
-    measured: str
-    # ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
-    verdict: str
-    remark: str
 
 
 def check_claims(

@@ -1,0 +1,1 @@
+"""What reproduces the paper, and only that: its figures, timing and conclusions."""
