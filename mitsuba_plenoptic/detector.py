@@ -213,5 +213,4 @@ def mosaic_of(capture: Capture) -> str | None:
 def require_demosaiced(capture: Capture) -> None:
     """Refuse a capture whose pixels have colours of their own, for work that takes them for one."""
     mosaic = mosaic_of(capture)
-    if mosaic is not None:
-        raise InputError(f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")
+    refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar, Self
 
-from .errors import InputError, short_repr
+from .errors import InputError, refuse_if, short_repr
 from .thin_lens import conjugate_distance, image_distance
 
 SINGLE = 1e-6
@@ -166,15 +166,16 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
         If a given value is not the lens's own.
     """
     for name, number in own.items():
-        if not math.isclose(given[name], number, rel_tol=tolerance):
-            raise InputError(f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out")
+        refuse_if(
+            not math.isclose(given[name], number, rel_tol=tolerance),
+            f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out",
+        )
     return own
 
 
 def require_alone(camera: Any) -> None:
     """Refuse what a real main lens brings itself."""
     for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
-        if any(values):
-            raise InputError(f"{name} = {values}: a main_lens brings its own; leave it out")
+        refuse_if(any(values), f"{name} = {values}: a main_lens brings its own; leave it out")
     if camera.glass is not None:
         raise InputError(f"glass = {short_repr(camera.glass.to_plain())}: a main_lens brings its own; leave it out")

@@ -177,16 +177,15 @@ class Objective(LensData):
     def require_fit(self, camera: Any) -> None:
         """Refuse aberrations besides the objective's own, and a tilted array."""
         require_alone(camera)
-        if any(camera.mla_tilt):
-            raise InputError(f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
+        refuse_if(any(camera.mla_tilt), f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
 
     def require_distance(self, camera: Any, distance: float) -> None:
         """Refuse a depth that is not finite or not before the objective."""
-        if not -self.focal_length < distance < math.inf:
-            raise InputError(
-                f"distance = {distance:g}: it must be a finite depth beyond the native object plane, more than "
-                f"{-self.focal_length:g}"
-            )
+        refuse_if(
+            not -self.focal_length < distance < math.inf,
+            f"distance = {distance:g}: it must be a finite depth beyond the native object plane, more than "
+            f"{-self.focal_length:g}",
+        )
 
     def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return 0: the native object plane is in focus."""

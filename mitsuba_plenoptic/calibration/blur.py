@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..lattice.base import Lattice
 from .adjustment import Adjusted
 from .model import AT, Observations
@@ -88,12 +88,12 @@ def fit_blur(
     curves = np.column_stack([matrix, *(matrix[:, :-1] * ratio[:, None]).T, *(matrix[:, :-1] * ratio[:, None] ** 2).T])
     bent = float(np.mean((radius - curves @ np.linalg.lstsq(curves, radius)[0]) ** 2))
     rounding = 1e-12 * float(np.var(radius))
-    if not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square):
-        raise InputError(
-            f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
-            f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
-            "have a sign, other in front of focus than behind it; leave the column out if they have none"
-        )
+    refuse_if(
+        not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square),
+        f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
+        f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
+        "have a sign, other in front of focus than behind it; leave the column out if they have none",
+    )
     scale = line[-1]
     over = 1 - line[:-1] / scale
     z = float(numbers[AT["detector_distance"]])

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..io.captures import require_pixels
 from ..io.files import atomic_output
 from ..lightfield.grid import lens_types
@@ -141,18 +141,19 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
 
 def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) -> Picture:
     values, light = (_grey(what, given) for what, given in ((name, image), ("white", white)))
-    if values.shape != light.shape:
-        raise InputError(
-            f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
-            f"{light.shape[0]}"
-        )
+    refuse_if(
+        values.shape != light.shape,
+        f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
+        f"{light.shape[0]}",
+    )
     middle = centres.pixel
     distance, _ = cKDTree(middle).query(middle, k=2)
     nearest = float(np.median(distance[:, 1])) / 2
     column, row = np.round(middle).astype(int).T
     inside = (column >= 0) & (column < light.shape[1]) & (row >= 0) & (row < light.shape[0])
-    if inside.sum() < 16:
-        raise InputError(f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least")
+    refuse_if(
+        inside.sum() < 16, f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least"
+    )
     full = float(np.median(light[row[inside], column[inside]]))
     refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)

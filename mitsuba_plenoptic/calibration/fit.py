@@ -79,12 +79,12 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     middle = (size - 1) / 2
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
     along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
-    if start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE:
-        raise InputError(
-            f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels "
-            f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
-            "hexagonal lattice by 90 degrees if its columns do"
-        )
+    refuse_if(
+        start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE,
+        f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels "
+        f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
+        "hexagonal lattice by 90 degrees if its columns do",
+    )
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)

@@ -280,16 +280,16 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
             f"{table.name}: the array {rows} its odd rows by half a pitch, other than the camera's mla_lattice: pixels "
             f"lie {error:.3g} from a grid of that and {other:.3g} from the other"
         )
-    if error > 0.5 * min(np.hypot(*step) for step in grid[1:]):
-        raise InputError(
-            f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
-            "must count the lenses of a row and l the rows"
-        )
-    if np.hypot(*grid[1]) < _CLOSEST:
-        raise InputError(
-            f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
-            "least: u and v must be in pixels"
-        )
+    refuse_if(
+        error > 0.5 * min(np.hypot(*step) for step in grid[1:]),
+        f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
+        "must count the lenses of a row and l the rows",
+    )
+    refuse_if(
+        np.hypot(*grid[1]) < _CLOSEST,
+        f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
+        "least: u and v must be in pixels",
+    )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)
     i = np.round(along - odd_rows * (j % 2))

@@ -142,11 +142,11 @@ def _agreeing(
     for pose, frame in enumerate(frames):
         mine = np.flatnonzero(near & (seen.pose == pose))
         rows = int((seen.pose == pose).sum())
-        if len(mine) < _AGREEING * rows:
-            raise InputError(
-                f"frame {frame}: {rows - len(mine)} of its {rows} rows lie farther than a lens's width from the "
-                "micro-image of the lens that k and l name: correct or remove the frame"
-            )
+        refuse_if(
+            len(mine) < _AGREEING * rows,
+            f"frame {frame}: {rows - len(mine)} of its {rows} rows lie farther than a lens's width from the "
+            "micro-image of the lens that k and l name: correct or remove the frame",
+        )
         explained, agrees = _board_fit(seen.board[mine], centre[mine], pixel[mine])
         good[mine] = agrees
         if not explained:
@@ -163,11 +163,11 @@ def _agreeing(
             for explained, agrees in [_board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])]
         }
         along = max(fits, key=lambda columns: fits[columns], default=0)
-        if not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses:
-            raise InputError(
-                f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
-                "do: correct or remove the frame"
-            )
+        refuse_if(
+            not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses,
+            f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
+            "do: correct or remove the frame",
+        )
         raise InputError(
             f"corners: in {len(strange)} of {seen.poses} frames they do not lie as on a board of {board.columns}x"
             f"{board.rows} inner corners: "

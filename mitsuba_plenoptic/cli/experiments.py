@@ -11,7 +11,7 @@ import typer
 from .. import reconstruction
 from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
-from ..errors import InputError, require_count, require_number
+from ..errors import refuse_if, require_count, require_number
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
 from .inputs import (
@@ -141,8 +141,10 @@ def sweep(
     from ..report.sweep import sweep as compute
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
-    if method is not None and "distance" not in wanted:
-        raise InputError("--method: nothing is refocused without a 'distance' in the grid; leave it out")
+    refuse_if(
+        method is not None and "distance" not in wanted,
+        "--method: nothing is refocused without a 'distance' in the grid; leave it out",
+    )
     settings = SweepSettings(
         scene=scene,
         parameters=parse_definitions(define),

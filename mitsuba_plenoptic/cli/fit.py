@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from ..capture.scene import load_scene
-from ..errors import InputError, require_number
+from ..errors import InputError, refuse_if, require_number
 from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
@@ -143,8 +143,9 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
     from .. import fitting
 
     noise, saturation = fitting.kept_noise(capture)
-    if noise is None and photons is None:
-        raise InputError(f"{path}: it keeps no noise, as 'expose' has not made it; give --photons")
+    refuse_if(
+        noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
+    )
     if noise is not None and photons is not None:
         raise InputError(f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons")
     return noise, saturation

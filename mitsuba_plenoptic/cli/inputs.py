@@ -241,16 +241,20 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 def require_linear(linear: bool, *paths: Path | None) -> None:
     """Refuse --linear where no picture is read whose values could be so."""
     given = [path for path in paths if path is not None]
-    if linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given):
-        raise InputError(f"--linear: it is for pictures (.png, .tiff); {given[0]} holds values proportional to light")
+    refuse_if(
+        linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given),
+        f"--linear: it is for pictures (.png, .tiff); {given[0]} holds values proportional to light",
+    )
 
 
 def brightness_of(exposure: float | None, percentile: float | None, *paths: Path | None) -> Brightness:
     """Return what becomes white in pictures; refuse the options where none of the files to write is one."""
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
     given = [path for path in paths if path is not None]
-    if named and not any(path.suffix.lower() == ".png" for path in given):
-        raise InputError(f"{named}: it is for pictures (.png); {given[0]} keeps the values as they are")
+    refuse_if(
+        named and not any(path.suffix.lower() == ".png" for path in given),
+        f"{named}: it is for pictures (.png); {given[0]} keeps the values as they are",
+    )
     return Brightness(exposure, percentile)
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import reconstruction
-from ..errors import InputError, require_choice
+from ..errors import refuse_if, require_choice
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
@@ -178,8 +178,10 @@ def reconstruct(
     """
     chosen = METHODS[require_choice("method", method, METHODS)]
     for option, value in (("resume", resume or None), ("workers", workers), ("scheduler", scheduler)):
-        if value is not None and not chosen.long:
-            raise InputError(f"--{option}: method {method} does not take it; methods that do: deconvolved")
+        refuse_if(
+            value is not None and not chosen.long,
+            f"--{option}: method {method} does not take it; methods that do: deconvolved",
+        )
     whole = output.suffix.lower() in SUFFIXES
     paths = [] if whole else reconstruction_paths(output, distance)
     if whole:

@@ -13,7 +13,7 @@ from ..capture.estimate import estimate_capture
 from ..capture.render import is_wave_capture, render_capture
 from ..detector import MOSAICS, Detector
 from ..detector import expose as record
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_apart, require_different, require_writable
@@ -315,8 +315,10 @@ def demosaic(
 
     require_linear(linear, capture, white)
     known = named_camera(camera)
-    if black_level and not (linear and known):
-        raise InputError(f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera")
+    refuse_if(
+        black_level and not (linear and known),
+        f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",
+    )
     reference = None if white is None else read_recorded(white, known, linear)
     found = interpolate(read_recorded(capture, known, linear, black_level), mosaic=mosaic, white=reference)
     write_capture(output, found)

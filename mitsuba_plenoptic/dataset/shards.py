@@ -138,8 +138,10 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
                     f"{folder}: it holds samples of another recipe: {name} was {short_repr(before.get(name))}, is "
                     f"{short_repr(now.get(name))}; choose another folder"
                 )
-        if found["count"] > recipe.count:
-            raise InputError(f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow")
+        refuse_if(
+            found["count"] > recipe.count,
+            f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow",
+        )
     elif any(path.name != _LOCK for path in folder.iterdir()):
         raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
     sizes = {"count": recipe.count, "samples_per_shard": recipe.samples_per_shard}
@@ -290,10 +292,10 @@ class DataSet:
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
         for number in range(self._layout.shards):
-            if not self._layout.shard(number).is_file():
-                raise InputError(
-                    f"{self._layout.shard(number)}: it is missing: run the command that makes the data set again"
-                )
+            refuse_if(
+                not self._layout.shard(number).is_file(),
+                f"{self._layout.shard(number)}: it is missing: run the command that makes the data set again",
+            )
 
     def __len__(self) -> int:
         return self._layout.count

@@ -98,8 +98,9 @@ def fit(
         camera.require_thin("cameras are fitted", "fit one behind a prescription")
     given = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
-    if default is None and any(view.noise is None for view in given):
-        raise InputError("photons: give them, or the noise of every view")
+    refuse_if(
+        default is None and any(view.noise is None for view in given), "photons: give them, or the noise of every view"
+    )
     vector = vector_of(camera, names)
     start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
     if model == "ray":

@@ -17,7 +17,7 @@ from ..camera import PlenopticCamera
 from ..camera.checks import require_known_to
 from ..camera.entry import Captures
 from ..camera.vector import CameraVector
-from ..errors import InputError, short_repr
+from ..errors import refuse_if, short_repr
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens
 from ..lenses.wave_cameras import require_no_glass
@@ -39,10 +39,8 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
     """
     given = (names,) if isinstance(names, str) else tuple(names)
     chosen = check_names(dict.fromkeys(given))
-    if WAVELENGTH in chosen:
-        raise InputError("wavelength: it is no parameter of a camera; give it, and fit the others")
-    if not chosen:
-        raise InputError(f"names = {short_repr(given)}: name at least one of {', '.join(NUMBERS)}")
+    refuse_if(WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others")
+    refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(NUMBERS)}")
     return CameraVector.by_names(camera, chosen)
 
 
@@ -162,11 +160,11 @@ def _require_known(camera: PlenopticCamera) -> None:
     require_known_to(camera, Captures.POINTS, "points are followed")
     require_no_glass(camera, "points are followed at one wavelength;")
     camera.require_no_objective("points are followed by rays")
-    if not camera.lattice.fills:
-        raise InputError(
-            f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
-            "through arrays without gaps only; use waves"
-        )
+    refuse_if(
+        not camera.lattice.fills,
+        f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
+        "through arrays without gaps only; use waves",
+    )
 
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
@@ -306,8 +304,7 @@ Over longer ones dark pixels beside edges of the light seem to change with a num
 
 def check_numbers(vector: CameraVector) -> None:
     """Refuse parameters on which the rays of points do not depend."""
-    if "mla_fill" in vector.names:
-        raise InputError("mla_fill: rays from points know no gaps between lenses; fit it by waves")
+    refuse_if("mla_fill" in vector.names, "mla_fill: rays from points know no gaps between lenses; fit it by waves")
 
 
 class RayModels:

@@ -62,19 +62,21 @@ class Capture:
     def __post_init__(self) -> None:
         require_camera(self.camera)
         image = as_array("image", self.image)
-        if image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape:
-            raise InputError(
-                f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
-                f"{self.camera.shape[1]} columns"
-            )
+        refuse_if(
+            image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape,
+            f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
+            f"{self.camera.shape[1]} columns",
+        )
         channels = image.shape[2] if image.ndim == 3 else 1
         refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
         object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
-            if len(self.wavelength) != channels:
-                raise InputError(f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels")
+            refuse_if(
+                len(self.wavelength) != channels,
+                f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels",
+            )
             object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
         elif self.wavelength is not None:
             object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
@@ -142,10 +144,10 @@ def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -
     exposure = white.metadata.get("exposure")
     saturated = exposure.get("saturated_pixels", 0) if isinstance(exposure, dict) else 0
     pixels = math.prod(white.camera.shape)
-    if isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels:
-        raise InputError(
-            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}"
-        )
+    refuse_if(
+        isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
+        f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
+    )
     if not cameras or white.camera in cameras:
         return
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
@@ -176,8 +178,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     InputError
         If it is not a capture, its metadata are not plain data, or the file cannot be written.
     """
-    if not isinstance(capture, Capture):
-        raise InputError(f"capture of type {type(capture).__name__}: it must be a Capture")
+    refuse_if(not isinstance(capture, Capture), f"capture of type {type(capture).__name__}: it must be a Capture")
     camera = capture.camera
     attributes = {
         "kind": "capture",
@@ -205,10 +206,10 @@ def read_capture(path: str | Path) -> Capture:
     """
     image, noise, attributes = read_exr(path)
     with naming(path):
-        if attributes.get("kind") != "capture":
-            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not a capture")
-        if not isinstance(attributes.get("camera"), dict):
-            raise InputError("its header has no camera")
+        refuse_if(
+            attributes.get("kind") != "capture", f"it holds a {short_repr(attributes.get('kind'))}, not a capture"
+        )
+        refuse_if(not isinstance(attributes.get("camera"), dict), "its header has no camera")
         return Capture(
             image=image,
             camera=PlenopticCamera.from_dict(attributes["camera"]),

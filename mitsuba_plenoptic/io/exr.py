@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError, advice
+from ..errors import InputError, advice, refuse_if
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
 
@@ -125,14 +125,14 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     parts = read_parts(path)
     try:
         part, names = parts[0], _image_channels(parts[0])
-        if ATTRIBUTE not in part.header:
-            raise InputError(
-                f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-                + advice(
-                    python="read the pixels yourself, and give them with a camera",
-                    shell="write its pixels as .tiff, and give --camera",
-                )
-            )
+        refuse_if(
+            ATTRIBUTE not in part.header,
+            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
+            + advice(
+                python="read the pixels yourself, and give them with a camera",
+                shell="write its pixels as .tiff, and give --camera",
+            ),
+        )
         attributes = _attributes(part)
         layers = [names]
         if any(name.startswith(_NOISE) for name in part.channels):

@@ -52,8 +52,10 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 def require_apart(path: Path, *sources: Path | None) -> None:
     """Check that a file that is to be written is not one of those that are read, which it would replace."""
     for source in sources:
-        if source is not None and path.exists() and source.exists() and path.samefile(source):
-            raise InputError(f"{path}: it is read, and would be lost; write to another file")
+        refuse_if(
+            source is not None and path.exists() and source.exists() and path.samefile(source),
+            f"{path}: it is read, and would be lost; write to another file",
+        )
 
 
 def require_different(*paths: Path | None) -> None:
@@ -71,8 +73,7 @@ def require_file(path: str | Path) -> Path:
         there, regular = path.exists(), path.is_file()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    if not regular:
-        raise InputError(f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
+    refuse_if(not regular, f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
     return path
 
@@ -245,8 +246,7 @@ def stored_array(group: Any, name: str) -> Any:
     stranger that would read files of the user's.
     """
     h5py = h5py_module("HDF5")
-    if not isinstance(group, h5py.Group):
-        raise InputError(f"{name} is in no structure")
+    refuse_if(not isinstance(group, h5py.Group), f"{name} is in no structure")
     link = group.get(name, getlink=True)
     if link is None:
         return None

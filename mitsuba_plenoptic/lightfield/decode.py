@@ -77,8 +77,10 @@ def decode(
     image, camera = _checked(capture, camera, grid)
     if camera is not None and camera.lens_data.images_stop:
         for name, given in (("grid", grid), ("truth", truth)):
-            if given is not None:
-                raise InputError(f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without")
+            refuse_if(
+                given is not None,
+                f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
+            )
         return decode_views(image, camera, objective_of(camera), None if white is None else _white(white, image))
     reference = _reference(image, camera, white, grid)
     if camera is not None:
@@ -125,12 +127,11 @@ def _checked(
     image = _image("capture", capture)
     if camera is not None:
         require_camera(camera)
-    if grid is not None and not isinstance(grid, LensGrid):
-        raise InputError(f"grid = {short_repr(grid)}: it must be a LensGrid")
-    if camera is None and grid is None:
-        raise InputError(
-            "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"
-        )
+    refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
+    refuse_if(
+        camera is None and grid is None,
+        "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image",
+    )
     if camera is not None and image.shape[:2] != camera.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
     return image, camera
@@ -202,8 +203,10 @@ def _image(name: str, values: np.ndarray) -> np.ndarray:
 def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return a white capture in one channel, of the image's size."""
     reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
-    if reference.shape[:2] != image.shape[:2]:
-        raise InputError(f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}")
+    refuse_if(
+        reference.shape[:2] != image.shape[:2],
+        f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}",
+    )
     return np.asarray(reference)
 
 

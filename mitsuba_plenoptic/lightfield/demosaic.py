@@ -76,13 +76,13 @@ def demosaic(
     if capture.image.ndim != 2:
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
     known = mosaic_of(capture)
-    if mosaic is None and known is None:
-        raise InputError(f"mosaic = None: the capture does not state it; give {argument('mosaic')}")
+    refuse_if(
+        mosaic is None and known is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
+    )
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
-        if white is not None:
-            raise InputError("white: method plain does not take it; it is for micro-images")
+        refuse_if(white is not None, "white: method plain does not take it; it is for micro-images")
         certainty = np.ones((*camera.shape, 3), np.float32)
         lenses = np.zeros(camera.shape, np.int64)
     else:

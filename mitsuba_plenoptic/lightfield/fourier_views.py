@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..lenses.factory import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
@@ -57,8 +57,7 @@ class LensViews:
             "of the detector; turn the array by a whole number of right angles",
         )
         half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
-        if min(half) < 1:
-            raise InputError(f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
+        refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
         reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
         numbers = lattice.lenses_within((-reach, -reach), (reach, reach))
         x, y = (np.asarray(values, np.float64) for values in lattice.centre(*numbers.T.astype(np.float64)))

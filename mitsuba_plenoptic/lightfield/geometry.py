@@ -168,8 +168,10 @@ def require_light_field(lf: Any) -> xr.DataArray:
     InputError
         If it is not a DataArray of finite numbers with the dimensions v, u, t, s and the coordinate `weight`.
     """
-    if not isinstance(lf, xr.DataArray):
-        raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
+    refuse_if(
+        not isinstance(lf, xr.DataArray),
+        f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives",
+    )
     refuse_if(
         lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords,
         f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight",

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
-from ..errors import InputError, suggest_keywords
+from ..errors import refuse_if, suggest_keywords
 from ..io.ground_truth import QUANTITIES, GroundTruth, require_quantities
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import require_memory
@@ -34,8 +34,10 @@ class FirstHits:
         # What to find, of `QUANTITIES`.
         names: Sequence[str],
     ) -> None:
-        if mi.is_spectral and "albedo" in names:
-            raise InputError(f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant")
+        refuse_if(
+            mi.is_spectral and "albedo" in names,
+            f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant",
+        )
         self._scene, self._names = scene, names
         world = sensor.world_transform()
         self._origin, self._axis = world @ mi.Point3f(0, 0, 0), world @ mi.Vector3f(0, 0, 1)

@@ -82,8 +82,10 @@ def micro_images(
     image, reference, known = checked_images(capture, camera, white, grid)
     if known is None:
         raise InputError("camera = None: of micro-images the camera must be known")
-    if known.lens_data.images_stop:
-        raise InputError("camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode")
+    refuse_if(
+        known.lens_data.images_stop,
+        "camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode",
+    )
     lenses = grid or lens_grid(known)
     half, alone = view_window(known, lenses)
     size = math.prod(lenses.shape) * (2 * half + 1) ** 2
@@ -100,11 +102,11 @@ def micro_images_of(lf: xr.DataArray) -> MicroImages:
     """Return the micro-images that a light field consists of, which those of upright square lattices do."""
     camera = camera_of(lf)
     bins = bin_grid(camera)
-    if (grid_of(lf) or lens_grid(camera)) != bins:
-        raise InputError(
-            "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
-            f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}"
-        )
+    refuse_if(
+        (grid_of(lf) or lens_grid(camera)) != bins,
+        "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
+        f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}",
+    )
     for axis in ("v", "u"):
         steps = view_steps(lf, axis)
         refuse_if(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, require_choice, require_count, require_number, suggest_keywords
+from ..errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from .geometry import require_light_field
 
 AXES = ("horizontal", "vertical")
@@ -148,6 +148,8 @@ def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArr
         low, high = samples[0] - reach, samples[-1] + reach
         # Rounding must not refuse the border itself.
         margin = 1e-6 * reach if math.isfinite(reach) else 0.0
-        if not low - margin <= wanted[axis] <= high + margin:
-            raise InputError(f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there")
+        refuse_if(
+            not low - margin <= wanted[axis] <= high + margin,
+            f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there",
+        )
     return lf.sel(wanted, method="nearest")

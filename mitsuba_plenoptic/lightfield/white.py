@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..optics import rays
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
@@ -147,11 +147,11 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         # Those whose micro-image reaches the detector.
         centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
     work = float(len(centres)) * (2 * half + 1) ** 2
-    if not work <= _MOST_WORK:
-        raise InputError(
-            f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
-            f"{len(centres)} lenses are up to {2 * half + 1} pixels wide"
-        )
+    refuse_if(
+        not work <= _MOST_WORK,
+        f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
+        f"{len(centres)} lenses are up to {2 * half + 1} pixels wide",
+    )
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):

@@ -65,8 +65,7 @@ def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable
     """Refuse a camera with other parameters that a figure holds."""
     mine, its = camera.to_dict(), other.to_dict()
     for name in held:
-        if mine[name] != its[name]:
-            raise InputError(f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
+        refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
 
 
 VARYING = ("mla_focal_length", "mla_fill", "wavefront")
@@ -117,8 +116,10 @@ class RefocusedContrast:
         self._camera, self._spreads = camera, Spreads(points, wavelength, accuracy, method)
         count = require_count("oversample", oversample)
         given = [require_number("frequencies", frequency, positive=True) for frequency in frequencies]
-        if not given or max(given) > count / 2:
-            raise InputError(f"frequencies = {tuple(given)}: give some, at most {count / 2:g}, half of oversample")
+        refuse_if(
+            not given or max(given) > count / 2,
+            f"frequencies = {tuple(given)}: give some, at most {count / 2:g}, half of oversample",
+        )
         self._refocus = [RayRefocus(camera, g, oversample=count) for g in self._spreads.points[:, 2].tolist()]
         waves = []
         for size in reversed(camera.bin_count):

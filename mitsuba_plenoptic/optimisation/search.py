@@ -128,8 +128,7 @@ def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) 
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])
         chosen = [each.label for each in found.components if name in (each.name, each.label)]
-        if not chosen:
-            raise InputError(f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
+        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
         named += chosen
     refuse_if(not named, "bounds: name at least one parameter that varies")
     refuse_if(len(set(named)) < len(named), "bounds: a parameter has two of them")

@@ -43,8 +43,10 @@ _MOST_POINTS = 100_000
 def read_grid(path: Path) -> dict[str, list[Any]]:
     """Read a grid from YAML: names, each with a list of numbers, or with one."""
     content = read_yaml(path)
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'")
+    refuse_if(
+        not isinstance(content, dict),
+        f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'",
+    )
     return {name: value if isinstance(value, list) else [value] for name, value in content.items()}
 
 
@@ -72,8 +74,7 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
     """Return a grid, neither empty nor too large, with its values as finite numbers of which none comes twice."""
     checked: dict[str, tuple[float, ...]] = {}
     for name, values in grid.items():
-        if not isinstance(name, str) or not name.isidentifier():
-            raise InputError(f"grid: {name!r} is not a name")
+        refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
         refuse_if(not len(values), f"grid: {name} has no values")
         checked[name] = tuple(_number(name, value) for value in values)
         for value, count in Counter(checked[name]).items():
@@ -85,8 +86,9 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, (list, tuple, dict)):
-        raise InputError(f"grid: {name} holds a {type(value).__name__}: it must be a number")
+    refuse_if(
+        isinstance(value, (list, tuple, dict)), f"grid: {name} holds a {type(value).__name__}: it must be a number"
+    )
     if isinstance(value, str):
         with contextlib.suppress(ValueError):
             value = float(value)
@@ -136,8 +138,9 @@ class Points:
         """Values for the scene's parameters."""
         varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
         for name in varied:
-            if name in self.settings.parameters:
-                raise InputError(f"grid: {name} varies and is set by {argument('parameters')} too")
+            refuse_if(
+                name in self.settings.parameters, f"grid: {name} varies and is set by {argument('parameters')} too"
+            )
         return {**self.settings.parameters, **varied}
 
     def check(self) -> None:
@@ -151,8 +154,10 @@ class Points:
             if (key := tuple(parameters.items())) in sizes:
                 continue
             scene = load_with_sensor(self.settings.scene, parameters)
-            if self.store.resume and not is_wave_capture(scene, self.settings.model):
-                raise InputError(f"{argument('resume')}: a ray capture keeps no checkpoint; leave it out")
+            refuse_if(
+                self.store.resume and not is_wave_capture(scene, self.settings.model),
+                f"{argument('resume')}: a ray capture keeps no checkpoint; leave it out",
+            )
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
             for distance in self.distances:

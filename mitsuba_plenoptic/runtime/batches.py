@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_count
+from ..errors import InputError, refuse_if, require_count
 from .backend import backend, set_variant
 from .fft import resting_drjit, worker_count
 from .limits import software
@@ -163,8 +163,7 @@ class Cluster:
     threads = 0
 
     def __init__(self, *, workers: int | None = None, scheduler: str | None = None) -> None:
-        if (workers is None) == (scheduler is None):
-            raise InputError("workers, scheduler: give one of the two")
+        refuse_if((workers is None) == (scheduler is None), "workers, scheduler: give one of the two")
         self._count = None if workers is None else require_count("workers", workers, maximum=1024)
         self._scheduler = scheduler
         self._open = contextlib.ExitStack()
@@ -283,8 +282,7 @@ def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]
 
 def _check_software(there: dict[str, str], here: dict[str, str], worker: str) -> None:
     for name, version in here.items():
-        if there.get(name) != version:
-            raise InputError(f"{worker}: its {name} is {there.get(name)}, here it is {version}")
+        refuse_if(there.get(name) != version, f"{worker}: its {name} is {there.get(name)}, here it is {version}")
 
 
 def _line(error: BaseException) -> str:

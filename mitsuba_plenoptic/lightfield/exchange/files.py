@@ -63,8 +63,9 @@ def open_light_field(
     name = path.name.lower()
     if views is not None:
         _refuse(path, camera=None if camera is None else "given")
-    if white is not None and views is not None:
-        raise InputError(f"{path}: a white image and a number of views exclude each other")
+    refuse_if(
+        white is not None and views is not None, f"{path}: a white image and a number of views exclude each other"
+    )
     if not any(str(one).lower().endswith((".png", *TIFF)) for one in (path, white)):
         _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
@@ -195,8 +196,7 @@ def _white(path: str | Path, linear: bool) -> np.ndarray:
 
 def _refuse(path: Path, **options: object) -> None:
     for name, value in options.items():
-        if value is not None:
-            raise InputError(f"{name} = {value}: of no use for {path}")
+        refuse_if(value is not None, f"{name} = {value}: of no use for {path}")
 
 
 # Bytes that reading takes for each of a file: the file, and the arrays of which a light field is made and checked.

@@ -198,8 +198,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
     h5py = h5py_module("a MATLAB 7.3 file (one saved with '-v7' does not)")
     with h5py.File(path, "r") as file:
         stored = stored_array(file, "LF")
-        if stored is None:
-            raise InputError("it has no variable LF")
+        refuse_if(stored is None, "it has no variable LF")
         # HDF5 lists MATLAB's dimensions in the opposite order.
         _check(stored.shape[::-1])
         found: dict[str, Any] = {"LF": np.transpose(stored[()])}
