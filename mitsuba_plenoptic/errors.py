@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import functools
+import importlib
 import inspect
 import math
 import reprlib
@@ -75,9 +76,6 @@ def short_repr(value: Any) -> str:
     except Exception as error:  # such as an int of more digits than Python prints
         text = f"{type(value).__name__} ({error})"
     return printable(" ".join(text.split()), _LONGEST_VALUE)
-
-
-# The former name, for modules that still import it.
 
 
 _options: Mapping[str, str] | None = None
@@ -194,6 +192,14 @@ def require_flag(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} = {short_repr(value)}: it must be True or False")
     return bool(value)
+
+
+def require_module(name: str, message: str) -> Any:
+    """Return a module of a package that few need; the message says what it is for and how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise InputError(message) from None
 
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:

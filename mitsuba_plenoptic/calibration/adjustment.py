@@ -34,8 +34,7 @@ def deviation(distance: np.ndarray) -> float:
 
 def outlying(distance: np.ndarray) -> np.ndarray:
     """Return which rows are outliers, by their distance from where they should be."""
-    outliers: np.ndarray = distance > OUTLIER * max(deviation(distance), 1e-9)
-    return outliers
+    return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
 
 
 def huber(distance: np.ndarray) -> np.ndarray:
@@ -249,13 +248,3 @@ def _solve(
     step = np.linalg.lstsq(matrix[:, :-1] / scale, matrix[:, -1], rcond=1e-14)[0] / scale if scale.size else scale
     pose_steps = [np.linalg.solve(head[:, :6], head[:, -1] - head[:, 6:-1] @ step) for head in heads]
     return step, np.array(pose_steps)
-
-
-def information(problem: Problem, solution: Adjusted, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
-    """Return R with R^T R the information (inverse covariance for unit deviations) on the free parameters.
-
-    The poses are not held: what they leave undecided is not counted.
-    """
-    chosen = np.array([NAMES.index(name) for name in free], dtype=int)
-    _, camera = problem.blocks(solution.numbers, solution.poses, weights, chosen)
-    return _triangle(np.concatenate(camera)[:, :-1])

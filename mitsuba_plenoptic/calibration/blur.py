@@ -123,8 +123,7 @@ def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> 
     """Return z/a of each observation: the detector's distance over that of the corner's image before the array."""
     f, b, z = numbers[:3]
     distance = placed(seen.board, poses, seen.pose)[:, 2]
-    ratios: np.ndarray = z / (b - distance * f / (distance - f))
-    return ratios
+    return np.asarray(z / (b - distance * f / (distance - f)))
 
 
 # Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
@@ -163,8 +162,7 @@ class CutBlur:
         r"""Return :math:`\kappa` of lenses of these types and points of these disparities (`board_view`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
-        result: np.ndarray = 1 - self._ratios[kind] + over + disparity * (1 + over)
-        return result
+        return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
 
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
         """Return by how much what pixels show lies from where they are.
@@ -177,5 +175,4 @@ class CutBlur:
             mine = kind == number
             for axis in (0, 1):
                 moved[mine, :, axis] = map_coordinates(mean[axis], np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
-        result: np.ndarray = -defocus[:, None, None] * moved
-        return result
+        return -defocus[:, None, None] * moved

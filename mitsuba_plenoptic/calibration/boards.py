@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, require_module
 from ..runtime.backend import set_variant
 from .observations import Board
 
@@ -64,10 +64,7 @@ class BoardView:
 
 def find_board(picture: Picture, board: Board) -> BoardView:
     """Find a board in a raw picture."""
-    try:
-        import cv2
-    except ImportError:
-        raise InputError("detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'") from None
+    cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
         step = max(1.0, 0.6 / abs(disparity))

@@ -248,8 +248,7 @@ def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return how far from its prediction each corner is seen, in pixels."""
-    distance: np.ndarray = np.hypot(*problem.residuals(numbers, poses).T)
-    return distance
+    return np.asarray(np.hypot(*problem.residuals(numbers, poses).T))
 
 
 def _require_matching_pupil(

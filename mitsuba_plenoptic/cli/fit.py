@@ -12,7 +12,7 @@ from ..capture.scene import load_scene
 from ..errors import InputError, refuse_if, require_number
 from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import atomic_output, require_apart, require_writable
+from ..io.files import require_apart, require_writable, write_text
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
 from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions, stopped_by_hand
@@ -153,8 +153,7 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 def _write(output: Path, found: Fit) -> None:
     """Write the camera, and print what is known of it."""
-    with atomic_output(output, ".json") as temporary:
-        temporary.write_text(found.camera.to_json())
+    write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():
         side = found.at_bounds.get(name)
         at_bound = f", at its {side}: the deviation is one-sided" if side else ""

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from ..errors import naming
-from ..io.files import atomic_output, remove_leftovers
+from ..io.files import remove_leftovers, write_text
 from ..report.images import shrink, write_png
 from ..runtime.backend import set_variant
 from ..runtime.batches import BatchMap
@@ -276,8 +276,7 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
         recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
         software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
     )
-    with atomic_output(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def write_checksums(path: Path, layout: Layout) -> None:
@@ -285,8 +284,7 @@ def write_checksums(path: Path, layout: Layout) -> None:
     files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
     files += [layout.shard(number) for number in range(layout.shards)]
     lines = [f"{checksum(file)}  {file.relative_to(layout.folder).as_posix()}\n" for file in files]
-    with atomic_output(path) as temporary:
-        temporary.write_text("".join(lines))
+    write_text(path, "".join(lines))
 
 
 _ROWS, _WIDTH = 8, 256

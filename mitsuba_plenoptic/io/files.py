@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import glob
-import importlib
 import io
 import math
 import os
@@ -21,7 +20,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, short_repr
+from ..errors import InputError, refuse_if, require_module, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -129,11 +128,28 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
         raise InputError(f"{path}: it cannot be written: {cause}") from error
 
 
+def write_text(path: str | Path, text: str, *suffixes: str) -> None:
+    """Write a text file in UTF-8, whole or not at all."""
+    with atomic_output(path, *suffixes) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def remove_leftovers(path: str | Path) -> None:
     """Remove what `atomic_output` of the same file left behind in a process that was killed."""
     path = Path(path)
     for folder in path.parent.glob(f".{glob.escape(path.name)}.*"):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def reading_as(path: Path, kind: str) -> Iterator[None]:
+    """Refuse a file whose damage a library found: they report it by many types of exception, which mean the same."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: it cannot be read as {kind}: {error}") from None
 
 
 @contextlib.contextmanager
@@ -233,10 +249,7 @@ _SMALL = 2**20
 
 def h5py_module(purpose: str) -> Any:
     """Return the module h5py."""
-    try:
-        return importlib.import_module("h5py")
-    except ImportError:
-        raise InputError(f"{purpose} needs the package h5py: pip install h5py") from None
+    return require_module("h5py", f"{purpose} needs the package h5py: pip install h5py")
 
 
 def stored_array(group: Any, name: str) -> Any:

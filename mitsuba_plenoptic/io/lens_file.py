@@ -14,7 +14,7 @@ from ..lens_data import LensData, known_kind
 from ..objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
-from .files import atomic_output, read_yaml, require_file
+from .files import read_yaml, require_file, write_text
 from .zemax_file import read_zemax
 
 DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
@@ -101,5 +101,4 @@ def write_prescription(path: str | Path, lens: Prescription) -> None:
     lens : Prescription
         The lens.
     """
-    with atomic_output(path, ".yaml", ".yml", ".json") as temporary:
-        temporary.write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")
+    write_text(path, yaml.safe_dump(lens.to_plain(), sort_keys=False), ".yaml", ".yml", ".json")

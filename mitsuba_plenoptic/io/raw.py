@@ -21,7 +21,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, naming, refuse_if, require_number
 from ..runtime.limits import require_memory
 from .captures import Capture
-from .files import atomic_output, require_file, require_writable
+from .files import atomic_output, reading_as, require_file, require_writable
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
 
@@ -141,7 +141,7 @@ def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
 def _read(path: Path) -> tuple[NDArray[Any], str]:
     """Return the pixels of a picture and its description."""
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
-    try:
+    with reading_as(path, "a picture"):
         if path.suffix.lower() == ".png":
             with Image.open(path, formats=["PNG"]) as picture:
                 require_memory(_PIXEL_BYTES * picture.width * picture.height, f"{path}: its pixels")
@@ -151,11 +151,6 @@ def _read(path: Path) -> tuple[NDArray[Any], str]:
             page = file.pages[0]
             require_memory(_PIXEL_BYTES * page.size, f"{path}: its pixels")
             return page.asarray(), str(page.description)
-    except InputError:
-        raise
-    except Exception as error:
-        # Damage shows as several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a picture: {error}") from None
 
 
 def scaled_from(capture: Capture, black_level: float) -> Capture:

@@ -61,10 +61,15 @@ class LensGrid:
         def put(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        x_and_y = "(along a row, between rows)"
-        put("spacing", tuple(_spacing(value) for value in require_pair("spacing", self.spacing, x_and_y)))
-        put("offset", tuple(_offset(value) for value in require_pair("offset", self.offset, "(column, row)")))
-        put("shape", tuple(_count(value) for value in require_pair("shape", self.shape, "(rows, columns)")))
+        spacing = require_pair("spacing", self.spacing, "(along a row, between rows)")
+        put(
+            "spacing",
+            tuple(require_number("spacing", each, positive=True, minimum=1e-3, maximum=1e6) for each in spacing),
+        )
+        offset = require_pair("offset", self.offset, "(column, row)")
+        put("offset", tuple(require_number("offset", value, minimum=-1e9, maximum=1e9) for value in offset))
+        shape = require_pair("shape", self.shape, "(rows, columns)")
+        put("shape", tuple(require_count("shape", value, maximum=MOST_PIXELS) for value in shape))
         put("rotation", require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau))
         if self.shifted_rows is not None:
             put("shifted_rows", require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
@@ -97,18 +102,6 @@ class LensGrid:
             [self.offset[0] + cosine * along - sine * across, self.offset[1] + sine * along + cosine * across],
             axis=-1,
         )
-
-
-def _spacing(value: Any) -> float:
-    return require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
-
-
-def _offset(value: Any) -> float:
-    return require_number("offset", value, minimum=-1e9, maximum=1e9)
-
-
-def _count(value: Any) -> int:
-    return require_count("shape", value, maximum=MOST_PIXELS)
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import scipy.ndimage
@@ -158,20 +159,33 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
 
 def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Centroid and brightness of the image within a disc about each centre, over the darkest in it."""
-    half = math.ceil(radius) + 1
+    patches = pixels_around(image, centres, math.ceil(radius) + 1)
+    return centroids(patches, centres, lambda distance: (radius + 0.5 - distance).clip(0, 1))
+
+
+def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns (n, k) and the rows (n, k) of the pixels about each centre, and their values (n, k, k)."""
     window = np.arange(-half, half + 1)
     base = np.floor(centres).astype(np.int64)
     x, y = (base[:, axis, None] + window for axis in (0, 1))
     rows, columns = image.shape
-    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]].astype(np.float64)
+    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]]
+    return x, y, patch.astype(np.float64, copy=False)
+
+
+def centroids(
+    patches: tuple[np.ndarray, np.ndarray, np.ndarray],
+    centres: np.ndarray,
+    weight_at: Callable[[np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centroids and the brightness of patches, over the darkest in them, weighted by the distance."""
+    x, y, patch = patches
     dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
-    disc = (radius + 0.5 - np.hypot(dx[:, None, :], dy[:, :, None])).clip(0, 1)
-    patch -= np.where(disc > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)
-    patch *= disc
-    light = patch.sum(axis=(1, 2))
-    safe = np.where(light > 0, light, 1)
-    shift = np.stack([(patch.sum(1) * dx).sum(1), (patch.sum(2) * dy).sum(1)], axis=1) / safe[:, None]
-    return centres + shift, light
+    weight = weight_at(np.hypot(dx[:, None, :], dy[:, :, None]))
+    lit = (patch - np.where(weight > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)) * weight
+    light = lit.sum(axis=(1, 2))
+    shift = np.stack([(lit.sum(1) * dx).sum(1), (lit.sum(2) * dy).sum(1)], axis=1)
+    return centres + shift / np.where(light > 0, light, 1)[:, None], light
 
 
 def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from ..calibration import Board, Calibration, ResidualMap, Table, residual_map
 from ..calibration.model import UNITS
 from ..calibration.observations import placed
 from ..calibration.result import field_cells, group_means
-from ..io.files import atomic_output
+from ..io.files import write_text
 from .page import template
 
 # Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
@@ -66,8 +66,7 @@ def write_calibration_report(
         worst=float(lens.error.max()),
         boards=_boards(calibration, board),
     )
-    with atomic_output(path, ".html") as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page, ".html")
 
 
 def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:

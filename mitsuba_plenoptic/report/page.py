@@ -16,7 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from PIL import Image
 
 from .. import design
-from ..io.files import atomic_output
+from ..io.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, common_peak, lit_window
@@ -78,8 +78,7 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
         "stage_seconds": experiment.seconds,
     }
     write_json(folder / "results.json", results)
-    with atomic_output(folder / "report.html") as temporary:
-        temporary.write_text(_page(folder, report), encoding="utf-8")
+    write_text(folder / "report.html", _page(folder, report))
     return results
 
 

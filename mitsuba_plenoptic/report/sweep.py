@@ -19,7 +19,7 @@ import xarray as xr
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.render import is_wave_capture, render_capture
-from ..errors import InputError, argument, refuse_if, require_choice, require_number
+from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..io.files import atomic_output, read_yaml, remove_leftovers, require_writable
@@ -338,10 +338,7 @@ def sweep(
         If the grid has an unknown name, a value that is no number or twice the same, or none at all; if its images
         differ in size; or if the scene, a camera or a distance is refused.
     """
-    try:
-        import h5netcdf
-    except ImportError:
-        raise InputError("sweep: datasets need h5netcdf: pip install h5netcdf h5py") from None
+    h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
     set_variant(settings.variant)

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_count
+from ..errors import InputError, refuse_if, require_count, require_module
 from .backend import backend, set_variant
 from .fft import resting_drjit, worker_count
 from .limits import software
@@ -170,10 +170,7 @@ class Cluster:
         self._client: Any = None
 
     def __enter__(self) -> Cluster:
-        try:
-            import distributed
-        except ImportError:
-            raise InputError("workers: they need dask.distributed: pip install distributed") from None
+        distributed = require_module("distributed", "workers: they need dask.distributed: pip install distributed")
         with contextlib.ExitStack() as opened:
             opened.enter_context(_quiet())
             try:

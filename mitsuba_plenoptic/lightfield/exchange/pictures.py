@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from ...errors import InputError, refuse_if, require_choice, require_count
-from ...io.files import atomic_output, native_output_dropped, require_file
+from ...errors import refuse_if, require_choice, require_count
+from ...io.files import atomic_output, native_output_dropped, reading_as, require_file
 from ...runtime.limits import require_memory
 from ..geometry import light_field, require_light_field
 from ..views import lens_mosaic, view_mosaic
@@ -46,7 +46,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
-    try:
+    with reading_as(path, "a PNG picture"):
         columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         with native_output_dropped():
@@ -55,26 +55,15 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
         kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
         values = np.array(bitmap.convert(kind, mi.Struct.Type.Float32, srgb_gamma=False), dtype=np.float32)
-    except InputError:
-        raise
-    except Exception as error:
-        # Damage shows as several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a PNG picture: {error}") from None
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
 def _read_tiff(path: Path, linear: bool) -> np.ndarray:
     """Read a TIFF file, as industrial cameras write their raw pictures."""
-    try:
-        with Image.open(path) as picture:
-            require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
-            wide = picture.mode.startswith("I")
-            values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
-    except InputError:
-        raise
-    except Exception as error:
-        # Damage shows as several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a TIFF picture: {error}") from None
+    with reading_as(path, "a TIFF picture"), Image.open(path) as picture:
+        require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
+        wide = picture.mode.startswith("I")
+        values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
     image = values.astype(np.float32) / np.float32(65535 if wide else 255)
     if linear:
         return image
