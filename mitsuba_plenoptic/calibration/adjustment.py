@@ -150,8 +150,7 @@ class Problem:
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
     """Return the triangular factor of a matrix, with as many rows as columns at least."""
-    missing = max(0, rows.shape[1] - len(rows))
-    return np.asarray(np.linalg.qr(np.pad(rows, ((0, missing), (0, 0))), mode="r"))
+    return np.asarray(np.linalg.qr(np.pad(rows, ((0, max(0, rows.shape[1] - len(rows))), (0, 0))), mode="r"))
 
 
 @dataclass(frozen=True)

@@ -114,8 +114,7 @@ def fit_blur(
         # Of z/f = 1 - position / slope.
         slope = np.zeros(types + 1)
         slope[number], slope[-1] = -1 / scale, line[number] / scale**2
-        own = slope @ covariance @ slope * (z / over[number] ** 2) ** 2
-        deviations.append(float(np.sqrt(own + camera[number])))
+        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[number] ** 2) ** 2 + camera[number])))
     return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 

@@ -302,8 +302,7 @@ def _descend(
         slope = np.einsum("npa,np,np->na", jacobian, w, left, optimize=True)
         scale = np.einsum("naa->na", matrix) + 1e-12
         damped = matrix + (damping[:, None] * scale)[:, :, None] * np.eye(5)
-        step = np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
-        new = p + step.clip(-1, 1)
+        new = p + np.linalg.solve(damped, slope[:, :, None])[:, :, 0].clip(-1, 1)
         new[:, :2] = position + (new[:, :2] - position).clip(-_FARTHEST, _FARTHEST)
         new[:, 4] = new[:, 4].clip(low, high)
         tried = _model(pixel, value, w, new)

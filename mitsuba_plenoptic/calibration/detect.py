@@ -93,8 +93,7 @@ def detect_corners(
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
     picture = _picture(image, white, centres, name)
-    found = find_board(picture, board)
-    corner, lens, saddles = _refined(picture, found, camera)
+    corner, lens, saddles = _refined(picture, find_board(picture, board), camera)
     refuse_if(
         not len(corner),
         f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
@@ -176,9 +175,8 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
     values = light[pixel[:, :, 1], pixel[:, :, 0]]
     own = values[:, np.abs(steps).max(1) <= 1].mean(1)
     lit = own > 0
-    distance = np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))
     # Rings of half a pixel, as far as all of them is seen.
-    ring = (2 * distance[lit]).astype(int)
+    ring = (2 * np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))[lit]).astype(int)
     share = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
     dark = np.flatnonzero(share[: 2 * half] < _EVEN)
     return min(radius, dark[0] / 2) if dark.size else radius

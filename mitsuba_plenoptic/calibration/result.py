@@ -57,8 +57,7 @@ class Evaluation:
     @property
     def outliers(self) -> np.ndarray:
         """Rows, from 0, of residuals beyond six times what is typical."""
-        distance = np.hypot(*self.residuals.T)
-        return np.flatnonzero(outlying(distance))
+        return np.flatnonzero(outlying(np.hypot(*self.residuals.T)))
 
     @property
     def error_without_outliers(self) -> float:

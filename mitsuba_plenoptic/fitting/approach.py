@@ -36,8 +36,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     """
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
     shrunk = camera.pupil_distance / (camera.pupil_distance + camera.detector_distance)
-    middle = np.array(camera.resolution) / 2
-    place = (centres + camera.crop_offset - middle) * (camera.pixel_size * shrunk)
+    place = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)
     distance = np.hypot(*place.T)
     reach, found = 3 * max(camera.mla_pitches), camera
     while True:

@@ -142,8 +142,7 @@ class _ZemaxReader:
             kind not in (_FIXED, _PICKED_UP, _SUBSTITUTE),
             "only fixed, substitute, picked up and model glasses are read",
         )
-        where = f"{self.path}, line {line.number}: glass"
-        return catalogue_glass(name, where, self.makers or None)
+        return catalogue_glass(name, f"{self.path}, line {line.number}: glass", self.makers or None)
 
     def _header_mode(self, line: Line) -> None:
         line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")

@@ -96,8 +96,7 @@ def decode(
     if camera is None:
         fraction /= _brightness(fraction[half, half])
     divide_by_white(light, fraction, alone[:, :, None, None])
-    values = light if light.shape[-1] == 3 else light[..., 0]
-    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
+    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(fraction, 1), camera, bins, lenses)
     return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
 
 

@@ -145,8 +145,7 @@ def _interpolate(
             weight[(*here, channel)] += seen * certainty[(*there, channel)]
     known = weight > _LIT * certainty.max(initial=0)
     result = np.where(known, certainty * light / np.where(known, weight, 1), 0)
-    recorded = own[..., None] == np.arange(3)
-    return np.asarray(np.where(recorded, image[..., None], result), np.float32)
+    return np.asarray(np.where(own[..., None] == np.arange(3), image[..., None], result), np.float32)
 
 
 def _window(size: int, step: int) -> slice:

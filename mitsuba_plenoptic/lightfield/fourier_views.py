@@ -127,8 +127,7 @@ def _in_stop(
     """Return for lenses at some positions the light that their apertures get, over that of an even stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
-    step = 2 * reach / _PLACES
-    offset = (np.arange(_PLACES) + 0.5) * step - reach
+    offset = (np.arange(_PLACES) + 0.5) * (2 * reach / _PLACES) - reach
     dx, dy = (values.ravel() for values in np.meshgrid(offset, offset))
     inside = np.asarray(lattice.in_aperture(dx, dy), bool)
     dx, dy = dx[inside], dy[inside]

@@ -116,8 +116,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, bins in enumerate(camera.bin_count):
-        centre = (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch
-        pixel = _pixel(camera, centre, axis)
+        pixel = _pixel(camera, (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch, axis)
         if camera.crop_size[axis] != camera.resolution[axis]:
             pixel = pixel[(pixel >= 0) & (pixel <= camera.crop_size[axis])]
         refuse_if(not pixel.size, f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")

@@ -123,8 +123,7 @@ class RefocusedContrast:
         self._refocus = [RayRefocus(camera, g, oversample=count) for g in self._spreads.points[:, 2].tolist()]
         waves = []
         for size in reversed(camera.bin_count):
-            place = (np.arange(size * count) + 0.5) / count
-            waves.append(np.exp(-2j * np.pi * np.array(given)[:, None] * place))
+            waves.append(np.exp(-2j * np.pi * np.array(given)[:, None] * ((np.arange(size * count) + 0.5) / count)))
         self._along_y, self._along_x = waves
 
     def value(self, camera: PlenopticCamera) -> float:

@@ -46,8 +46,7 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
     diffraction is the only difference.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
-    store = open_store(output, stages)
-    experiment = run_experiment(settings, store)
+    experiment = run_experiment(settings, open_store(output, stages))
     numbers = measure(experiment)
     zooms = [brightest_zoom(experiment)]
     columns, rows = experiment.camera.bin_count
@@ -228,8 +227,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     for down, (label, distance) in enumerate(rows):
         for across, name in enumerate(names):
             axes = figure.axes(left + across * (wide + gap), title + down * (tall + foot), wide, tall)
-            image = experiment.image(name, distance)
-            show(axes, window.of(image), "", peak=peak)
+            show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
             if name == "truth":
                 object_bar(axes, experiment.camera, distance, window)
             annotate(

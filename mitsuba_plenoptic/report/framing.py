@@ -81,8 +81,7 @@ def brightest_zoom(experiment: Experiment, lenses: int = 8) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera
     columns, rows = camera.bin_count
-    means = _resize_mean(experiment.ray.image, rows, columns)
-    gradient = np.hypot(*np.gradient(means))
+    gradient = np.hypot(*np.gradient(_resize_mean(experiment.ray.image, rows, columns)))
     half = lenses // 2
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
@@ -135,8 +134,7 @@ class Canvas:
 
     def colour_bar(self, drawn: Any, left: float, top: float, height: float, label: str) -> None:
         """Add the scale of a difference image."""
-        axes = self.axes(left, top, 0.14, height)
-        bar = self._figure.colorbar(drawn, cax=axes)
+        bar = self._figure.colorbar(drawn, cax=self.axes(left, top, 0.14, height))
         bar.ax.tick_params(labelsize=8, color=_FAINT, labelcolor=_INK)
         bar.set_label(label, size=8, color=_INK)
 

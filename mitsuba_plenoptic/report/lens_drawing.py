@@ -61,8 +61,7 @@ class _DrawnRays:
         self, height: float, slopes: tuple[np.ndarray, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return X/g and Y/g of the object points that rays meet, and which rays get through."""
-        start = np.zeros_like(slopes[0]), np.full_like(slopes[0], height)
-        point, slope, is_open = self.lens.trace(start, slopes)
+        point, slope, is_open = self.lens.trace((np.zeros_like(slopes[0]), np.full_like(slopes[0], height)), slopes)
         X, Y = (p / self._g + (1 - point[2] / self._g) * t for p, t in zip(point[:2], slope, strict=True))
         return X, Y, is_open
 
@@ -137,8 +136,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
         Their positions in the camera frame, on the MLA and on each surface.
     """
     lens = main_lens(camera)
-    tried = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius
-    slopes = (tried - height) / lens.pupil_distance
+    slopes = (np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius - height) / lens.pupil_distance
     _, _, is_open = lens.trace((0.0 * slopes, np.full_like(slopes, height)), (0.0 * slopes, slopes))
     slopes = np.linspace(slopes[is_open][0], slopes[is_open][-1], count)
     N = 1 / np.sqrt(1 + slopes**2)
@@ -221,8 +219,7 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     canvas = Canvas(10.6, 7.4)
-    name = camera.prescription.name or "main lens"
-    _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, name)
+    _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, camera.prescription.name or "main lens")
     for number, part in enumerate(_FIELDS):
         _spot(canvas.axes(0.5 + 2.1 * number, 4.6, 1.8, 1.8), camera, part * corner)
     _curves(canvas.axes(7.3, 4.6, 1.1, 2.1), canvas.axes(9.1, 4.6, 1.1, 2.1), camera, corner)

@@ -75,8 +75,7 @@ def _similarity(image: np.ndarray, reference: np.ndarray, peak: float) -> float 
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
     """Root of the summed squared differences over that of the reference."""
-    difference = np.asarray(image, np.float64) - reference
-    return float(np.linalg.norm(difference) / np.linalg.norm(reference))
+    return float(np.linalg.norm(np.asarray(image, np.float64) - reference) / np.linalg.norm(reference))
 
 
 def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:

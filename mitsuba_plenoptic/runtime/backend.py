@@ -103,8 +103,7 @@ class Backend:
 
 def backend() -> Backend:
     """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere."""
-    types = array_module()
-    return _cuda() if types is dr.cuda else _processor()
+    return _cuda() if array_module() is dr.cuda else _processor()
 
 
 def backend_of(array: Any) -> Backend:

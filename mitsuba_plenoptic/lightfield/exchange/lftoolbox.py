@@ -117,8 +117,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     with path.open("rb") as file:
         is_hdf5 = b"MATLAB 7.3" in file.read(128)
     try:
-        found = _read_hdf5(path) if is_hdf5 else _read_version_5(path)
-        return _from_variables(found)
+        return _from_variables(_read_hdf5(path) if is_hdf5 else _read_version_5(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:

@@ -111,8 +111,7 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     require_choice("layout", layout, LAYOUTS)
     lf = require_light_field(lf)
     peak = float(np.max(lf.values, initial=0)) or 1.0
-    mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
-    write_picture(path, mosaic / peak)
+    write_picture(path, (lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)) / peak)
 
 
 def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:
