@@ -16,7 +16,7 @@ from .io.captures import Capture
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
 
-# Rows of the image exposed at once, by their number of values.
+# Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
 
 

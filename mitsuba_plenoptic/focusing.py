@@ -15,7 +15,7 @@ from .prescription import Prescription, paraxial
 from .thin_lens import vergence
 
 _STEPS = 256
-"""Places of the group at which a change of sign is looked for."""
+"""Positions of the group at which a change of sign is looked for."""
 
 _CLOSEST = 1e-3
 """Distance between vertices, over the gaps before and behind the group, that is left at least."""
@@ -26,7 +26,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     """Move a group of elements of the main lens until an object distance is in focus; the array stays.
 
     The aperture stop keeps its opening, so that focal length, pupils and f-number become those of the lens with the
-    moved group. The numbers are paraxial, at the prescription's own wavelength.
+    moved group. Its figures are paraxial, at the prescription's own wavelength.
 
     Parameters
     ----------
@@ -69,9 +69,9 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
 
     def behind(shift: float) -> tuple[float, float]:
         """Return focal length and distance from the rear principal plane to the array."""
-        numbers = paraxial(moved(shift))
+        figures = paraxial(moved(shift))
         end = before.length + (shift if last == len(lens.surfaces) - 1 else 0.0)
-        return numbers.focal_length, array - end - numbers.rear_principal
+        return figures.focal_length, array - end - figures.rear_principal
 
     def missed(shift: float) -> float:
         focal_length, b = behind(shift)
@@ -82,7 +82,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     refuse_if(
         not len(crossings),
-        f"distance = {distance:g}: no place of the group of surfaces {first + 1} to {last + 1} brings it into focus",
+        f"distance = {distance:g}: no position of the group of surfaces {first + 1} to {last + 1} brings it into focus",
     )
     nearest = crossings[np.argmin(np.abs(shifts[crossings]))]
     shift = float(scipy.optimize.brentq(missed, shifts[nearest], shifts[nearest + 1], xtol=1e-12))

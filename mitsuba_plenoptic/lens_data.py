@@ -9,7 +9,7 @@ from .errors import InputError, refuse_if, short_repr
 from .thin_lens import conjugate_distance, image_distance
 
 SINGLE = 1e-6
-"""What rounding to single precision changes, at most: files and scenes may hold numbers like that."""
+"""What rounding to single precision changes, at most: files and scenes may hold such values."""
 
 _THIN_LENS = (80.0, 5.0)
 """Focal length and radius of a thin lens, in millimetres, where they are not given."""

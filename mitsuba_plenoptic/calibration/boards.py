@@ -28,7 +28,7 @@ from .observations import Board
 # Disparities that are tried: below, a micro-image shows too little of the scene, above, too few lenses see a point.
 _LEAST, _MOST, _COUNT = 0.04, 0.6, 28
 
-# Places at which lenses are compared, about; and the best disparities at which the board is looked for.
+# Positions at which lenses are compared, about; and the best disparities at which the board is looked for.
 _TRIED = 30_000
 _LOOKED_AT = 6
 
@@ -58,7 +58,7 @@ class BoardView:
     """Where a board is, roughly."""
 
     disparity: float
-    # Places Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
+    # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
     corners: np.ndarray
 
 

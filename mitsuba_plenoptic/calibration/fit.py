@@ -1,4 +1,4 @@
-"""Calibrating a camera from corners of a board in several poses, and judging a camera by them."""
+"""Calibrating a camera from corners of a board in several poses, and evaluating a camera by them."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        used, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
+        used, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
         problem = _with_centres(problem, centres, used, index, weight)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
     found, steps = adjust(problem, numbers, poses, weights=weights), 0
@@ -152,7 +152,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     corners, board
         As for `calibrate`.
     camera : PlenopticCamera
-        The camera to judge.
+        The camera to evaluate.
     index : LensIndex, optional
         How the corners count lenses. Default: found from where they lie.
 
@@ -203,7 +203,7 @@ def cross_validate(
     camera = calibration.camera
     whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        used, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
+        used, weight = _used_centres(centres, calibration.index, calibration.evaluation.residuals)
         whole = _with_centres(whole, centres, used, calibration.index, weight)
     numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
     errors = {}
@@ -232,7 +232,7 @@ def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: Len
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
-def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
+def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
     """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
 
     It is the deviation of the corners' residuals over that of centres that err together.

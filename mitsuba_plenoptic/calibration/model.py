@@ -50,7 +50,7 @@ NAMES = tuple(UNITS)
 """Their names, in the order of a vector of them."""
 
 AT = {name: index for index, name in enumerate(NAMES)}
-"""Place of each name in the vector."""
+"""Index of each name in the vector."""
 
 # The tilt is a thousandth of a radian and the distortion a few per cent, so that each step gains five digits.
 _NEWTON_STEPS = 2
@@ -60,11 +60,11 @@ _NEWTON_STEPS = 2
 class Observations:
     """Observed corners or centres: all arrays have one row for each observation."""
 
-    # Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
+    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
     lens: np.ndarray
     # Column and row; the centre of the first pixel is 0; (n, 2).
     pixel: np.ndarray
-    # Place of the corner on its board in mm; (n, 2).
+    # Position of the corner on its board in mm; (n, 2).
     board: np.ndarray
     # Which pose of the board it is, from 0; (n,).
     pose: np.ndarray

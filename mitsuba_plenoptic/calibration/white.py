@@ -44,7 +44,7 @@ class Centres:
     grid : LensGrid
         The regular grid that fits them best.
     lens : (n, 2) int array
-        Place of each lens along its row, and its row, counted from the grid's first.
+        Index of each lens along its row, and its row, counted from the grid's first.
     pixel : (n, 2) array
         Column and row; the centre of the first pixel is 0.
     light : (n,) array

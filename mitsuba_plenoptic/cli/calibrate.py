@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic calibrate``: a camera from corners of a board, corners and centres from pictures, a judgement."""
+"""``mitsuba-plenoptic calibrate``: a camera from corners, corners and centres from pictures, an evaluation."""
 
 from __future__ import annotations
 
@@ -136,9 +136,9 @@ def _output(output: Path | None, suffix: str) -> Path:
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
     from .. import calibration
 
-    judged, index = load_camera(_camera(camera), {})
+    tested, index = load_camera(_camera(camera), {})
     size = _board(board, square)
-    found = calibration.evaluate(calibration.read_corners(path, size, judged.crop_size), size, judged, index)
+    found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
     for frame, error in zip(found.frames, found.pose_errors, strict=True):
         typer.echo(f"frame {frame}: {error:.4f} px")
     _print_outliers(found)

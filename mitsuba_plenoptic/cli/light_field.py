@@ -80,7 +80,7 @@ def epi(
     at: Annotated[
         float | None,
         number(
-            "Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+            "Position of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
             "nearest to the axis",
             unit="MM",
         ),
@@ -88,7 +88,7 @@ def epi(
     through: Annotated[
         float | None,
         number(
-            "Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
+            "Position on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
             "nearest to the middle",
             unit="MM",
         ),

@@ -299,7 +299,7 @@ def write_preview(path: Path, samples: DataSet) -> None:
         peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
         pictures = [_grey(capture) / peak for capture in captures]
         if "depth" in arrays:
-            pictures.append(_nearness(arrays["depth"]))
+            pictures.append(_inverse_distance(arrays["depth"]))
         rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
     width = min(row.shape[1] for row in rows)
     write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
@@ -309,7 +309,7 @@ def _grey(image: np.ndarray) -> np.ndarray:
     return image.mean(axis=2) if image.ndim == 3 else image
 
 
-def _nearness(depth: np.ndarray) -> np.ndarray:
+def _inverse_distance(depth: np.ndarray) -> np.ndarray:
     """Return the inverse of depths from 0, as far as any, to 1."""
     known = np.isfinite(depth)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))

@@ -132,5 +132,5 @@ def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None
 
 def _fourier(camera: PlenopticCamera) -> Objective:
     lens = objective_of(camera)
-    refuse_if(not lens.images_stop, "main_lens: arrangement = image: this is a number of the Fourier arrangement")
+    refuse_if(not lens.images_stop, "main_lens: arrangement = image: this is a quantity of the Fourier arrangement")
     return lens

@@ -151,10 +151,10 @@ def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -
     if not cameras or white.camera in cameras:
         return
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
-    number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
+    name = next(name for name in {**ours, **theirs} if theirs.get(name) != ours.get(name))
     raise InputError(
-        f"white: its camera has {number} = {short_repr(theirs.get(number))}, that of the capture "
-        f"{short_repr(ours.get(number))}: it must be by the camera of the capture"
+        f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
+        f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
     )
 
 

@@ -262,8 +262,8 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
         for column in (np.floor(along), np.floor(along) + 1):
             weight = (1 - np.abs(y - row)) * (1 - np.abs(along - column))
             there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns) & (weight > 1e-9)
-            place = (row * columns + column)[there].astype(np.int64)
-            entries.append((weight[there].astype(np.float32), np.flatnonzero(there), place))
+            lens = (row * columns + column)[there].astype(np.int64)
+            entries.append((weight[there].astype(np.float32), np.flatnonzero(there), lens))
     weight, target, source = (np.concatenate(parts) for parts in zip(*entries, strict=True))
     return scipy.sparse.csr_array((weight, (target, source)), shape=(dx.size, rows * columns))
 

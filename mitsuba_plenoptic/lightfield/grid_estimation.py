@@ -25,7 +25,7 @@ _CONTRAST = 20
 _FIRST_REACH = 4
 _REPEATS = 12
 
-# Ways to lay rows through the lattice count as the same if they part by no more of a lens at the image's corners.
+# Directions of rows through the lattice count as the same if they part by no more of a lens at the image's corners.
 _SAME = 0.02
 
 # Micro-images measured at once.
@@ -91,7 +91,7 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     half_plane = (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
     peak[[0, -1]] = peak[:, [0, -1]] = False
     found = np.argwhere(peak & half_plane)
-    frequencies = np.array([_refined(spectrum, place) - middle for place in found]).reshape(-1, 2)
+    frequencies = np.array([_refined(spectrum, position) - middle for position in found]).reshape(-1, 2)
     frequencies = frequencies[:, ::-1] / [width, height]
     frequencies = frequencies[np.argsort((frequencies**2).sum(1))]
     for second in frequencies[1:]:
@@ -111,12 +111,12 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vectors, origin + steps @ vectors
 
 
-def _refined(spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Place of a peak between samples, by a parabola through the logarithm."""
-    result = place.astype(np.float64)
+def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Position of a peak between samples, by a parabola through the logarithm."""
+    result = position.astype(np.float64)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]
-        before, at, after = (math.log(max(spectrum[tuple(place + k * step)], 1e-300)) for k in (-1, 0, 1))
+        before, at, after = (math.log(max(spectrum[tuple(position + k * step)], 1e-300)) for k in (-1, 0, 1))
         bend = before - 2 * at + after
         result[axis] += 0.5 * (before - after) / bend if bend < 0 else 0
     return result

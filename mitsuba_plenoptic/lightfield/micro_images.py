@@ -32,9 +32,9 @@ class MicroImages:
     weight : (rows, columns, v, u) float32 array
         Fraction of the sample that sees through the pupil.
     grid : LensGrid
-        Places of the micro-images on the recorded image.
+        Positions of the micro-images on the recorded image.
     bins : LensGrid
-        Places of the bins of the light field of the same capture.
+        Positions of the bins of the light field of the same capture.
     camera : PlenopticCamera
         The camera.
     """

@@ -113,11 +113,11 @@ def epipolar_image(
     axis : {"horizontal", "vertical"}
         Direction of both lines: along u and s, or along v and t.
     at : float, optional
-        Place of the line in the field: t of a horizontal, s of a vertical one; the nearest line is taken. Default: the
-        one nearest to the axis.
+        Position of the line in the field: t of a horizontal, s of a vertical one; the nearest line is taken. Default:
+        the one nearest to the axis.
     through : float, optional
-        Place of the line on the pupil: v of a horizontal, u of a vertical one; the nearest line is taken. Default: the
-        one nearest to the pupil's middle.
+        Position of the line on the pupil: v of a horizontal, u of a vertical one; the nearest line is taken. Default:
+        the one nearest to the pupil's middle.
 
     Returns
     -------
@@ -135,10 +135,10 @@ def epipolar_image(
     return _nearest(lf, **{field: ("at", at), pupil: ("through", through)})
 
 
-def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArray:
+def _nearest(lf: xr.DataArray, **positions: tuple[str, float | None]) -> xr.DataArray:
     """Return the samples nearest to positions on axes, named as in messages; None: nearest to the middle."""
-    wanted = dict.fromkeys(places, 0.0)
-    for axis, (name, value) in places.items():
+    wanted = dict.fromkeys(positions, 0.0)
+    for axis, (name, value) in positions.items():
         if value is None:
             continue
         wanted[axis] = require_number(name, value)

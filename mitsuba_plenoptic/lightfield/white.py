@@ -28,7 +28,7 @@ class PupilFraction:
     r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
-    place moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
+    position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
     the pupil's disc covers is averaged over the lens's aperture: what the pixel reads of a scene of uniform radiance 1.
     """
 
@@ -50,8 +50,8 @@ class PupilFraction:
         self._step = camera.pupil_step / samples
         lens = camera.lattice.aperture_image(self._step, smear)
         half = math.ceil(camera.aperture_radius / self._step + samples) + lens.shape[0] // 2
-        place = np.arange(-half, half + 1) / samples
-        disc = _square_in_disc(place, place[:, None], camera.aperture_radius / camera.pupil_step)
+        axis = np.arange(-half, half + 1) / samples
+        disc = _square_in_disc(axis, axis[:, None], camera.aperture_radius / camera.pupil_step)
         fraction = blur(disc, lens)
         # The rounding of the transform is not light.
         self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
@@ -59,15 +59,15 @@ class PupilFraction:
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fraction for pixels that see the place (x, y) of the pupil plane through their lens's centre."""
+        """Return the fraction for pixels that see (x, y) in the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
         fx, fy = ((axis - base).clip(0, 1).astype(np.float32) for axis, base in ((x, column), (y, row)))
         table, size = self._table.ravel(), self._table.shape[1]
-        place = row * size + column
-        low = table[place] * (1 - fx) + table[place + 1] * fx
-        return low * (1 - fy) + (table[place + size] * (1 - fx) + table[place + size + 1] * fx) * fy
+        index = row * size + column
+        low = table[index] * (1 - fx) + table[index + 1] * fx
+        return low * (1 - fy) + (table[index + size] * (1 - fx) + table[index + size + 1] * fx) * fy
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
@@ -169,9 +169,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
         keep &= fraction > 0
-        place = (down * image.shape[1] + across)[keep]
-        first = place.min(initial=image.size)
-        added = np.bincount(place - first, weights=fraction[keep])
+        index = (down * image.shape[1] + across)[keep]
+        first = index.min(initial=image.size)
+        added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
     return image[half : half + rows, half : half + columns]
 
@@ -246,9 +246,9 @@ def _mean_response(camera: PlenopticCamera) -> float:
     if not camera.pixel_response:
         return 1.0
     s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
-    place = camera.micro_image_diameter / 2 * np.sqrt(u)
+    distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
-    across = np.hypot(place * np.cos(2 * np.pi * v) - x, place * np.sin(2 * np.pi * v) - y)
+    across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
     angle = np.degrees(np.arctan(across / camera.detector_distance))
     return float(np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2]).mean())
 
@@ -282,8 +282,8 @@ class _Fractions:
         """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
         fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
         kinds, which = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
-        for number, (kind, level) in enumerate(kinds.T.astype(int)):
-            mine = which.ravel() == number
+        for index, (kind, level) in enumerate(kinds.T.astype(int)):
+            mine = which.ravel() == index
             fraction[mine] = self._table(kind, level)(x[mine, None, :], y[mine, :, None])
         return fraction
 

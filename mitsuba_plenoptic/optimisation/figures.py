@@ -69,7 +69,7 @@ def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable
 
 
 VARYING = ("mla_focal_length", "mla_fill", "wavefront")
-"""Numbers that refocusing by rays does without."""
+"""Parameters on which refocusing by rays does not depend."""
 
 
 class RefocusedContrast:
@@ -138,7 +138,7 @@ class RefocusedContrast:
         camera : PlenopticCamera
             The camera.
         names : iterable of str
-            The numbers.
+            The parameters.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class RefocusedContrast:
     def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Return the mean contrast, and its gradient by the spreads."""
         total, gradients = 0.0, []
-        number = len(images) * (len(self._along_x) + len(self._along_y))
+        count = len(images) * (len(self._along_x) + len(self._along_y))
         for refocus, image in zip(self._refocus, images, strict=True):
             bins = refocus.forward(image.astype(np.float32)).astype(np.float64)
             light, slope = bins.sum(), np.zeros_like(bins)
@@ -182,8 +182,8 @@ class RefocusedContrast:
                     total += size / light
                     along = (amplitude.conjugate() * wave).real / max(size, 1e-300) / light
                     slope += (along[:, None] if across else along) - size / light**2
-            gradients.append(refocus.adjoint(slope / number))
-        return total / number, np.stack(gradients)
+            gradients.append(refocus.adjoint(slope / count))
+        return total / count, np.stack(gradients)
 
 
 _WAVES = 0.01
@@ -271,7 +271,7 @@ class DepthInformation:
         count = len(expected[0])
         cotangents = [np.zeros_like(part) for part in expected]
         value = 0.0
-        for number, parts in enumerate(zip(*expected, strict=True)):
+        for index, parts in enumerate(zip(*expected, strict=True)):
             covariance = self._covariance(*parts)
             variance, column = covariance[2, 2], covariance[2]
             value -= np.log(variance) / 2 / count
@@ -279,9 +279,9 @@ class DepthInformation:
             noise, columns = self._noise(parts[0]), _columns(*parts)
             along = np.tensordot(column, columns, 1)
             for back, part in zip(cotangents, [column[3], *column[:3]], strict=True):
-                back[number] = part * along / noise / variance / count
+                back[index] = part * along / noise / variance / count
             # The brightness w is relative: its derivative is the image itself.
-            cotangents[0][number] -= along**2 / noise**2 / 2 / variance / count
+            cotangents[0][index] -= along**2 / noise**2 / 2 / variance / count
         total: Gradient = {}
         for points, images in self._moved(camera, cotangents):
             found = self._spreads.gradient(camera, self._photons * images, names, points)

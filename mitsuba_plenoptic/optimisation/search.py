@@ -95,9 +95,9 @@ def maximise(
     best: list[Any] = [-np.inf, camera]
     tried = 0
 
-    def cost(place: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def cost(position: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         nonlocal tried
-        one = vector.at(low + place * (high - low))
+        one = vector.at(low + position * (high - low))
         value, slopes = figure.gradient(one, vector.names)
         tried += 1
         if not np.isfinite(value):

@@ -77,9 +77,9 @@ def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[t
 
 def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
     """Return position and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
-    place = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
+    position = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
     dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
-    return [tuple(mark) for mark in np.column_stack([place.round(1), dark.round(2)]).tolist()]
+    return [tuple(mark) for mark in np.column_stack([position.round(1), dark.round(2)]).tolist()]
 
 
 def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:

@@ -47,7 +47,7 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages))
-    numbers = measure(experiment)
+    measured = measure(experiment)
     zooms = [brightest_zoom(experiment)]
     columns, rows = experiment.camera.bin_count
     name = Path(settings.scene).stem.replace("_", " ")
@@ -56,9 +56,9 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
         lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
         f"{settings.wavelength:g} nm, and refocused from one capture.",
         experiment=experiment,
-        numbers=numbers,
+        measured=measured,
         zooms=zooms,
-        plates=draw_comparison(output, experiment, numbers, zooms),
+        plates=draw_comparison(output, experiment, measured, zooms),
         command=_command(settings),
     )
     return write_report(output, report)
@@ -193,10 +193,10 @@ def _depth(low: np.ndarray) -> float:
 
 
 def draw_comparison(
-    folder: Path, experiment: Experiment, numbers: Mapping[str, Any], zooms: Sequence[Zoom]
+    folder: Path, experiment: Experiment, measured: Mapping[str, Any], zooms: Sequence[Zoom]
 ) -> dict[str, str]:
     """Draw the figures that every experiment has; return their captions by file name."""
-    rows = numbers["reconstructions"]
+    rows = measured["reconstructions"]
     metrics = {(row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {ssim_text(row['ssim'])}" for row in rows}
     interference = {
         (row["method"], row["distance"]): f"{row['interference']:.1%} of the mean"

@@ -185,14 +185,14 @@ def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: boo
     fraction = length / width
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")
-    place: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
+    frame: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
     # Bright pictures need an outline.
     outline = [] if below else [withStroke(linewidth=2, foreground="black")]
-    axes.add_patch(Rectangle((x, y), fraction, height, color=colour, linewidth=0, path_effects=outline, **place))
+    axes.add_patch(Rectangle((x, y), fraction, height, color=colour, linewidth=0, path_effects=outline, **frame))
     if below:
-        axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=8, va="center", **place)
+        axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=8, va="center", **frame)
     else:
-        axes.text(x, y + 1.8 * height, label, color=colour, size=8, va="bottom", path_effects=outline, **place)
+        axes.text(x, y + 1.8 * height, label, color=colour, size=8, va="bottom", path_effects=outline, **frame)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:

@@ -185,7 +185,7 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
 
 
 _FIELDS = (0.0, 0.7, 1.0)
-"""Places that are drawn, over the distance of the detector's corner from the axis."""
+"""Field heights that are drawn, over the distance of the detector's corner from the axis."""
 
 _RAYS = ("#1b6ca8", "#2a8f52", "#b8442e")
 """Colours of the rays to each of them."""
@@ -194,7 +194,7 @@ _LINES = {"F": (LINE_F, "#2463d6"), "d": (LINE_D, "#d9a400"), "C": (LINE_C, "#d0
 """Wavelengths of the spots, by the names of their lines, and their colours."""
 
 _HEIGHTS = 13
-"""Places for which curves are computed."""
+"""Field heights for which curves are computed."""
 
 _INK, _GLASS = "#1b1f24", "#dfeaf3"
 
@@ -220,8 +220,8 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     canvas = Canvas(10.6, 7.4)
     _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, camera.prescription.name or "main lens")
-    for number, part in enumerate(_FIELDS):
-        _spot(canvas.axes(0.5 + 2.1 * number, 4.6, 1.8, 1.8), camera, part * corner)
+    for index, part in enumerate(_FIELDS):
+        _spot(canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8), camera, part * corner)
     _curves(canvas.axes(7.3, 4.6, 1.1, 2.1), canvas.axes(9.1, 4.6, 1.1, 2.1), camera, corner)
     canvas.save(path)
 
@@ -236,10 +236,10 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     for surface, vertex, given in zip(surfaces, vertices, lens.prescription.surfaces, strict=True):
         radius = np.linspace(-1, 1, 65) * given.semi_aperture
         profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
-    for number, given in enumerate(lens.prescription.surfaces):
-        (z, y), stop = profiles[number], number == lens.prescription.stop
+    for index, given in enumerate(lens.prescription.surfaces):
+        (z, y), stop = profiles[index], index == lens.prescription.stop
         if given.glass is not None:
-            behind, below = profiles[number + 1]
+            behind, below = profiles[index + 1]
             outline = np.concatenate([z, behind[::-1]]), np.concatenate([y, below[::-1]])
             axes.fill(*outline, facecolor=_GLASS, edgecolor=_INK, linewidth=0.8)
         if stop:

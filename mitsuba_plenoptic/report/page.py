@@ -51,8 +51,8 @@ class Report:
     title: str
     lead: str
     experiment: Experiment
-    numbers: dict[str, Any]
-    # Places on the detector that a button leads to.
+    measured: dict[str, Any]
+    # Parts of the detector that a button leads to.
     zooms: Sequence[Zoom]
     # Captions of the figures by their files' names.
     plates: dict[str, str]
@@ -72,7 +72,7 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
         "settings": asdict(experiment.settings),
         "camera": experiment.camera.to_dict(),
         "software": software(),
-        **report.numbers,
+        **report.measured,
         "timing": list(report.timing),
         "claims": [asdict(claim) for claim in report.claims],
         "stage_seconds": experiment.seconds,
@@ -118,7 +118,7 @@ def _page(folder: Path, report: Report) -> str:
     return template("page.html").render(
         report=report,
         experiment=experiment,
-        numbers=report.numbers,
+        measured=report.measured,
         titles=TITLES,
         explanations=_EXPLANATIONS,
         folder=folder.name,
@@ -127,21 +127,21 @@ def _page(folder: Path, report: Report) -> str:
         geometry=geometry(experiment, report.zooms, window),
         distances=shown_distances(experiment),
         screen=window.of(next(iter(experiment.truths.values()))).shape,
-        refocus=reconstructions(experiment, report.numbers, window),
+        refocus=reconstructions(experiment, report.measured, window),
         plates=[plate(folder / name, caption) for name, caption in report.plates.items()],
         sheet=groupby(design_sheet(camera, wavelength), key=lambda row: row.group),
         warnings=design.design_warnings(camera, wavelength),
-        facts=_facts(experiment, report.numbers),
+        facts=_facts(experiment, report.measured),
     )
 
 
-def _facts(experiment: Experiment, numbers: dict[str, Any]) -> list[tuple[str, str]]:
+def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:
     """List what the experiment was made with."""
     settings = experiment.settings
     return [
         ("Wavelength", f"{settings.wavelength:g} nm"),
         ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
-        *_points(settings.points, numbers["captures"]["points"]),
+        *_points(settings.points, measured["captures"]["points"]),
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
         *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
@@ -204,12 +204,12 @@ def shown_distances(experiment: Experiment) -> list[float]:
     return sorted({*experiment.settings.slider, *experiment.settings.distances})
 
 
-def reconstructions(experiment: Experiment, numbers: dict[str, Any], window: Window) -> dict[str, Any]:
+def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
     """Return pictures by method and distance, with the metrics of those that have some."""
     distances = shown_distances(experiment)
     peak = common_peak([experiment.truths[distance] for distance in distances], window)
     facts: dict[str, dict[str, list[list[str]]]] = {}
-    for row in numbers["reconstructions"]:
+    for row in measured["reconstructions"]:
         metrics = [
             ["PSNR", f"{row['psnr']:.1f} dB"],
             ["SSIM", ssim_text(row["ssim"])],

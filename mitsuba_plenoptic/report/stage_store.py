@@ -127,7 +127,7 @@ class StageStore:
     ) -> tuple[Value, str]:
         key = _hash({"stage": name, "inputs": inputs, "software": software()})
         path = self.folder / f"{name}{suffix}"
-        value = _read_kept(path, key, read)
+        value = _read_stage(path, key, read)
         was_there = value is not None
         if value is None:
             start = time.perf_counter()
@@ -170,7 +170,7 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _read_kept(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) -> Value | None:
+def _read_stage(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) -> Value | None:
     """Read a stage if its file is whole and has the key."""
     if not path.is_file():
         return None

@@ -259,12 +259,12 @@ class SweepFile:
 
     def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
         """Write one capture and its reconstructions."""
-        place = () if self._scalar else tuple(int(i) for i in index)
-        self.variables["capture"][(*place, ...)] = capture.image
-        self.variables["pixel_size"][place] = capture.camera.pixel_size
+        at = () if self._scalar else tuple(int(i) for i in index)
+        self.variables["capture"][(*at, ...)] = capture.image
+        self.variables["pixel_size"][at] = capture.camera.pixel_size
         for number, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
-            self.variables["reconstruction"][(*place, number, ...)] = image
-            self.variables["bin_size"][(*place, number)] = capture.camera.bin_size(distance)
+            self.variables["reconstruction"][(*at, number, ...)] = image
+            self.variables["bin_size"][(*at, number)] = capture.camera.bin_size(distance)
 
 
 class Sink(io.FileIO):

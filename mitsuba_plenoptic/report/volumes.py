@@ -102,11 +102,11 @@ def _orthogonal(
 
 def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
     """Return how many pixels stand for each plane: as far as to the middles between it and its neighbours."""
-    places = np.array(volume.distances)
-    if len(places) == 1:
+    depths = np.array(volume.distances)
+    if len(depths) == 1:
         return np.array([_LEAST_PLANE])
-    middles = (places[1:] + places[:-1]) / 2
-    borders = np.concatenate([[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]])
+    middles = (depths[1:] + depths[:-1]) / 2
+    borders = np.concatenate([[2 * depths[0] - middles[0]], middles, [2 * depths[-1] - middles[-1]]])
     widths = np.diff(borders)
     # At their true widths where these fill half the picture at most.
     scale = min(1 / volume.voxel_size, 0.5 * volume.values.shape[2] / widths.sum())

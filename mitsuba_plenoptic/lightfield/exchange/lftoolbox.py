@@ -29,7 +29,7 @@ from ...runtime.limits import memory_limit, require_memory
 from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
 
-# Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
+# Bytes of a value of a light field while it is read: as stored (at most 8), and twice in single precision.
 _NUMBER_BYTES = 8 + 4 + 4
 
 # Of files of version 5: bytes before the first variable, the type of a packed one, and bytes unpacked at once.
@@ -38,7 +38,7 @@ _HEADER, _PACKED, _PIECE = 128, 15, 2**20
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
 
-# MATLAB's version 5 files hold at most this number of bytes in one variable.
+# Bytes of one variable, at most, in MATLAB's files of version 5.
 _MAX_BYTES = 2**31 - 1
 
 # MATLAB's names of the arrays that a light field may be.
@@ -60,7 +60,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     lf : xarray.DataArray
         The light field.
     precision : {"uint8", "uint16", "single"}
-        MATLAB type of the numbers.
+        MATLAB type of the values.
 
     Raises
     ------

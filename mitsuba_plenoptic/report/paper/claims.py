@@ -28,7 +28,7 @@ _NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
 
 
 def check_claims(
-    experiment: Experiment, numbers: dict[str, Any], seconds: dict[str, float], near: str, far: str
+    experiment: Experiment, measured: dict[str, Any], seconds: dict[str, float], near: str, far: str
 ) -> list[Claim]:
     """Compute the verdicts from the letters, what `measure` gave of them, and seconds on one core by method.
 
@@ -36,11 +36,11 @@ def check_claims(
     """
     first, last = experiment.settings.distances[0], experiment.settings.distances[-1]
     blurred = [
-        find(numbers["interference"], shape=near, distance=last),
-        find(numbers["interference"], shape=far, distance=first),
+        find(measured["interference"], shape=near, distance=last),
+        find(measured["interference"], shape=far, distance=first),
     ]
     return [
-        _pixel_counts(numbers),
+        _pixel_counts(measured),
         _interference(blurred),
         _reduction(blurred),
         _similarity_to_rays(experiment, (first, last)),
@@ -64,8 +64,8 @@ def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict
     ]
 
 
-def _pixel_counts(numbers: dict[str, Any]) -> Claim:
-    sizes = {tuple(row["bins"]) for row in numbers["reconstructions"]}
+def _pixel_counts(measured: dict[str, Any]) -> Claim:
+    sizes = {tuple(row["bins"]) for row in measured["reconstructions"]}
     text = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(sizes))
     return Claim(
         "Reconstructions by rays and by waves have the same number of pixels.",

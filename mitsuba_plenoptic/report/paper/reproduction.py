@@ -65,7 +65,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     settings = PRESETS[require_choice("preset", preset, PRESETS)]
     store = open_store(output, stages)
     experiment = run_experiment(settings, store)
-    numbers = measure(experiment)
+    measured = measure(experiment)
     last = settings.distances[-1]
     seconds = store.facts(
         "seconds_on_one_core",
@@ -73,7 +73,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
         lambda _: seconds_on_one_core(experiment.wave_file, last),
     )
     near, _, far = _LETTERS
-    claims = check_claims(experiment, numbers, seconds, near, far)
+    claims = check_claims(experiment, measured, seconds, near, far)
     zooms = letter_zooms(experiment, _LETTERS)
     figure_2(output / "fig2.png", experiment, _LETTERS)
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
@@ -86,9 +86,9 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
         f'{settings.wavelength:g} nm and refocused from one capture, after the paper "Wave-Optical '
         f'Reconstruction of Plenoptic Camera Images". Of its {len(claims)} conclusions {confirmed} are confirmed.',
         experiment=experiment,
-        numbers=numbers,
+        measured=measured,
         zooms=zooms,
-        plates=_PLATES | draw_comparison(output, experiment, numbers, zooms),
+        plates=_PLATES | draw_comparison(output, experiment, measured, zooms),
         command=f"mitsuba-plenoptic reproduce --preset {preset}",
         claims=claims,
         timing=timing_table(experiment, seconds),
