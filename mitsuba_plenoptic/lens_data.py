@@ -1,4 +1,4 @@
-"""What a camera asks of the plain data of its main lens, whatever its kind; a thin lens's answers."""
+"""The plain data of a main lens, of whatever kind, as a camera asks for it; a thin lens's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .errors import InputError, refuse_if, short_repr
 from .thin_lens import conjugate_distance, image_distance
 
 SINGLE = 1e-6
-"""What rounding to single precision changes, at most: files and scenes may hold such values."""
+"""Relative change by rounding to single precision, at most: values of files and scenes are compared to within it."""
 
 _THIN_LENS = (80.0, 5.0)
 """Focal length and radius of a thin lens, in millimetres, where they are not given."""
@@ -68,7 +68,7 @@ class LensData:
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
@@ -96,7 +96,7 @@ class LensData:
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
         """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's.
 
-        A thin lens is its own pupil. That of an objective is infinitely far, and the numbers are those of a thin lens.
+        A thin lens is its own pupil. That of an objective is infinitely far, and the values are those of a thin lens.
 
         Parameters
         ----------

@@ -230,7 +230,7 @@ def _calibrate(
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:
-        from ..report.calibration import write_calibration_report
+        from ..report.page import write_calibration_report
 
         write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():

@@ -84,7 +84,7 @@ def info(
 
 
 def _origin(capture: Capture) -> dict[str, str]:
-    """Tell how a capture was made, as far as its header says."""
+    """Describe how a capture was made, as far as its header says."""
     noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
     facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
     return {

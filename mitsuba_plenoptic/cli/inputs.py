@@ -1,4 +1,4 @@
-"""What several commands have: options, the loading of what they name, progress, and the handling of Ctrl-C."""
+"""Common parts of commands: options, the loading of what they name, progress, and the handling of Ctrl-C."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ from ..capture.render import plenoptic_sensor
 from ..capture.scene import check_scene_file, load_scene, scene_names, scene_path
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if
-from ..io.captures import MODELS, Capture, read_capture
+from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
 from ..io.checkpoints import Checkpoint
-from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, states_detector
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.images import Brightness
@@ -50,9 +49,6 @@ def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
 Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")]
 CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")]
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
-CaptureOutput = Annotated[Path, output_option("FILE.exr", "File to write.")]
-
-RawOutput = Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")]
 
 Definitions = Annotated[
     list[str] | None,
@@ -88,15 +84,6 @@ Model = Annotated[
 Samples = Annotated[int | None, number("Samples per pixel.", "those of the scene's sampler")]
 
 Seed = Annotated[int, number("Seed of the random numbers.")]
-
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
-        "version.",
-    ),
-]
 
 # For commands that always resume.
 ResumeOnly = Annotated[

@@ -14,21 +14,17 @@ from ..capture.render import is_wave_capture, render_capture
 from ..detector import MOSAICS, Detector
 from ..detector import expose as record
 from ..errors import InputError, refuse_if
-from ..io.captures import Capture, read_capture, write_capture
+from ..io.captures import RAW_SUFFIXES, Capture, read_capture, write_capture, write_raw
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_apart, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
-from ..io.raw import RAW_SUFFIXES, write_raw
 from ..runtime.progress import progress_bar
 from .inputs import (
     CameraFile,
     CaptureFile,
-    CaptureOutput,
     Definitions,
     Linear,
     Model,
-    RawOutput,
-    Resume,
     Samples,
     Scene,
     Scheduler,
@@ -76,7 +72,14 @@ def render(
     estimate: Annotated[
         bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
     ] = False,
-    resume: Resume = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
+            "version.",
+        ),
+    ] = False,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
@@ -207,7 +210,7 @@ def render(
 
 def expose(
     capture: CaptureFile,
-    output: RawOutput,
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")],
     photons: Annotated[float, number("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[
         float, number("Electrons per photon, up to 1.", unit="FRACTION")
@@ -271,7 +274,7 @@ def expose(
 
 def demosaic(
     capture: CaptureFile,
-    output: CaptureOutput,
+    output: Annotated[Path, output_option("FILE.exr", "File to write.")],
     mosaic: Annotated[
         str | None,
         typer.Option(

@@ -17,8 +17,7 @@ from ..capture.scene_light import SceneLight
 from ..capture.scene_points import find_points, require_matte
 from ..detector import require_demosaiced
 from ..errors import InputError, refuse_if, require_count, require_number
-from ..io.captures import Capture, as_array, require_pixels
-from ..io.raw import response_of
+from ..io.captures import Capture, as_array, require_pixels, response_of
 from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera
 from ..runtime.backend import one_at_a_time

@@ -93,7 +93,7 @@ class WaveModel:
 
 
 _PER_PIXEL, _ENOUGH = 4.0, 96.0
-"""Rays across a pixel, and across a micro-image that is so large that one ray a pixel tells its edge well enough."""
+"""Rays across a pixel, and across a micro-image that is so large that one ray a pixel shows its edge well enough."""
 
 _PER_LENS, _FEWEST = 12.0, 16.0
 """Rays across a microlens and across the pupil at least."""
@@ -296,9 +296,9 @@ class _Bundles:
 
 
 _STEP = 1e-4
-"""Change of a number to either side for its derivative, in `scales`: less than what bright captures tell.
+"""Change of a parameter to either side for its derivative, in `scales`: less than bright captures resolve.
 
-Over longer ones dark pixels beside edges of the light seem to change with a number that does not light them.
+Over longer ones dark pixels next to edges of the light seem to change with a parameter that does not light them.
 """
 
 

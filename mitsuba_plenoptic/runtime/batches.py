@@ -150,7 +150,7 @@ class Cluster:
     Parameters
     ----------
     workers : int, optional
-        So many processes of one thread on this machine.
+        Number of processes of one thread each on this machine.
     scheduler : str, optional
         Instead of them, the address of a running Dask scheduler, such as ``tcp://10.0.0.1:8786``.
 

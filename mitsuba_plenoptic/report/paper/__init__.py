@@ -1,1 +1,1 @@
-"""What reproduces the paper, and only that: its figures, timing and conclusions."""
+"""The reproduction of the paper: its figures, timing and conclusions."""
