@@ -194,6 +194,12 @@ def require_flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
+def put(record: Any, **values: Any) -> None:
+    """Replace fields of a frozen dataclass that is being made, such as by their checked values."""
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
+
+
 def require_module(name: str, message: str) -> Any:
     """Return a module of a package that few need; the message says what it is for and how to install it."""
     try:

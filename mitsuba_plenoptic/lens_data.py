@@ -9,7 +9,7 @@ from .errors import InputError, refuse_if, short_repr
 from .thin_lens import conjugate_distance, image_distance
 
 SINGLE = 1e-6
-"""Relative change by rounding to single precision, at most: values of files and scenes are compared to within it."""
+"""Relative error of rounding to single precision, at most; values from files and scenes may have it."""
 
 _THIN_LENS = (80.0, 5.0)
 """Focal length and radius of a thin lens, in millimetres, where they are not given."""

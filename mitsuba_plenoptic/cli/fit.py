@@ -57,7 +57,10 @@ def fit(
     ] = 64,
     afar: Annotated[
         bool,
-        typer.Option("--from-afar", help="Come near first, by rays with blurred captures: lengths some percent off."),
+        typer.Option(
+            "--from-afar",
+            help="Fit coarsely first, by rays and blurred captures: lengths some percent off.",
+        ),
     ] = False,
     model: Annotated[
         str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")

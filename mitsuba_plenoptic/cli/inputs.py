@@ -98,7 +98,7 @@ ResumeOnly = Annotated[
 Workers = Annotated[
     int | None,
     number(
-        "By waves: number of processes of this machine to sum on; the capture has the same bits.",
+        "Wave captures: number of processes of this machine to sum on; the capture has the same bits.",
         "threads of one process",
     ),
 ]
@@ -106,7 +106,8 @@ Workers = Annotated[
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="By waves: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786."
+        metavar="ADDRESS",
+        help="Wave captures: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786.",
     ),
 ]
 
@@ -115,8 +116,7 @@ CameraFile = Annotated[
     typer.Option(
         "--camera",
         metavar="PRESET|FILE.json|SCENE",
-        help=f"Camera, in the place of any that there is: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, "
-        "or a scene's.",
+        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, or a scene's.",
     ),
 ]
 

@@ -51,7 +51,7 @@ def render(
     wavelength: Annotated[
         str | None,
         number(
-            "By waves: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
+            "Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
             "the scene's, else 633",
             unit="NM",
         ),
@@ -61,8 +61,8 @@ def render(
         typer.Option(
             metavar="NAME",
             show_default="the scene's, else signed_rays",
-            help="By waves: signed_rays, which takes the rays of a ray capture, or points, the plain reference for "
-            "matte scenes, with --spp points for each microlens.",
+            help="Wave captures: signed_rays, which takes the rays of a ray capture, or points, the plain reference "
+            "for matte scenes, with --spp points for each microlens.",
         ),
     ] = None,
     noise: Annotated[
@@ -85,7 +85,7 @@ def render(
         typer.Option(
             metavar="FILE",
             show_default="FILE.exr.checkpoint",
-            help="By waves: where to keep what is done until the capture is written.",
+            help="Wave captures: file for what is done until the capture is written.",
         ),
     ] = None,
     workers: Workers = None,

@@ -304,7 +304,7 @@ Over longer ones dark pixels next to edges of the light seem to change with a pa
 
 def check_numbers(vector: CameraVector) -> None:
     """Refuse parameters on which the rays of points do not depend."""
-    refuse_if("mla_fill" in vector.names, "mla_fill: rays from points know no gaps between lenses; fit it by waves")
+    refuse_if("mla_fill" in vector.names, "mla_fill: rays from points know no gaps between lenses; use the wave model")
 
 
 class RayModels:

@@ -22,7 +22,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, naming, refuse_if, require_choice, require_number, short_repr, suggest_keywords
+from ..errors import InputError, naming, put, refuse_if, require_choice, require_number, short_repr, suggest_keywords
 from ..runtime.limits import require_memory
 from .exr import read_exr, write_exr
 from .files import atomic_output, reading_as, require_file, require_writable
@@ -82,16 +82,16 @@ class Capture:
         channels = image.shape[2] if image.ndim == 3 else 1
         refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
-        object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
+        put(self, image=np.asarray(image, dtype=np.float32))
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
             refuse_if(
                 len(self.wavelength) != channels,
                 f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels",
             )
-            object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
+            put(self, wavelength=tuple(require_wavelength(value) for value in self.wavelength))
         elif self.wavelength is not None:
-            object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
+            put(self, wavelength=require_wavelength(self.wavelength))
         if not isinstance(self.metadata, dict):
             raise InputError(f"metadata = {short_repr(self.metadata)}: it must be a dictionary")
         if self.noise is not None:
@@ -103,7 +103,7 @@ class Capture:
             require_pixels("noise", noise)
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
-            object.__setattr__(self, "noise", np.asarray(noise, dtype=np.float32))
+            put(self, noise=np.asarray(noise, dtype=np.float32))
 
     def __repr__(self) -> str:
         """Describe the capture in one line."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
-from ..errors import refuse_if, require_count, require_number, require_pair
+from ..errors import put, refuse_if, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
 
@@ -58,21 +58,20 @@ class LensGrid:
     shifted_rows: int | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
         spacing = require_pair("spacing", self.spacing, "(along a row, between rows)")
-        put(
-            "spacing",
-            tuple(require_number("spacing", each, positive=True, minimum=1e-3, maximum=1e6) for each in spacing),
-        )
         offset = require_pair("offset", self.offset, "(column, row)")
-        put("offset", tuple(require_number("offset", value, minimum=-1e9, maximum=1e9) for value in offset))
         shape = require_pair("shape", self.shape, "(rows, columns)")
-        put("shape", tuple(require_count("shape", value, maximum=MOST_PIXELS) for value in shape))
-        put("rotation", require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau))
+        put(
+            self,
+            spacing=tuple(
+                require_number("spacing", each, positive=True, minimum=1e-3, maximum=1e6) for each in spacing
+            ),
+            offset=tuple(require_number("offset", each, minimum=-1e9, maximum=1e9) for each in offset),
+            shape=tuple(require_count("shape", each, maximum=MOST_PIXELS) for each in shape),
+            rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
+        )
         if self.shifted_rows is not None:
-            put("shifted_rows", require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
+            put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
     @property
     def pitch(self) -> float:

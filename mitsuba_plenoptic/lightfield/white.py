@@ -180,7 +180,7 @@ def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamer
     """Scale a recorded white image to a radiance of 1, and refuse one that does not fill the view.
 
     Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
-    captures by waves this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
 
     Shapes: `white` (rows, columns, channels), `computed` (rows, columns); the result (rows, columns, channels).
     """

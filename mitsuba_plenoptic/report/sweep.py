@@ -321,7 +321,7 @@ def sweep(
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.
     batch_map : callable, optional
-        By waves: computes the sums, for example `Cluster`.
+        For wave captures: computes the sums, for example `Cluster`.
     stages : StageOptions, optional
         How progress is reported, and what becomes of checkpoints.
 
