@@ -84,7 +84,7 @@ _options: Mapping[str, str] | None = None
 
 @contextlib.contextmanager
 def at_shell(options: Mapping[str, str]) -> Iterator[None]:
-    """Have advice name options of the command line; `options` has those that are not called as their arguments."""
+    """Let advice name options of the command line; `options` has those whose names differ from their arguments."""
     global _options
     before, _options = _options, options
     try:
@@ -179,7 +179,7 @@ def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> No
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
-    """Return the two entries of a pair, to be checked by whom they are for."""
+    """Return the two entries of a pair, which are not checked."""
     try:
         first, second = value
     except (TypeError, ValueError):

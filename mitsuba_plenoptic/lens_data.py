@@ -1,4 +1,4 @@
-"""The plain data of a main lens, of whatever kind, as a camera asks for it; a thin lens's."""
+"""The plain data of a main lens: the interface of all kinds, with the answers of a thin lens."""
 
 from __future__ import annotations
 

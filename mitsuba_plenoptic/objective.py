@@ -1,4 +1,4 @@
-"""A microscope's objective and tube lens as plain data: what a camera keeps of them."""
+"""A microscope's objective and tube lens as plain data: the part of them that a camera stores."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ class Capture:
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Return the array of something that should be one, of regular shape and of real numbers."""
+    """Return an array of real numbers, or refuse what is not a regular one."""
     try:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError) as error:
@@ -135,7 +135,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def require_pixels(name: str, image: np.ndarray) -> None:
-    """Refuse an image with pixels that are not finite or of a magnitude above `BRIGHTEST`: how many, and the first."""
+    """Refuse an image with pixels that are not finite or exceed `BRIGHTEST` in magnitude: their count and the first."""
     # The largest and the smallest value show every NaN too, and cost far less than a test of each.
     if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
         return
@@ -363,6 +363,6 @@ def _read(path: Path) -> tuple[NDArray[Any], str]:
 
 
 def scaled_from(capture: Capture, black_level: float) -> Capture:
-    """Return a capture of values from 0 to 1, of 65535 digital numbers, with another number as black."""
+    """Return a capture of values from 0 to 1, at 65535 digital numbers, scaled so that another number is black."""
     black = require_number("black_level", black_level, minimum=0, maximum=65534) / 65535
     return replace(capture, image=(capture.image - np.float32(black)) / np.float32(1 - black))

@@ -202,7 +202,7 @@ def read_parts(path: Path) -> list[ExrPart]:
 
 
 def _require_small_header(path: Path) -> None:
-    """Refuse a file whose attributes are too large to be read whole; whether they are right is for OpenEXR to find."""
+    """Refuse a file whose header is too large to be read whole; OpenEXR finds whether it is correct."""
     with path.open("rb") as file:
 
         def text() -> bytes:
@@ -231,7 +231,7 @@ def _part(header: dict[str, Any]) -> ExrPart:
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
-    """Return the error for a file whose damage OpenEXR, JSON or NumPy found, by whatever type of exception."""
+    """Return the error for a damaged file, whichever exception OpenEXR, JSON or NumPy raised."""
     reason = str(error)
     if reason.startswith("Unable to open"):
         # What OpenEXR says of all files that are there but that it cannot make out.

@@ -49,7 +49,7 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that a file that is to be written is not one of those that are read, which it would replace."""
+    """Check that an output file is not also an input, which it would replace."""
     for source in sources:
         refuse_if(
             source is not None and path.exists() and source.exists() and path.samefile(source),
@@ -143,7 +143,7 @@ def remove_leftovers(path: str | Path) -> None:
 
 @contextlib.contextmanager
 def reading_as(path: Path, kind: str) -> Iterator[None]:
-    """Refuse a file whose damage a library found: they report it by many types of exception, which mean the same."""
+    """Refuse a damaged file in one line, whichever type of exception a library raised."""
     try:
         yield
     except InputError:
@@ -154,7 +154,7 @@ def reading_as(path: Path, kind: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def native_output_dropped() -> Iterator[None]:
-    """Drop what libraries in C++ print about damaged files, to Python's output and to the process's own.
+    """Suppress what C++ libraries print about damaged files, on Python's output and on the process's own.
 
     Their exceptions say it again.
     """
@@ -174,7 +174,7 @@ _LARGEST_YAML = 2**16
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as version 1.2 and JSON have it, without what is easily mistaken.
+    """YAML as version 1.2 and JSON have it, without its common traps.
 
     PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Names given twice, and
     aliases, by which a small file grows endless, are refused.
@@ -253,7 +253,7 @@ def h5py_module(purpose: str) -> Any:
 
 
 def stored_array(group: Any, name: str) -> Any:
-    """Return the array of numbers of a name that lies in this very file, or None if there is no such array.
+    """Return an HDF5 dataset of numbers by its name, or None if there is no such entry; links are refused.
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
     stranger that would read files of the user's.

@@ -72,7 +72,7 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
 
 
 def _is_there(path: Path) -> bool:
-    """Whether something has that name; text that can be no file's name is nothing's."""
+    """Whether a file of that name exists; False for text that cannot be the name of a file."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -80,7 +80,7 @@ def _is_there(path: Path) -> bool:
 
 
 def lens_from_plain(value: Any) -> LensData:
-    """Return the main lens of plain data, whose kind an entry marks: a prescription if there is no such entry."""
+    """Return the main lens of plain data: a prescription, unless an entry marks another kind."""
     return known_kind(value, Prescription).from_plain(value)
 
 

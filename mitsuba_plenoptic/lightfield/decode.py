@@ -217,7 +217,7 @@ def _brightness(middle: np.ndarray) -> np.float32:
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """How many views there are on either side of the central one, and which of them are of this lens alone.
+    """Return how many views lie on either side of the central one, and mark those that see this lens alone.
 
     The result has the shape (2 half + 1, 2 half + 1).
     """

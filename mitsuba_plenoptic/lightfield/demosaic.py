@@ -149,5 +149,5 @@ def _interpolate(
 
 
 def _window(size: int, step: int) -> slice:
-    """Return the part of an axis that stays on it when it is shifted by -step."""
+    """Return the slice of an axis whose samples stay on it when they are shifted by -step."""
     return slice(max(0, step), size + min(0, step))

@@ -114,7 +114,7 @@ def decode_views(
 
 
 def _room(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return width and height of a rectangle about each lens's centre that those of its neighbours do not meet."""
+    """Return the width and height of a rectangle about each lens's centre that overlaps none of its neighbours'."""
     lattice = camera.lattice
     along, across = float(lattice.pitches[0]), float(lattice.row_distance)
     upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
@@ -124,7 +124,7 @@ def _room(camera: PlenopticCamera) -> tuple[float, float]:
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return for lenses at some positions the light that their apertures get, over that of an even stop."""
+    """Return the light that the apertures of lenses at some positions receive, relative to that of an even stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach

@@ -25,7 +25,7 @@ Gradient = dict[str, NDArray[np.float64]]
 
 
 class Spreads:
-    """The point spreads of points that a figure looks at, each by itself."""
+    """The point spreads of the points of a figure, each computed by itself."""
 
     def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
@@ -62,7 +62,7 @@ class Spreads:
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera with other parameters that a figure holds."""
+    """Refuse a camera that differs in a parameter that a figure holds."""
     mine, its = camera.to_dict(), other.to_dict()
     for name in held:
         refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
@@ -192,7 +192,7 @@ _WAVES = 0.01
 
 @dataclass(frozen=True)
 class _Move:
-    """Two positions of every point, (n, 3), and by what the difference of their spreads is a derivative, (n, 1, 1)."""
+    """Two positions of every point, (n, 3), and factors (n, 1, 1) from differences of spreads to derivatives."""
 
     there: NDArray[np.float64]
     back: NDArray[np.float64]

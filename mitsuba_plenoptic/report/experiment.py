@@ -273,7 +273,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Keep one channel of a film that records colours of which a mono variant has one."""
+    """Reduce a capture whose film has three equal channels, of a mono variant, to one."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

@@ -49,7 +49,7 @@ class Zoom(NamedTuple):
 
 
 def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
-    """Find the part of the field, the same distance from its middle on both sides, that holds the light of images."""
+    """Find the part of the field, symmetric about its middle, that holds the light of all images."""
     reach = []
     for axis in (1, 0):
         ends = []
@@ -68,7 +68,7 @@ def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
 
 
 def letter_zooms(experiment: Experiment, letters: Mapping[str, str], lenses: int = 8) -> list[Zoom]:
-    """Look closely at the micro-images in the middle of each of some shapes, given with titles by their ids."""
+    """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
     zooms = []
     for name, title in letters.items():
         low, high = experiment.boxes[name]
@@ -90,7 +90,7 @@ def brightest_zoom(experiment: Experiment, lenses: int = 8) -> Zoom:
 
 
 def _zoom(title: str, camera: PlenopticCamera, slopes: np.ndarray, lenses: int) -> Zoom:
-    """Window of whole micro-images around where the chief ray of given slopes (x, y) meets the detector."""
+    """Return a window of whole micro-images around the detector point of a chief ray with given slopes (x, y)."""
     half = lenses / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch
     spans = []
@@ -181,7 +181,7 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
 
 
 def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: bool = False) -> None:
-    """Lay a bar of `length` into an image that is `width` wide, both in the same unit, or under it."""
+    """Draw a bar of `length` into an image that is `width` wide, in the same unit, or below it."""
     fraction = length / width
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")

@@ -78,7 +78,7 @@ class _DrawnRays:
 
 
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where rays from the object point of a position's chief ray meet the MLA, as far as they get through.
+    """Return where on the MLA the rays of one object point land, of those that pass the lens.
 
     By tracing back: how far from that point the rays from the position meet the object plane, in its image's size.
 
@@ -102,7 +102,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
-    """Return how much farther from the axis the second wavelength's chief ray puts an image than the first's.
+    """Return how much farther from the axis an image lies by the second wavelength's chief ray than by the first's.
 
     Parameters
     ----------

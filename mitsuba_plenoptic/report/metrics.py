@@ -222,7 +222,7 @@ _ESTIMATE = 0.03
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference of captures over some pixels; root mean squares over that of the second capture, all pixels."""
+    """A difference of captures over some pixels, relative to the root mean square of the second capture over all."""
 
     # What is measured, noise and all.
     measured: float

@@ -111,7 +111,7 @@ def _prose(text: str) -> str:
 
 
 def _ratio(value: float) -> str:
-    """Write a ratio with two digits that mean something and no exponent."""
+    """Write a ratio with two significant digits and no exponent."""
     return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
 
 
@@ -323,7 +323,7 @@ def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[t
 
 
 def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
-    """Return position and darkness of each lens's mark: its error over the greatest that a twentieth of them exceed."""
+    """Return each lens's position and darkness: its error over the 95 % quantile of all."""
     position = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
     dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
     return [tuple(mark) for mark in np.column_stack([position.round(1), dark.round(2)]).tolist()]

@@ -268,7 +268,7 @@ class SweepFile:
 
 
 class Sink(io.FileIO):
-    """A file that keeps its write errors until it is asked: HDF5 crashes at the end of the process after one."""
+    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
 
     error: OSError | None = None
 

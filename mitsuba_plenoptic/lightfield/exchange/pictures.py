@@ -71,7 +71,7 @@ def _read_tiff(path: Path, linear: bool) -> np.ndarray:
 
 
 def _size(path: Path) -> tuple[int, int]:
-    """Columns and rows that the header claims: of all chunks the first, and nothing is allocated for it."""
+    """Return the columns and rows that a PNG's header claims, without allocating anything for them."""
     with path.open("rb") as file:
         head = file.read(24)
     if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
