@@ -219,6 +219,6 @@ def mosaic_of(capture: Capture) -> str | None:
 
 
 def require_demosaiced(capture: Capture) -> None:
-    """Refuse a capture whose pixels have colours of their own, for work that takes them for one."""
+    """Refuse a capture that is a mosaic of colours, for work that treats all pixels alike."""
     mosaic = mosaic_of(capture)
     refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

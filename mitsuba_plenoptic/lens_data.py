@@ -72,7 +72,7 @@ class LensData:
         return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the open entrance pupil, scaled to what focal length is given."""
+        """Return the focal length and the radius of the open entrance pupil, scaled to a given focal length."""
         return _THIN_LENS
 
     def array_distance(self) -> float:

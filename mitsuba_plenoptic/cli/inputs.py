@@ -226,7 +226,7 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
 
 def require_linear(linear: bool, *paths: Path | None) -> None:
-    """Refuse --linear where no picture is read whose values could be so."""
+    """Refuse --linear where no picture is read."""
     given = [path for path in paths if path is not None]
     refuse_if(
         linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given),
@@ -235,7 +235,7 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
 
 
 def brightness_of(exposure: float | None, percentile: float | None, *paths: Path | None) -> Brightness:
-    """Return what becomes white in pictures; refuse the options where none of the files to write is one."""
+    """Return the brightness that becomes white in pictures; refuse the options where no picture is written."""
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
     given = [path for path in paths if path is not None]
     refuse_if(
@@ -309,7 +309,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
-    """Return a context of the workers that are asked for; of None if none are."""
+    """Return a context of the requested workers, or of None."""
     return (
         contextlib.nullcontext()
         if workers is None and scheduler is None

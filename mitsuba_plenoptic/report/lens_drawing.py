@@ -80,7 +80,8 @@ class _DrawnRays:
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
     """Return where on the MLA the rays of one object point land, of those that pass the lens.
 
-    By tracing back: how far from that point the rays from the position meet the object plane, in its image's size.
+    The object point is that of the chief ray of a position on the MLA. Rays are traced back from the position to the
+    object plane, and their distances from the point are scaled to the size of its image.
 
     Parameters
     ----------
