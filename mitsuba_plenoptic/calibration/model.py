@@ -82,14 +82,11 @@ class Observations:
         return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
 
 
-def _cross(v: np.ndarray) -> np.ndarray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
 def _left_jacobian(vector: np.ndarray) -> np.ndarray:
     """Return J with d(exp(w) x) = -[exp(w) x] J dw (Sola, "Quaternion kinematics", eq. 145 of SO(3))."""
     angle = float(np.linalg.norm(vector))
-    cross = _cross(vector)
+    x, y, z = vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     if angle < 1e-4:
         return np.eye(3) + cross / 2 + cross @ cross / 6
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross

@@ -18,10 +18,7 @@ from ..runtime.limits import require_memory
 from .fourier_views import decode_views
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
-from .white import scaled_white, white_image
-
-# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
-MINIMUM_WEIGHT = 0.1
+from .white import divide_by_white, scaled_white, white_image
 
 
 @suggest_keywords
@@ -156,13 +153,6 @@ def _reference(
         return _white(white, image)
     computed = white_image(camera, grid)
     return computed[..., None] if white is None else scaled_white(_white(white, image), computed, camera)
-
-
-def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray) -> None:
-    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little."""
-    fraction[(fraction < MINIMUM_WEIGHT) | ~alone] = 0
-    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
-    light[fraction == 0] = 0
 
 
 def _coordinates(

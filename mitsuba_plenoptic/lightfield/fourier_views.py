@@ -21,11 +21,8 @@ from ..errors import refuse_if
 from ..lenses.factory import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
-from .geometry import CHANNELS, DIMS
-from .white import white_radiance
-
-MINIMUM_WEIGHT = 0.1
-"""Fraction of a lens within the image of the stop below which its picture is left out."""
+from .geometry import DIMS, labelled
+from .white import MINIMUM_WEIGHT, divide_by_white, white_radiance
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""
@@ -93,9 +90,7 @@ def decode_views(
         weight = _sampled(white, camera, views)[..., 0]
         radius = np.hypot(views.across, views.down[:, None]).ravel()
         weight /= white_radiance(weight.sum(axis=(2, 3)).reshape(-1, 1), computed, radius)
-    weight[weight < MINIMUM_WEIGHT] = 0
-    np.divide(values, weight[..., None], out=values, where=weight[..., None] > 0)
-    values[weight == 0] = 0
+    divide_by_white(values, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
@@ -103,14 +98,8 @@ def decode_views(
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
         steps = np.arange(half, -half - 1, -1) * camera.bin_size(0)
         coordinates[name] = (name, steps, {"units": "mm", "long_name": f"{axis} in the native object plane"})
-    dims: tuple[str, ...] = DIMS
-    if image.shape[2] == 3:
-        dims = (*DIMS, "c")
-        coordinates["c"] = ("c", list(CHANNELS))
-    else:
-        values = values[..., 0]
     attributes = {"camera": json.dumps(camera.to_dict())}
-    return xr.DataArray(values, dims=dims, coords=coordinates, name="radiance", attrs=attributes)
+    return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
 
 
 def _room(camera: PlenopticCamera) -> tuple[float, float]:

@@ -89,16 +89,19 @@ def light_field(
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
         coordinates[spatial] = (spatial, *_object_coordinate(lens_places(camera, bins, axis), camera, "xy"[axis]))
-    dims: tuple[str, ...] = DIMS
-    if values.ndim == 5:
-        dims = (*DIMS, "c")
-        coordinates["c"] = ("c", list(CHANNELS))
     attributes = {}
     if camera is not None:
         attributes["camera"] = json.dumps(camera.to_dict())
     if lenses is not None:
         attributes["grid"] = json.dumps(asdict(lenses))
-    return xr.DataArray(values, dims=dims, coords=coordinates, name="radiance", attrs=attributes)
+    return labelled(values, coordinates, attributes)
+
+
+def labelled(values: np.ndarray, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
+    """Return radiance (v, u, t, s[, 3]) with its coordinates and attributes."""
+    colours = {"c": ("c", list(CHANNELS))} if values.ndim == 5 else {}
+    dims = (*DIMS, *colours)
+    return xr.DataArray(values, dims=dims, coords=coordinates | colours, name="radiance", attrs=attributes)
 
 
 def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:

@@ -16,9 +16,10 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if
 from ..io.captures import Capture
 from ..runtime.limits import require_memory
-from .decode import checked_images, divide_by_white, sample_lenses, view_window
+from .decode import checked_images, sample_lenses, view_window
 from .geometry import camera_of, grid_of, view_steps
 from .grid import LensGrid, bin_grid, lens_grid, lens_types
+from .white import divide_by_white
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,9 @@ from ..runtime.fft import blur
 from ..runtime.limits import require_memory
 from .grid import LensGrid, lens_numbers, lens_types, micro_image_centres
 
+# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
+MINIMUM_WEIGHT = 0.1
+
 # Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
 _SAMPLES = 16
 _WIDEST = 4096
@@ -232,6 +235,16 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     if other.any():
         _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
     return np.asarray(np.where(other, radiance, 1))
+
+
+def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
+    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+
+    So they do where a sample is not of one lens `alone`.
+    """
+    fraction[(fraction < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
+    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
+    light[fraction == 0] = 0
 
 
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:

@@ -18,6 +18,9 @@ from ..io.files import atomic_output
 from .experiment import Experiment
 from .images import to_bytes
 
+_LENSES = 8
+"""Microlenses across a close-up."""
+
 
 class Window(NamedTuple):
     """A part of an image in fractions of its height and width."""
@@ -67,31 +70,31 @@ def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
     return max(float(np.nanquantile(window.of(image), 0.997)) for image in images)
 
 
-def letter_zooms(experiment: Experiment, letters: Mapping[str, str], lenses: int = 8) -> list[Zoom]:
+def letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
     """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
     zooms = []
     for name, title in letters.items():
         low, high = experiment.boxes[name]
         middle = (low + high) / 2
-        zooms.append(_zoom(title, experiment.camera, -middle[:2] / middle[2], lenses))
+        zooms.append(_zoom(title, experiment.camera, -middle[:2] / middle[2]))
     return zooms
 
 
-def brightest_zoom(experiment: Experiment, lenses: int = 8) -> Zoom:
+def brightest_zoom(experiment: Experiment) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera
     columns, rows = camera.bin_count
     gradient = np.hypot(*np.gradient(_resize_mean(experiment.ray.image, rows, columns)))
-    half = lenses // 2
+    half = _LENSES // 2
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
     slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.mla_pitch / camera.mla_distance
-    return _zoom(f"{lenses} x {lenses} lenses", camera, slopes, lenses)
+    return _zoom(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
 
 
-def _zoom(title: str, camera: PlenopticCamera, slopes: np.ndarray, lenses: int) -> Zoom:
+def _zoom(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
     """Return a window of whole micro-images around the detector point of a chief ray with given slopes (x, y)."""
-    half = lenses / 2 * camera.micro_image_pitch / camera.pixel_size
+    half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch
     spans = []
     for axis in (1, 0):

@@ -89,9 +89,9 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
     return float(np.sqrt(np.nanmean(difference**2)) / mean) if mean > 0 else 0.0
 
 
-def lit_region(limit: np.ndarray, fraction: float = 0.1) -> np.ndarray:
-    """Mark the bins that are brighter than a fraction of the brightest."""
-    return limit > fraction * np.nanmax(limit)
+def lit_region(limit: np.ndarray) -> np.ndarray:
+    """Mark the bins that are brighter than a tenth of the brightest."""
+    return limit > 0.1 * np.nanmax(limit)
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:

@@ -118,7 +118,7 @@ def _ratio(value: float) -> str:
 def _page(folder: Path, report: Report) -> str:
     experiment = report.experiment
     camera, wavelength = experiment.camera, experiment.settings.wavelength
-    window = report_window(experiment)
+    window = lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
     return template("page.html").render(
         report=report,
         experiment=experiment,
@@ -169,11 +169,6 @@ def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str
 # Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
 _CAPTURE_BYTES = 3_500_000
 _QUALITIES = (85, 70, 50, 30)
-
-
-def report_window(experiment: Experiment) -> Window:
-    """Return the part of the field that the page shows."""
-    return lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
 
 
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
@@ -333,14 +328,15 @@ def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float,
     """Return ranges of a quantity with as many observations each, and the RMS residual in them."""
     order = np.array_split(np.argsort(quantity), _PARTS)
     return [
-        (float(quantity[part[0]]), float(quantity[part[-1]]), len(part), _rms(residuals[part]))
+        (
+            float(quantity[part[0]]),
+            float(quantity[part[-1]]),
+            len(part),
+            float(np.sqrt((residuals[part] ** 2).sum(1).mean())),
+        )
         for part in order
         if len(part)
     ]
-
-
-def _rms(residuals: np.ndarray) -> float:
-    return float(np.sqrt((residuals**2).sum(1).mean()))
 
 
 def _boards(calibration: Calibration, board: Board) -> list[dict[str, Any]]:
