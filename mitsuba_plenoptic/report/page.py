@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -326,15 +327,10 @@ def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, 
 
 def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
     """Return ranges of a quantity with as many observations each, and the RMS residual in them."""
-    order = np.array_split(np.argsort(quantity), _PARTS)
+    squares = (residuals**2).sum(1)
     return [
-        (
-            float(quantity[part[0]]),
-            float(quantity[part[-1]]),
-            len(part),
-            float(np.sqrt((residuals[part] ** 2).sum(1).mean())),
-        )
-        for part in order
+        (float(quantity[part[0]]), float(quantity[part[-1]]), len(part), math.sqrt(squares[part].mean()))
+        for part in np.array_split(np.argsort(quantity), _PARTS)
         if len(part)
     ]
 
