@@ -1,4 +1,4 @@
-"""Linear images as 8-bit pictures."""
+"""Files of reconstructions, views, stacks and depth maps: OpenEXR or 8-bit pictures, by the suffix."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lightfield.exchange.pictures import linear_of
 from ..reconstruction.results import Volume
 from .images import write_png
 
@@ -40,9 +41,7 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
     near, far = volume.distances[0], volume.distances[-1]
     depth = (np.array(volume.distances) - near) / ((far - near) or 1)
     encoded = matplotlib.colormaps["turbo"](_DARK_ENDS + (1 - 2 * _DARK_ENDS) * depth)[:, :3]
-    # from sRGB (IEC 61966-2-1) to light, of which the picture is made
-    colours = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    found = colours[grey.argmax(axis=0)] * np.maximum(grey.max(axis=0), 0)[..., None]
+    found = linear_of(encoded)[grey.argmax(axis=0)] * np.maximum(grey.max(axis=0), 0)[..., None]
     return np.asarray(found, np.float32)
 
 

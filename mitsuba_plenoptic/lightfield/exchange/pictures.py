@@ -65,9 +65,12 @@ def _read_tiff(path: Path, linear: bool) -> np.ndarray:
         wide = picture.mode.startswith("I")
         values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
     image = values.astype(np.float32) / np.float32(65535 if wide else 255)
-    if linear:
-        return image
-    return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return image if linear else linear_of(image).astype(np.float32)
+
+
+def linear_of(encoded: np.ndarray) -> np.ndarray:
+    """Return the light of values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def _size(path: Path) -> tuple[int, int]:
