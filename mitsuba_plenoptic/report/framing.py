@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,16 +70,6 @@ def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
     return max(float(np.nanquantile(window.of(image), 0.997)) for image in images)
 
 
-def letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
-    """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
-    zooms = []
-    for name, title in letters.items():
-        low, high = experiment.boxes[name]
-        middle = (low + high) / 2
-        zooms.append(_zoom(title, experiment.camera, -middle[:2] / middle[2]))
-    return zooms
-
-
 def brightest_zoom(experiment: Experiment) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera
@@ -89,10 +79,10 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
     slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.mla_pitch / camera.mla_distance
-    return _zoom(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
+    return zoom_at(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
 
 
-def _zoom(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
+def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
     """Return a window of whole micro-images around the detector point of a chief ray with given slopes (x, y)."""
     half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch

@@ -21,7 +21,7 @@ from ...reconstruction import reconstruct
 from ...runtime.backend import set_variant
 from ..comparison import draw_comparison, measure
 from ..experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
-from ..framing import Canvas, common_peak, letter_zooms, lit_window, mark, object_bar, scale_bar, show
+from ..framing import Canvas, Zoom, common_peak, lit_window, mark, object_bar, scale_bar, show, zoom_at
 from ..images import shrink
 from ..page import Report, write_report
 from ..stage_store import StageOptions
@@ -74,7 +74,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     )
     near, _, far = _LETTERS
     claims = check_claims(experiment, measured, seconds, near, far)
-    zooms = letter_zooms(experiment, _LETTERS)
+    zooms = _letter_zooms(experiment, _LETTERS)
     figure_2(output / "fig2.png", experiment, _LETTERS)
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
     figure_4(output / "fig4.png", experiment, panels)
@@ -140,6 +140,12 @@ def _main() -> None:
     print(json.dumps(found))
 
 
+def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
+    """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
+    middles = {title: np.add(*experiment.boxes[name]) / 2 for name, title in letters.items()}
+    return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
+
+
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
     """Draw the paper's figure 2: the object and, by waves, the detector image, with micro-images close up.
 
@@ -147,7 +153,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     """
     camera, wave = experiment.camera, experiment.wave.image
     window = lit_window([experiment.pinhole, *experiment.truths.values()])
-    zooms = letter_zooms(experiment, letters)
+    zooms = _letter_zooms(experiment, letters)
     edge, gap, close = 0.25, 0.2, 3.3
     half = (3 * close + gap) / 2
     figure = Canvas(2 * half + gap + 2 * edge, 0.5 + half * window.aspect + 0.55 + close + 0.5)
