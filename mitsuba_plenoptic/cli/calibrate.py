@@ -15,7 +15,7 @@ from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
-from .inputs import CameraFile, Linear, White, load_camera, number, output_option
+from .inputs import CameraFile, Linear, White, load_camera, numeric, output_option
 
 if TYPE_CHECKING:
     from ..calibration import Board, Evaluation
@@ -42,7 +42,7 @@ def calibrate(
     board: Annotated[
         str | None, typer.Option(metavar="COLUMNSxROWS", help="Inner corners along the board and across it.")
     ] = None,
-    square: Annotated[float | None, number("Distance of neighbouring corners.", "none", unit="MM")] = None,
+    square: Annotated[float | None, numeric("Distance of neighbouring corners.", "none", unit="MM")] = None,
     centres: Annotated[
         Path | None,
         typer.Option(
@@ -64,7 +64,7 @@ def calibrate(
     """Calibrate a real camera from corners of a checkerboard and white images.
 
     Corners are a table k, l, u, v, cluster, frame: lens along its row, row,
-    pixel, number of the corner, picture. Start values come from the data, except
+    pixel, index of the corner, picture. Start values come from the data, except
     for what [bold]--camera[/bold] provides: detector, lattice and f-number.
 
     [bold]Examples:[/bold]

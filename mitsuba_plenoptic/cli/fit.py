@@ -15,7 +15,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_writable, write_text
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
-from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions, stopped_by_hand
+from .inputs import CameraFile, Definitions, named_camera, numeric, output_option, parse_definitions, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..fitting import Fit, PixelNoise
@@ -37,11 +37,12 @@ def fit(
         typer.Option("--parameter", metavar="NAME", help="Parameter to fit, such as mla_pitch; repeat for several."),
     ],
     photons: Annotated[
-        float | None, number("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps")
+        float | None,
+        numeric("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps"),
     ] = None,
     saturation: Annotated[
         float | None,
-        number("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
+        numeric("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
     ] = None,
     mask: Annotated[
         Path | None,
@@ -51,7 +52,7 @@ def fit(
     start: Annotated[
         bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
     ] = False,
-    wavelength: Annotated[float | None, number("Wavelength.", "the captures', or 633", unit="NM")] = None,
+    wavelength: Annotated[float | None, numeric("Wavelength.", "the captures', or 633", unit="NM")] = None,
     points_per_lens: Annotated[
         int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
     ] = 64,
@@ -65,7 +66,7 @@ def fit(
     model: Annotated[
         str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
     ] = "wave",
-    accuracy: Annotated[float, number("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
+    accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
     ] = False,

@@ -41,7 +41,7 @@ def output_option(metavar: str, text: str) -> Any:
     return typer.Option("-o", "--output", metavar=metavar, help=text)
 
 
-def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
+def numeric(text: str, default: str | None = None, *, unit: str = "N") -> Any:
     """Return an option that takes a number; `default` is what the help shows for a default of None."""
     return typer.Option(metavar=unit, show_default=default or True, help=text)
 
@@ -62,7 +62,7 @@ Definitions = Annotated[
 
 Distances = Annotated[
     list[float],
-    number("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
+    numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
 ]
 
 Variant = Annotated[
@@ -81,9 +81,9 @@ Model = Annotated[
     ),
 ]
 
-Samples = Annotated[int | None, number("Samples per pixel.", "those of the scene's sampler")]
+Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler")]
 
-Seed = Annotated[int, number("Seed of the random numbers.")]
+Seed = Annotated[int, numeric("Seed of the random numbers.")]
 
 # For commands that always resume.
 ResumeOnly = Annotated[
@@ -97,7 +97,7 @@ ResumeOnly = Annotated[
 
 Workers = Annotated[
     int | None,
-    number(
+    numeric(
         "Wave captures: number of processes of this machine to sum on; the capture has the same bits.",
         "threads of one process",
     ),
@@ -152,12 +152,12 @@ Truth = Annotated[
 
 Exposure = Annotated[
     float | None,
-    number("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
+    numeric("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
 ]
 
 Percentile = Annotated[
     float | None,
-    number(
+    numeric(
         "Of a .png: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
         "rest black; 100: the brightest.",
         "99.5",
@@ -166,7 +166,7 @@ Percentile = Annotated[
 ]
 
 ViewCount = Annotated[
-    int | None, number("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
+    int | None, numeric("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
 ]
 
 Linear = Annotated[
@@ -251,7 +251,7 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 
 
 def open_scene(
-    scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, number: int = 0
+    scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, index: int = 0
 ) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     other = named_camera(camera)
@@ -259,7 +259,7 @@ def open_scene(
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
     if other is not None:
         loaded = with_camera(loaded, other)
-    sensor = plenoptic_sensor(loaded, number)
+    sensor = plenoptic_sensor(loaded, index)
     seen = PlenopticCamera.from_sensor(sensor)
     if colours:
         _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
@@ -324,7 +324,7 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
     on_main = threading.current_thread() is threading.main_thread()
     before: Any = signal.getsignal(signal.SIGINT)
 
-    def stop(number: int, frame: Any) -> None:
+    def stop(signal_number: int, frame: Any) -> None:
         signal.signal(signal.SIGINT, before)
         if not checkpoint.stop():
             raise KeyboardInterrupt

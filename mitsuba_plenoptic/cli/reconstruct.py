@@ -30,7 +30,7 @@ from .inputs import (
     batches_on,
     brightness_of,
     named_camera,
-    number,
+    numeric,
     output_option,
     read_recorded,
     require_linear,
@@ -75,7 +75,7 @@ def reconstruct(
         ),
     ] = None,
     wavelength: Annotated[
-        float | None, number("For waves: wavelength in nanometres.", "the capture's", unit="NM")
+        float | None, numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM")
     ] = None,
     relay: Annotated[
         bool | None,
@@ -87,7 +87,7 @@ def reconstruct(
     ] = None,
     camera: CameraFile = None,
     linear: Linear = False,
-    oversample: Annotated[int, number("Bins per microlens along each axis; info prints what suits.")] = 1,
+    oversample: Annotated[int, numeric("Bins per microlens along each axis; info prints what suits.")] = 1,
     white: Annotated[
         Path | None,
         typer.Option(
@@ -106,7 +106,7 @@ def reconstruct(
     ] = None,
     iterations: Annotated[
         int | None,
-        number("For deconvolved: steps.", "until only noise is left, where a capture states its exposure; else 30"),
+        numeric("For deconvolved: steps.", "until only noise is left, where a capture states its exposure; else 30"),
     ] = None,
     accelerate: Annotated[
         bool | None,
@@ -118,7 +118,7 @@ def reconstruct(
     ] = None,
     photons: Annotated[
         float | None,
-        number("For deconvolved: photons that a pixel of value 1 has counted.", "those that 'expose' recorded"),
+        numeric("For deconvolved: photons that a pixel of value 1 has counted.", "those that 'expose' recorded"),
     ] = None,
     volume: Annotated[
         bool,
@@ -126,7 +126,7 @@ def reconstruct(
     ] = False,
     variation: Annotated[
         float | None,
-        number("For deconvolved: weight of the total variation, which makes planes even between sharp borders.", "0"),
+        numeric("For deconvolved: weight of the total variation, which makes planes even between sharp borders.", "0"),
     ] = None,
     overview: Annotated[
         Path | None,
@@ -142,7 +142,7 @@ def reconstruct(
     ] = False,
     workers: Annotated[
         int | None,
-        number("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
+        numeric("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -32,7 +32,7 @@ from .inputs import (
     Workers,
     batches_on,
     named_camera,
-    number,
+    numeric,
     open_scene,
     output_option,
     parse_definitions,
@@ -50,7 +50,7 @@ def render(
     seed: Seed = 0,
     wavelength: Annotated[
         str | None,
-        number(
+        numeric(
             "Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
             "the scene's, else 633",
             unit="NM",
@@ -91,7 +91,7 @@ def render(
     workers: Workers = None,
     scheduler: Scheduler = None,
     camera: CameraFile = None,
-    sensor: Annotated[int, number("Which of the scene's sensors, counted from 0.")] = 0,
+    sensor: Annotated[int, numeric("Which of the scene's sensors, counted from 0.")] = 0,
     white: Annotated[
         Path | None,
         typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
@@ -211,19 +211,19 @@ def render(
 def expose(
     capture: CaptureFile,
     output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")],
-    photons: Annotated[float, number("Photons that hit a pixel of value 1 during the exposure.")],
+    photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[
-        float, number("Electrons per photon, up to 1.", unit="FRACTION")
+        float, numeric("Electrons per photon, up to 1.", unit="FRACTION")
     ] = Detector.quantum_efficiency,
-    full_well: Annotated[float, number("Electrons at which a pixel saturates.")] = Detector.full_well,
-    dark_electrons: Annotated[float, number("Mean electrons without light.")] = Detector.dark_electrons,
-    read_noise: Annotated[float, number("Standard deviation of the reading, in electrons.")] = Detector.read_noise,
-    bits: Annotated[int, number("Bits of a digital number, up to 16.")] = Detector.bits,
+    full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = Detector.full_well,
+    dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = Detector.dark_electrons,
+    read_noise: Annotated[float, numeric("Standard deviation of the reading, in electrons.")] = Detector.read_noise,
+    bits: Annotated[int, numeric("Bits of a digital number, up to 16.")] = Detector.bits,
     gain: Annotated[
-        float | None, number("Numbers per electron.", "the full well is the largest number", unit="K")
+        float | None, numeric("Numbers per electron.", "the full well is the largest number", unit="K")
     ] = None,
     black_level: Annotated[
-        int | None, number("Number without any electron.", "four deviations of the dark noise")
+        int | None, numeric("Number without any electron.", "four deviations of the dark noise")
     ] = None,
     mosaic: Annotated[
         str | None,
@@ -233,7 +233,7 @@ def expose(
             help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
         ),
     ] = None,
-    seed: Annotated[int, number("Seed of the noise.")] = 0,
+    seed: Annotated[int, numeric("Seed of the noise.")] = 0,
 ) -> None:
     """Add what a real detector does: photon and read noise, saturation, digital numbers.
 
@@ -294,7 +294,7 @@ def demosaic(
     camera: CameraFile = None,
     linear: Linear = False,
     black_level: Annotated[
-        float, number("Number without light in a raw picture of 16 bits; needs --camera and --linear.")
+        float, numeric("Number without light in a raw picture of 16 bits; needs --camera and --linear.")
     ] = 0,
 ) -> None:
     """Estimate all three colours of every pixel, micro-image by micro-image.
