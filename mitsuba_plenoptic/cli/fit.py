@@ -38,7 +38,7 @@ def fit(
     ],
     photons: Annotated[
         float | None,
-        numeric("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps"),
+        numeric("Photons counted in a pixel of value 1, for the noise.", "the noise that 'expose' keeps"),
     ] = None,
     saturation: Annotated[
         float | None,
