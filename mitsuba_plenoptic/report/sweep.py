@@ -154,10 +154,8 @@ class Points:
             if (key := tuple(parameters.items())) in sizes:
                 continue
             scene = load_with_sensor(self.settings.scene, parameters)
-            refuse_if(
-                self.store.resume and not is_wave_capture(scene, self.settings.model),
-                f"{argument('resume')}: a ray capture keeps no checkpoint; leave it out",
-            )
+            if self.store.resume and not is_wave_capture(scene, self.settings.model):
+                raise InputError(f"{argument('resume')}: a ray capture keeps no checkpoint; leave it out")
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
             for distance in self.distances:
