@@ -106,8 +106,8 @@ def fit_blur(
     others = []
     for solution in moved:
         matrix[:, -1] = image_ratios(seen, solution.numbers, solution.poses)
-        *places, steep = np.linalg.lstsq(matrix, radius)[0]
-        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(places) / steep))
+        *heights, steep = np.linalg.lstsq(matrix, radius)[0]
+        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
     camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
     for number in range(types):
@@ -127,7 +127,7 @@ def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> 
 
 # Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
 _POINTS = 42
-_PLACES = 65
+_SAMPLES = 65
 _BEYOND = 1.25
 
 
@@ -144,11 +144,11 @@ class CutBlur:
         self._b = camera.mla_distance
         self._ratios = self._z / np.array(camera.mla_focal_lengths)
         reach = _BEYOND * camera.micro_image_diameter / 2
-        e = np.linspace(-reach, reach, _PLACES)
+        e = np.linspace(-reach, reach, _SAMPLES)
         unit = (np.arange(_POINTS) + 0.5) / _POINTS
         d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)
         self._step = (e[1] - e[0]) / camera.pixel_size
-        self._means = np.zeros((len(self._ratios), 2, _PLACES, _PLACES))
+        self._means = np.zeros((len(self._ratios), 2, _SAMPLES, _SAMPLES))
         for kind, ratio in enumerate(self._ratios):
             slope = 1 + self._b / self._z * (1 - ratio)
             for row, y in enumerate(e):
@@ -168,7 +168,7 @@ class CutBlur:
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """
-        at = arm[:, :, ::-1] / self._step + (_PLACES - 1) / 2
+        at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
         moved = np.zeros(arm.shape)
         for number, mean in enumerate(self._means):
             mine = kind == number

@@ -68,7 +68,7 @@ def find_board(picture: Picture, board: Board) -> BoardView:
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
         step = max(1.0, 0.6 / abs(disparity))
-        positions = _places(picture, step)
+        positions = _positions(picture, step)
         flat = positions.reshape(-1, 2)
         view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(positions.shape[:2])
         if not np.isfinite(view).any():
@@ -100,7 +100,7 @@ def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
     """Return disparities, the one first at which neighbouring lenses agree best about what they see."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
-    position = _places(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
+    position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
     _, lens = tree.query(position, k=_LENSES)
     errors = []
     for disparity in disparities:
@@ -111,7 +111,7 @@ def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
     return disparities[np.argsort(errors)]
 
 
-def _places(picture: Picture, step: float) -> np.ndarray:
+def _positions(picture: Picture, step: float) -> np.ndarray:
     """Return a grid of positions (rows, columns, 2) with a given spacing in pixels."""
     rows, columns = picture.image.shape
     return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)

@@ -241,13 +241,13 @@ def require_on_detector(table: Table, size: tuple[int, int]) -> None:
 def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
     """Return what a fit compares with, and the frame indices of its poses."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
-    places = board.places(corners["cluster"])
-    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
+    positions = board.places(corners["cluster"])
+    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, positions, pose), frames
 
 
-def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return positions (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
-    flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
+    flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
     turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return turned + poses[pose, 3:]
 
@@ -259,8 +259,8 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     """
     pixel, best, other = table.pixel, None, np.inf
     for odd_rows in (-0.5, 0.0, 0.5):
-        places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
-        matrix = np.column_stack([np.ones(len(places)), places])
+        lenses = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
+        matrix = np.column_stack([np.ones(len(lenses)), lenses])
         refuse_if(
             np.linalg.matrix_rank(matrix) < 3,
             f"{table.name}: all lenses lie on one line; corners of at least two rows are needed",

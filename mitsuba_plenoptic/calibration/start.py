@@ -116,13 +116,13 @@ def board_images(
             f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
             "not all on one line",
         )
-        places, pixels = centre[mine], pixel[mine]
-        around, moved = (values - _means(values, which)[which] for values in (places, pixels))
+        centres, pixels = centre[mine], pixel[mine]
+        around, moved = (values - _means(values, which)[which] for values in (centres, pixels))
         refuse_if(
             not (around**2).sum() > 0, f"frame {frame}: each corner is seen through one lens only; several are needed"
         )
         slope = (around * moved).sum() / (around**2).sum() - 1
-        image = (places * (1 + slope) - pixels) * (size / slope)
+        image = (centres * (1 + slope) - pixels) * (size / slope)
         slopes[pose] = slope
         maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), seen.board[mine]]), image)[0]
         refuse_if(
@@ -196,11 +196,11 @@ def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tupl
 def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
     """Return poses (n, 6) of boards that face the camera, from how a thin lens images them."""
     poses = np.zeros((len(maps), 6))
-    for pose, (place, along, across) in zip(poses, maps, strict=True):
+    for pose, (corner, along, across) in zip(poses, maps, strict=True):
         magnification = np.sqrt(np.linalg.det([along, across]))
         # The image is turned by half a turn.
         pose[2] = np.arctan2(along[1] - across[0], along[0] + across[1]) + np.pi
-        pose[3:] = *(-place / magnification), focal_length * (1 + 1 / magnification)
+        pose[3:] = *(-corner / magnification), focal_length * (1 + 1 / magnification)
     return poses
 
 
