@@ -177,8 +177,8 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
     lit = own > 0
     # Rings of half a pixel, as far as all of them is seen.
     ring = (2 * np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))[lit]).astype(int)
-    share = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
-    dark = np.flatnonzero(share[: 2 * half] < _EVEN)
+    ratio = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    dark = np.flatnonzero(ratio[: 2 * half] < _EVEN)
     return min(radius, dark[0] / 2) if dark.size else radius
 
 

@@ -108,7 +108,7 @@ _REACH = 0.75
 """Distance from a cell, in pitches, of the centres of all lenses that it touches."""
 
 _SHARPEST = 1e-3
-"""Least width, in pitches, over which borders of lenses fade: in focus all rays meet in one place."""
+"""Least width, in pitches, over which borders of lenses fade: in focus all rays meet in one point."""
 
 
 class PointRays:
@@ -208,11 +208,11 @@ class _Bundles:
             power *= Float64(self.weights.at(which, pupil[0], pupil[1], radius, step)[0])
         whole = dr.block_sum(power, side * side)
         power *= dr.gather(Float64, Float64(factors) / dr.select(whole > 0, whole, 1), which)
-        place = light.land(pupil, point)
+        position = light.land(pupil, point)
         scales = _scales(self.camera, self.lens, self.points)
         on_array, on_detector = (value(abs(scale)) * step for scale in scales)
-        for (i, j), share in self._lenses(place, on_array):
-            self._detect(image, self._detector_place(pupil, place, i, j), on_detector, power * share)
+        for (i, j), fraction in self._lenses(position, on_array):
+            self._detect(image, self._detector_position(pupil, position, i, j), on_detector, power * fraction)
 
     @staticmethod
     def _number(value: Any) -> Any:
@@ -234,11 +234,11 @@ class _Bundles:
             camera.mla_lattice, (along, across), rotation=self._number(camera.mla_rotation), offset=offset
         )
 
-    def _lenses(self, place: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
+    def _lenses(self, position: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
         """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
         lattice, plain = self._lattice, self.camera.lattice
-        cell = lattice.cell(*place)
-        u, v = lattice.to_frame(place[0] - lattice.offset[0], place[1] - lattice.offset[1])
+        cell = lattice.cell(*position)
+        u, v = lattice.to_frame(position[0] - lattice.offset[0], position[1] - lattice.offset[1])
         u, v = u / lattice.pitches[0], v / lattice.row_distance
         fade = dr.maximum(width / dr.minimum(*lattice.pitches), _SHARPEST)
 
@@ -255,10 +255,10 @@ class _Bundles:
             # Cells are what is nearest to their centres: this is twice the distance from the border of two.
             beyond = (dx * dx + dy * dy - x * x - y * y) / apart
             found.append((lens, dr.maximum(1 - beyond / fade, 0)))
-        whole = sum((share for _, share in found), 0.0)
-        return [(lens, share / whole) for lens, share in found]
+        whole = sum((fraction for _, fraction in found), 0.0)
+        return [(lens, fraction / whole) for lens, fraction in found]
 
-    def _detector_place(self, pupil: tuple[Any, Any], place: tuple[Any, Any], i: Any, j: Any) -> tuple[Any, Any]:
+    def _detector_position(self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any) -> tuple[Any, Any]:
         """Return the positions at which rays through lenses of the given indices hit the detector."""
         camera, lattice = self.camera, self._lattice
         lengths = [self._number(length) for length in camera.mla_focal_lengths]
@@ -266,24 +266,24 @@ class _Bundles:
         for number, length in enumerate(lengths[1:], 1):
             f2 = dr.select(abs(lattice.lens_type(i, j) - number) < 0.5, length, f2)
         b, z = self._number(self.lens.pupil_distance), self._number(camera.detector_distance)
-        slope = tuple((q - P) / b for q, P in zip(place, pupil, strict=True))
-        bent = tuple((q - c) / f2 for q, c in zip(place, lattice.centre(i, j), strict=True))
+        slope = tuple((q - P) / b for q, P in zip(position, pupil, strict=True))
+        bent = tuple((q - c) / f2 for q, c in zip(position, lattice.centre(i, j), strict=True))
         if camera.lens_model == "ideal":
             behind = tuple(s - turn for s, turn in zip(slope, bent, strict=True))
         else:
             cosines = rays.slopes_to_cosines(*slope)
             behind = rays.cosines_to_slopes(*(s - turn for s, turn in zip(cosines, bent, strict=True)))
-        x, y = (q + z * s for q, s in zip(place, behind, strict=True))
+        x, y = (q + z * s for q, s in zip(position, behind, strict=True))
         return x, y
 
-    def _detect(self, image: Any, place: tuple[Any, Any], width: Any, power: Any) -> None:
+    def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
         """Add squares around positions on the detector to the pixels that they cover."""
         camera, UInt32 = self.camera, array_module().UInt32
         rows, columns = camera.shape
         size = self._number(camera.pixel_size)
         half = dr.minimum(dr.maximum(width / size, 1e-3), 1) / 2
         sides = []
-        for axis, q in enumerate(place):
+        for axis, q in enumerate(position):
             pixel = q / size + (camera.resolution[axis] / 2 - camera.crop_offset[axis])
             first = dr.floor(pixel - half)
             # The fraction of the square beyond the border of the two pixels.
