@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
 
+from .. import fitting
 from ..capture.scene import load_scene
 from ..errors import InputError, refuse_if, require_number
+from ..fitting import Fit, PixelNoise
 from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_writable, write_text
+from ..lightfield.exchange import read_picture
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
 from .inputs import CameraFile, Definitions, named_camera, numeric, output_option, parse_definitions, stopped_by_hand
-
-if TYPE_CHECKING:
-    from ..fitting import Fit, PixelNoise
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -83,9 +83,6 @@ def fit(
 
       mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
     """
-    from .. import fitting
-    from ..lightfield.exchange import read_picture
-
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output, ".json"), *captures, mask)
@@ -144,8 +141,6 @@ def fit(
 
 def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
-    from .. import fitting
-
     noise, saturation = fitting.kept_noise(capture)
     refuse_if(
         noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
