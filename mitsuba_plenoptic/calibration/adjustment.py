@@ -28,17 +28,17 @@ _MOST_REPEATS = 30
 
 
 def deviation(distance: np.ndarray) -> float:
-    """Return the deviation along an axis of positions whose distances these are, from their median."""
+    """Return the standard deviation along an axis, from the median of distances in two dimensions."""
     return float(np.median(distance)) / 1.17741
 
 
 def outlying(distance: np.ndarray) -> np.ndarray:
-    """Return which rows are outliers, by their distance from where they should be."""
+    """Mark outliers by their distance from the expected position."""
     return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
 
 
 def huber(distance: np.ndarray) -> np.ndarray:
-    """Return the weights by which rows far from where they should be count by their distance, not its square."""
+    """Return weights by which rows far from the expected position count by their distance, not its square."""
     bound = _HUBER * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
@@ -77,7 +77,7 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 
 
 def both_axes(matrix: np.ndarray) -> np.ndarray:
-    """Return the matrix (n, 2, 2 k) by which each axis of a position has coefficients of its own, of one of (n, k)."""
+    """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to each axis with coefficients of its own."""
     return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
 
 
@@ -155,7 +155,7 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Numbers that fit best."""
+    """The result of an adjustment."""
 
     # (17,).
     numbers: np.ndarray

@@ -164,7 +164,7 @@ class CutBlur:
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
 
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
-        """Return by how much what pixels show lies from where they are.
+        """Return the displacement of what pixels show from where they are.
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """

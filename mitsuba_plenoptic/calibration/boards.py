@@ -55,7 +55,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class BoardView:
-    """Where a board is, roughly."""
+    """The approximate position of a board."""
 
     disparity: float
     # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
@@ -89,7 +89,7 @@ def find_board(picture: Picture, board: Board) -> BoardView:
 
 
 def _upright(corners: np.ndarray) -> np.ndarray:
-    """Let the columns run to the right and the rows down, as on a board that is seen from its front."""
+    """Order corners so that columns run to the right and rows down, as seen from the front of the board."""
     if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
         corners = corners[::-1, ::-1]
     along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
@@ -97,7 +97,7 @@ def _upright(corners: np.ndarray) -> np.ndarray:
 
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
-    """Return disparities, the one first at which neighbouring lenses agree best about what they see."""
+    """Return disparities in order of how well neighbouring lenses agree about what they see."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
     position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
@@ -118,7 +118,7 @@ def _positions(picture: Picture, step: float) -> np.ndarray:
 
 
 def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the lenses' views of positions, and the variance where several see one, else NaN.
+    """Return the mean of the lenses' views of positions, and its variance where several see one, else NaN.
 
     `position` is (n, 2), `lens` (n, lenses).
     """

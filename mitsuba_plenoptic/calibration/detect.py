@@ -167,7 +167,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
 
 
 def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """Return how far from their centres micro-images are as light as in their middle, in pixels, on average."""
+    """Return the radius in pixels within which micro-images are on average as light as in their middle."""
     half = int(radius) + 1
     whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
@@ -192,7 +192,7 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 def _refined(
     picture: Picture, found: BoardView, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return of each corner that is seen through a lens the corner, the lens and the position."""
+    """Return corners as seen through lenses: indices of corner and lens, and the position."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
     position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
@@ -223,7 +223,7 @@ def _refined(
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return by how much what pixels about corners show lies from where they are, for `find_saddles`."""
+    """Return a function for `find_saddles`: the displacement of what pixels about corners show."""
     defocus = cut.defocus(kind, disparity)
     return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 
@@ -254,7 +254,7 @@ def _agreed(
     position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position and disparity of each corner anew, and which of what is seen agrees with them."""
+    """Return position and disparity of each corner anew, and mark the observations that agree with them."""
     position, disparity = position.copy(), disparity.copy()
     agreed = np.zeros(len(seen), dtype=bool)
     for number in range(len(position)):

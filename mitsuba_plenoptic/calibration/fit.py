@@ -218,7 +218,7 @@ def cross_validate(
 
 
 def _poses(problem: Problem, used: np.ndarray) -> Problem:
-    """Return a problem with some of the poses only."""
+    """Restrict a problem to some of the poses."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[used], return_inverse=True)
     some = replace(seen.keep(used), pose=pose)
@@ -254,7 +254,7 @@ def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.nd
 def _require_matching_pupil(
     problem: Problem, found: Adjusted, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
 ) -> None:
-    """Refuse distances in the camera at which the pupil's images are not as large as micro-images are seen to be.
+    """Refuse distances in the camera by which the pupil's images differ in size from the micro-images seen.
 
     Squares that are given s times too large scale the object space by s and that behind the main lens by 1/s along the
     axis, which explains the corners as well.

@@ -239,14 +239,14 @@ def require_on_detector(table: Table, size: tuple[int, int]) -> None:
 
 
 def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return what a fit compares with, and the frame indices of its poses."""
+    """Return observations for a fit, and the frame indices of its poses."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     positions = board.places(corners["cluster"])
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, positions, pose), frames
 
 
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return positions (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
+    """Return positions on boards, (n, 2), in the camera frame, (n, 3), each by its own pose."""
     flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
     turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return turned + poses[pose, 3:]

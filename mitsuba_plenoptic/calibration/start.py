@@ -205,5 +205,5 @@ def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
 
 
 def _means(values: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Return the mean of the rows of each group."""
+    """Return the mean row of each group."""
     return np.stack([np.bincount(which, column) for column in values.T], axis=-1) / np.bincount(which)[:, None]

@@ -117,7 +117,7 @@ def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[n
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centres that windows about them agree with, and the light in the windows over the darkest in them."""
+    """Return centres that agree with the centroids of their windows, and the light over the darkest there."""
     patches, light = pixels_around(image, centre, int(np.ceil(radius)) + 2), np.zeros(len(centre))
     for _ in range(_REPEATS):
         centre, light = centroids(
@@ -138,7 +138,7 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Return which centres differ from their neighbours, in position or in light, by more than neighbours do."""
+    """Mark centres that differ from their neighbours, in position or in light, by more than neighbours do."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)

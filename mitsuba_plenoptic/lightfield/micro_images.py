@@ -100,7 +100,7 @@ def micro_images(
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:
-    """Return the micro-images that a light field consists of, which those of upright square lattices do."""
+    """Return the micro-images of a light field that was decoded without interpolation between lenses."""
     camera = camera_of(lf)
     bins = bin_grid(camera)
     refuse_if(

@@ -255,7 +255,7 @@ def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to the light of a lens on the axis, which computed white images leave out."""
+    """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
     if not camera.pixel_response:
         return 1.0
     s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
@@ -267,7 +267,7 @@ def _mean_response(camera: PlenopticCamera) -> float:
 
 
 class _Fractions:
-    """The `PupilFraction` of lenses of all types and heights."""
+    """`PupilFraction` for lenses of all types and heights."""
 
     def __init__(self, camera: PlenopticCamera) -> None:
         self._camera = camera
@@ -284,7 +284,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return by how much the lenses of micro-images (n, 2) stand nearer to the main lens than one on the axis."""
+        """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)

@@ -43,7 +43,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def require_own_process() -> None:
-    """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later."""
+    """Refuse a forked process, which lacks Dr.Jit's threads and would wait for them for ever."""
     refuse_if(
         _forked,
         "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
@@ -52,7 +52,7 @@ def require_own_process() -> None:
 
 
 def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Let only one thread at a time into all functions that are decorated so.
+    """Let only one thread at a time into all functions with this decorator.
 
     Mitsuba's loader changes where the whole process looks for files, and Dr.Jit confuses arrays when two threads trace
     scenes at once. Nothing is lost: each computation has all cores to itself.

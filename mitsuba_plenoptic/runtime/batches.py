@@ -239,7 +239,7 @@ class Cluster:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask from logging tracebacks of what our own errors say."""
+    """Keep Dask from logging tracebacks of errors that are reported anyway."""
     logger = logging.getLogger("distributed.client")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
