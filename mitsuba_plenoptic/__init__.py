@@ -35,11 +35,10 @@ from .capture.scene import load_scene, scene_path
 from .detector import Detector, expose
 from .errors import InputError, did_you_mean
 from .focusing import focus_by_group
-from .io.captures import Capture, read_capture, write_capture
+from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
 from .io.checkpoints import Checkpoint
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .io.lens_file import read_prescription
-from .io.raw import read_raw, write_raw
 from .lenses.lens_system import LensSystem
 from .objective import Objective
 from .operator.operator import CaptureOperator
@@ -49,7 +48,7 @@ from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
 from .plugins.other_camera import with_camera
 from .prescription import Prescription
-from .runtime.cluster import Cluster
+from .runtime.batches import Cluster
 from .runtime.jobs import Job
 
 if TYPE_CHECKING:

@@ -56,7 +56,7 @@ WIDEST_ANGLE = 90.0
 
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
-    """Return a wavelength in nanometres, from 200 to 2500, as a float; one in another unit is refused by the unit."""
+    """Return a wavelength in nanometres, from 200 to 2500, as a float; other units are recognised."""
     number, (low, high) = require_number(name, value, positive=True), WAVELENGTHS
     if low <= number <= high:
         return number

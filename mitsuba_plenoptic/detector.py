@@ -10,13 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import PlenopticCamera
-from .errors import InputError, refuse_if, require_choice, require_count, require_number, short_repr, suggest_keywords
+from .errors import (
+    InputError,
+    put,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_number,
+    short_repr,
+    suggest_keywords,
+)
 from .io.captures import Capture
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
 
-# Rows of the image exposed at once, by their number of values.
+# Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
 
 
@@ -74,23 +83,22 @@ class Detector:
     mosaic: str | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        put("quantum_efficiency", _positive("quantum_efficiency", self.quantum_efficiency, maximum=1))
-        put("full_well", require_number("full_well", self.full_well, minimum=1, maximum=_LARGEST))
-        put("dark_electrons", require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST))
-        put("read_noise", require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST))
-        put("bits", require_count("bits", self.bits, maximum=16))
-        top = 2**self.bits - 1
-        if self.black_level is None:
+        put(
+            self,
+            quantum_efficiency=_positive("quantum_efficiency", self.quantum_efficiency, maximum=1),
+            full_well=require_number("full_well", self.full_well, minimum=1, maximum=_LARGEST),
+            dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
+            read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
+            bits=require_count("bits", self.bits, maximum=16),
+        )
+        top, black = 2**self.bits - 1, self.black_level
+        if black is None:
             noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
             scale = top / self.full_well if self.gain is None else _positive("gain", self.gain)
-            put("black_level", min(math.ceil(4 * scale * noise), top // 2))
-        put("black_level", require_count("black_level", self.black_level, minimum=0, maximum=top - 1))
-        if self.gain is None:
-            put("gain", (top - self.black_level) / self.full_well)
-        put("gain", _positive("gain", self.gain))
+            black = min(math.ceil(4 * scale * noise), top // 2)
+        black = require_count("black_level", black, minimum=0, maximum=top - 1)
+        gain = (top - black) / self.full_well if self.gain is None else self.gain
+        put(self, black_level=black, gain=_positive("gain", gain))
         if self.mosaic is not None:
             require_choice("mosaic", self.mosaic, MOSAICS)
 
@@ -211,7 +219,6 @@ def mosaic_of(capture: Capture) -> str | None:
 
 
 def require_demosaiced(capture: Capture) -> None:
-    """Refuse a capture whose pixels have colours of their own, for work that takes them for one."""
+    """Refuse a capture that is a mosaic of colours, for work that treats all pixels alike."""
     mosaic = mosaic_of(capture)
-    if mosaic is not None:
-        raise InputError(f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")
+    refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

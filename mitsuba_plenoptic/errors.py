@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import functools
+import importlib
 import inspect
 import math
 import reprlib
@@ -77,16 +78,13 @@ def short_repr(value: Any) -> str:
     return printable(" ".join(text.split()), _LONGEST_VALUE)
 
 
-# The former name, for modules that still import it.
-
-
 _options: Mapping[str, str] | None = None
 """Options by the names of the library's arguments that they are for; None in Python."""
 
 
 @contextlib.contextmanager
 def at_shell(options: Mapping[str, str]) -> Iterator[None]:
-    """Have advice name options of the command line; `options` has those that are not called as their arguments."""
+    """Let advice name options of the command line; `options` has those whose names differ from their arguments."""
     global _options
     before, _options = _options, options
     try:
@@ -181,7 +179,7 @@ def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> No
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
-    """Return the two entries of a pair, to be checked by whom they are for."""
+    """Return the two entries of a pair, which are not checked."""
     try:
         first, second = value
     except (TypeError, ValueError):
@@ -194,6 +192,20 @@ def require_flag(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} = {short_repr(value)}: it must be True or False")
     return bool(value)
+
+
+def put(record: Any, **values: Any) -> None:
+    """Replace fields of a frozen dataclass that is being made, such as by their checked values."""
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
+
+
+def require_module(name: str, message: str) -> Any:
+    """Return a module of a package that few need; the message says what it is for and how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise InputError(message) from None
 
 
 def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | None = None) -> int:

@@ -10,12 +10,12 @@ import numpy as np
 import scipy
 
 from .camera import PlenopticCamera
-from .errors import InputError, require_count, require_number, short_repr, suggest_keywords
+from .errors import InputError, refuse_if, require_count, require_number, short_repr, suggest_keywords
 from .prescription import Prescription, paraxial
 from .thin_lens import vergence
 
 _STEPS = 256
-"""Places of the group at which a change of sign is looked for."""
+"""Positions of the group at which a change of sign is looked for."""
 
 _CLOSEST = 1e-3
 """Distance between vertices, over the gaps before and behind the group, that is left at least."""
@@ -26,7 +26,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     """Move a group of elements of the main lens until an object distance is in focus; the array stays.
 
     The aperture stop keeps its opening, so that focal length, pupils and f-number become those of the lens with the
-    moved group. The numbers are paraxial, at the prescription's own wavelength.
+    moved group. Its figures are paraxial, at the prescription's own wavelength.
 
     Parameters
     ----------
@@ -69,9 +69,9 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
 
     def behind(shift: float) -> tuple[float, float]:
         """Return focal length and distance from the rear principal plane to the array."""
-        numbers = paraxial(moved(shift))
+        figures = paraxial(moved(shift))
         end = before.length + (shift if last == len(lens.surfaces) - 1 else 0.0)
-        return numbers.focal_length, array - end - numbers.rear_principal
+        return figures.focal_length, array - end - figures.rear_principal
 
     def missed(shift: float) -> float:
         focal_length, b = behind(shift)
@@ -80,10 +80,10 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     shifts = np.linspace(*_range(lens, first, last, array - before.length), _STEPS)
     values = np.array([missed(shift) for shift in shifts])
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
-    if not len(crossings):
-        raise InputError(
-            f"distance = {distance:g}: no place of the group of surfaces {first + 1} to {last + 1} brings it into focus"
-        )
+    refuse_if(
+        not len(crossings),
+        f"distance = {distance:g}: no position of the group of surfaces {first + 1} to {last + 1} brings it into focus",
+    )
     nearest = crossings[np.argmin(np.abs(shifts[crossings]))]
     shift = float(scipy.optimize.brentq(missed, shifts[nearest], shifts[nearest + 1], xtol=1e-12))
     focal_length, b = behind(shift)
@@ -100,16 +100,21 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
 def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
     """Return the indices of a group's first and last surface."""
     count = len(lens.surfaces)
-    if not isinstance(group, (tuple, list, np.ndarray)) or len(group) != 2:
-        raise InputError(f"group = {short_repr(group)}: it must be the numbers of its first and its last surface")
+    refuse_if(
+        not isinstance(group, (tuple, list, np.ndarray)) or len(group) != 2,
+        f"group = {short_repr(group)}: it must be the numbers of its first and its last surface",
+    )
     first, last = (require_count("group", number, maximum=count) - 1 for number in group)
-    if first > last:
-        raise InputError(f"group = {short_repr(group)}: the first surface must not follow the last")
-    if first == 0 and last == count - 1:
-        raise InputError(f"group = {short_repr(group)}: it is the whole lens; focus_distance moves the array instead")
+    refuse_if(first > last, f"group = {short_repr(group)}: the first surface must not follow the last")
+    refuse_if(
+        first == 0 and last == count - 1,
+        f"group = {short_repr(group)}: it is the whole lens; focus_distance moves the array instead",
+    )
     for number in (first - 1, last):
-        if 0 <= number < count and lens.surfaces[number].glass is not None:
-            raise InputError(f"group = {short_repr(group)}: glass follows surface {number + 1}: a group moves in air")
+        refuse_if(
+            0 <= number < count and lens.surfaces[number].glass is not None,
+            f"group = {short_repr(group)}: glass follows surface {number + 1}: a group moves in air",
+        )
     return first, last
 
 

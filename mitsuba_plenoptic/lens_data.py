@@ -1,15 +1,15 @@
-"""What a camera asks of the plain data of its main lens, whatever its kind; a thin lens's answers."""
+"""The plain data of a main lens: the interface of all kinds, with the answers of a thin lens."""
 
 from __future__ import annotations
 
 import math
 from typing import Any, ClassVar, Self
 
-from .errors import InputError, short_repr
+from .errors import InputError, refuse_if, short_repr
 from .thin_lens import conjugate_distance, image_distance
 
 SINGLE = 1e-6
-"""What rounding to single precision changes, at most: files and scenes may hold numbers like that."""
+"""Relative error of rounding to single precision, at most; values from files and scenes may have it."""
 
 _THIN_LENS = (80.0, 5.0)
 """Focal length and radius of a thin lens, in millimetres, where they are not given."""
@@ -68,11 +68,11 @@ class LensData:
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the open entrance pupil, scaled to what focal length is given."""
+        """Return the focal length and the radius of the open entrance pupil, scaled to a given focal length."""
         return _THIN_LENS
 
     def array_distance(self) -> float:
@@ -96,7 +96,7 @@ class LensData:
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
         """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's.
 
-        A thin lens is its own pupil. That of an objective is infinitely far, and the numbers are those of a thin lens.
+        A thin lens is its own pupil. That of an objective is infinitely far, and the values are those of a thin lens.
 
         Parameters
         ----------
@@ -166,15 +166,16 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
         If a given value is not the lens's own.
     """
     for name, number in own.items():
-        if not math.isclose(given[name], number, rel_tol=tolerance):
-            raise InputError(f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out")
+        refuse_if(
+            not math.isclose(given[name], number, rel_tol=tolerance),
+            f"{name} = {given[name]:g}: with this main_lens it is {number:.6g}; leave it out",
+        )
     return own
 
 
 def require_alone(camera: Any) -> None:
     """Refuse what a real main lens brings itself."""
     for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
-        if any(values):
-            raise InputError(f"{name} = {values}: a main_lens brings its own; leave it out")
+        refuse_if(any(values), f"{name} = {values}: a main_lens brings its own; leave it out")
     if camera.glass is not None:
         raise InputError(f"glass = {short_repr(camera.glass.to_plain())}: a main_lens brings its own; leave it out")

@@ -1,4 +1,4 @@
-"""A microscope's objective and tube lens as plain data: what a camera keeps of them."""
+"""A microscope's objective and tube lens as plain data: the part of them that a camera stores."""
 
 from __future__ import annotations
 
@@ -7,7 +7,16 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from .bounds import require_length
-from .errors import InputError, refuse_if, require_choice, require_known, require_number, short_repr, suggest_keywords
+from .errors import (
+    InputError,
+    put,
+    refuse_if,
+    require_choice,
+    require_known,
+    require_number,
+    short_repr,
+    suggest_keywords,
+)
 from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
 
 ARRANGEMENTS = ("image", "fourier")
@@ -68,11 +77,8 @@ class Objective(LensData):
     fourier_focal_length: float | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
         def checked(name: str, **bounds: Any) -> None:
-            put(name, require_number(f"main_lens: {name}", getattr(self, name), positive=True, **bounds))
+            put(self, **{name: require_number(f"main_lens: {name}", getattr(self, name), positive=True, **bounds)})
 
         checked("magnification", maximum=_STRONGEST)
         checked("immersion", minimum=1, maximum=_LARGEST_INDEX)
@@ -87,12 +93,12 @@ class Objective(LensData):
             f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
             f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
         )
-        put("tube_focal_length", require_length("main_lens: tube_focal_length", self.tube_focal_length))
+        put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
         require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
         name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
         if self.arrangement == "fourier":
             refuse_if(given is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
-            put("fourier_focal_length", require_length(name, given))
+            put(self, fourier_focal_length=require_length(name, given))
         elif given is not None:
             raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
 
@@ -177,16 +183,15 @@ class Objective(LensData):
     def require_fit(self, camera: Any) -> None:
         """Refuse aberrations besides the objective's own, and a tilted array."""
         require_alone(camera)
-        if any(camera.mla_tilt):
-            raise InputError(f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
+        refuse_if(any(camera.mla_tilt), f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
 
     def require_distance(self, camera: Any, distance: float) -> None:
         """Refuse a depth that is not finite or not before the objective."""
-        if not -self.focal_length < distance < math.inf:
-            raise InputError(
-                f"distance = {distance:g}: it must be a finite depth beyond the native object plane, more than "
-                f"{-self.focal_length:g}"
-            )
+        refuse_if(
+            not -self.focal_length < distance < math.inf,
+            f"distance = {distance:g}: it must be a finite depth beyond the native object plane, more than "
+            f"{-self.focal_length:g}",
+        )
 
     def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return 0: the native object plane is in focus."""

@@ -17,9 +17,9 @@ COMMAND = """
 import sys
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.runtime import cluster, progress
+from mitsuba_plenoptic.runtime import batches, progress
 progress.FIRST_LINE = 2.0**20  # no lines that come with time
-checkpoints.INTERVAL, checkpoints.FRACTION, cluster._GROUP_SAMPLES = 0.0, 1e9, 1
+checkpoints.INTERVAL, checkpoints.FRACTION, batches._GROUP_SAMPLES = 0.0, 1e9, 1
 sys.exit(main(sys.argv[1:]))
 """
 

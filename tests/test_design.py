@@ -21,8 +21,9 @@ from mitsuba_plenoptic import (
     scene_path,
 )
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.report.experiment import agreement, thin_lens_image
+from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.thin_lens import image_distance
+from tools.bench.measures import agreement
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.

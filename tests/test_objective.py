@@ -117,7 +117,7 @@ def test_parallax_is_told_in_the_image_of_the_stop_only():
     assert design.parallax(camera, 1.25) == pytest.approx(-20 * 20 / 50 * math.tan(math.radians(30)))
     with pytest.raises(InputError, match=r"it must lie in the image of the stop, within 1\.25"):
         design.parallax(camera, 1.3)
-    with pytest.raises(InputError, match="this is a number of the Fourier arrangement"):
+    with pytest.raises(InputError, match="this is a quantity of the Fourier arrangement"):
         design.parallax(PlenopticCamera.preset("lfm"), 0.1)
     with pytest.raises(InputError, match="this camera is no microscope"):
         design.native_field(PlenopticCamera())

@@ -28,18 +28,17 @@ _MOST_REPEATS = 30
 
 
 def deviation(distance: np.ndarray) -> float:
-    """Return the deviation along an axis of positions whose distances these are, from their median."""
+    """Return the standard deviation along an axis, from the median of distances in two dimensions."""
     return float(np.median(distance)) / 1.17741
 
 
 def outlying(distance: np.ndarray) -> np.ndarray:
-    """Return which rows are outliers, by their distance from where they should be."""
-    outliers: np.ndarray = distance > OUTLIER * max(deviation(distance), 1e-9)
-    return outliers
+    """Mark outliers by their distance from the expected position."""
+    return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
 
 
 def huber(distance: np.ndarray) -> np.ndarray:
-    """Return the weights by which rows far from where they should be count by their distance, not its square."""
+    """Return weights by which rows far from the expected position count by their distance, not its square."""
     bound = _HUBER * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
@@ -78,7 +77,7 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 
 
 def both_axes(matrix: np.ndarray) -> np.ndarray:
-    """Return the matrix (n, 2, 2 k) by which each axis of a position has coefficients of its own, of one of (n, k)."""
+    """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to each axis with coefficients of its own."""
     return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
 
 
@@ -151,13 +150,12 @@ class Problem:
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
     """Return the triangular factor of a matrix, with as many rows as columns at least."""
-    missing = max(0, rows.shape[1] - len(rows))
-    return np.asarray(np.linalg.qr(np.pad(rows, ((0, missing), (0, 0))), mode="r"))
+    return np.asarray(np.linalg.qr(np.pad(rows, ((0, max(0, rows.shape[1] - len(rows))), (0, 0))), mode="r"))
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Numbers that fit best."""
+    """The result of an adjustment."""
 
     # (17,).
     numbers: np.ndarray
@@ -249,13 +247,3 @@ def _solve(
     step = np.linalg.lstsq(matrix[:, :-1] / scale, matrix[:, -1], rcond=1e-14)[0] / scale if scale.size else scale
     pose_steps = [np.linalg.solve(head[:, :6], head[:, -1] - head[:, 6:-1] @ step) for head in heads]
     return step, np.array(pose_steps)
-
-
-def information(problem: Problem, solution: Adjusted, free: Sequence[str], weights: np.ndarray) -> np.ndarray:
-    """Return R with R^T R the information (inverse covariance for unit deviations) on the free parameters.
-
-    The poses are not held: what they leave undecided is not counted.
-    """
-    chosen = np.array([NAMES.index(name) for name in free], dtype=int)
-    _, camera = problem.blocks(solution.numbers, solution.poses, weights, chosen)
-    return _triangle(np.concatenate(camera)[:, :-1])

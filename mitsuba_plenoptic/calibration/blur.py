@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..lattice.base import Lattice
 from .adjustment import Adjusted
 from .model import AT, Observations
@@ -88,12 +88,12 @@ def fit_blur(
     curves = np.column_stack([matrix, *(matrix[:, :-1] * ratio[:, None]).T, *(matrix[:, :-1] * ratio[:, None] ** 2).T])
     bent = float(np.mean((radius - curves @ np.linalg.lstsq(curves, radius)[0]) ** 2))
     rounding = 1e-12 * float(np.var(radius))
-    if not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square):
-        raise InputError(
-            f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
-            f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
-            "have a sign, other in front of focus than behind it; leave the column out if they have none"
-        )
+    refuse_if(
+        not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square),
+        f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
+        f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
+        "have a sign, other in front of focus than behind it; leave the column out if they have none",
+    )
     scale = line[-1]
     over = 1 - line[:-1] / scale
     z = float(numbers[AT["detector_distance"]])
@@ -106,16 +106,15 @@ def fit_blur(
     others = []
     for solution in moved:
         matrix[:, -1] = image_ratios(seen, solution.numbers, solution.poses)
-        *places, steep = np.linalg.lstsq(matrix, radius)[0]
-        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(places) / steep))
+        *heights, steep = np.linalg.lstsq(matrix, radius)[0]
+        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
     camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
     for number in range(types):
         # Of z/f = 1 - position / slope.
         slope = np.zeros(types + 1)
         slope[number], slope[-1] = -1 / scale, line[number] / scale**2
-        own = slope @ covariance @ slope * (z / over[number] ** 2) ** 2
-        deviations.append(float(np.sqrt(own + camera[number])))
+        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[number] ** 2) ** 2 + camera[number])))
     return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 
@@ -123,13 +122,12 @@ def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> 
     """Return z/a of each observation: the detector's distance over that of the corner's image before the array."""
     f, b, z = numbers[:3]
     distance = placed(seen.board, poses, seen.pose)[:, 2]
-    ratios: np.ndarray = z / (b - distance * f / (distance - f))
-    return ratios
+    return np.asarray(z / (b - distance * f / (distance - f)))
 
 
 # Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
 _POINTS = 42
-_PLACES = 65
+_SAMPLES = 65
 _BEYOND = 1.25
 
 
@@ -146,11 +144,11 @@ class CutBlur:
         self._b = camera.mla_distance
         self._ratios = self._z / np.array(camera.mla_focal_lengths)
         reach = _BEYOND * camera.micro_image_diameter / 2
-        e = np.linspace(-reach, reach, _PLACES)
+        e = np.linspace(-reach, reach, _SAMPLES)
         unit = (np.arange(_POINTS) + 0.5) / _POINTS
         d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)
         self._step = (e[1] - e[0]) / camera.pixel_size
-        self._means = np.zeros((len(self._ratios), 2, _PLACES, _PLACES))
+        self._means = np.zeros((len(self._ratios), 2, _SAMPLES, _SAMPLES))
         for kind, ratio in enumerate(self._ratios):
             slope = 1 + self._b / self._z * (1 - ratio)
             for row, y in enumerate(e):
@@ -163,19 +161,17 @@ class CutBlur:
         r"""Return :math:`\kappa` of lenses of these types and points of these disparities (`board_view`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
-        result: np.ndarray = 1 - self._ratios[kind] + over + disparity * (1 + over)
-        return result
+        return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
 
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
-        """Return by how much what pixels show lies from where they are.
+        """Return the displacement of what pixels show from where they are.
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """
-        at = arm[:, :, ::-1] / self._step + (_PLACES - 1) / 2
+        at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
         moved = np.zeros(arm.shape)
         for number, mean in enumerate(self._means):
             mine = kind == number
             for axis in (0, 1):
                 moved[mine, :, axis] = map_coordinates(mean[axis], np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
-        result: np.ndarray = -defocus[:, None, None] * moved
-        return result
+        return -defocus[:, None, None] * moved

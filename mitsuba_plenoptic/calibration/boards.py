@@ -21,14 +21,14 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
-from ..runtime.variant import set_variant
+from ..errors import InputError, require_module
+from ..runtime.backend import set_variant
 from .observations import Board
 
 # Disparities that are tried: below, a micro-image shows too little of the scene, above, too few lenses see a point.
 _LEAST, _MOST, _COUNT = 0.04, 0.6, 28
 
-# Places at which lenses are compared, about; and the best disparities at which the board is looked for.
+# Positions at which lenses are compared, about; and the best disparities at which the board is looked for.
 _TRIED = 30_000
 _LOOKED_AT = 6
 
@@ -55,23 +55,20 @@ class Picture:
 
 @dataclass(frozen=True)
 class BoardView:
-    """Where a board is, roughly."""
+    """The approximate position of a board."""
 
     disparity: float
-    # Places Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
+    # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
     corners: np.ndarray
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
     """Find a board in a raw picture."""
-    try:
-        import cv2
-    except ImportError:
-        raise InputError("detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'") from None
+    cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
         step = max(1.0, 0.6 / abs(disparity))
-        positions = _places(picture, step)
+        positions = _positions(picture, step)
         flat = positions.reshape(-1, 2)
         view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(positions.shape[:2])
         if not np.isfinite(view).any():
@@ -92,7 +89,7 @@ def find_board(picture: Picture, board: Board) -> BoardView:
 
 
 def _upright(corners: np.ndarray) -> np.ndarray:
-    """Let the columns run to the right and the rows down, as on a board that is seen from its front."""
+    """Order corners so that columns run to the right and rows down, as seen from the front of the board."""
     if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
         corners = corners[::-1, ::-1]
     along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
@@ -100,10 +97,10 @@ def _upright(corners: np.ndarray) -> np.ndarray:
 
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
-    """Return disparities, the one first at which neighbouring lenses agree best about what they see."""
+    """Return disparities in order of how well neighbouring lenses agree about what they see."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
-    position = _places(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
+    position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
     _, lens = tree.query(position, k=_LENSES)
     errors = []
     for disparity in disparities:
@@ -114,14 +111,14 @@ def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
     return disparities[np.argsort(errors)]
 
 
-def _places(picture: Picture, step: float) -> np.ndarray:
+def _positions(picture: Picture, step: float) -> np.ndarray:
     """Return a grid of positions (rows, columns, 2) with a given spacing in pixels."""
     rows, columns = picture.image.shape
     return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)
 
 
 def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the lenses' views of positions, and the variance where several see one, else NaN.
+    """Return the mean of the lenses' views of positions, and its variance where several see one, else NaN.
 
     `position` is (n, 2), `lens` (n, lenses).
     """
@@ -305,8 +302,7 @@ def _descend(
         slope = np.einsum("npa,np,np->na", jacobian, w, left, optimize=True)
         scale = np.einsum("naa->na", matrix) + 1e-12
         damped = matrix + (damping[:, None] * scale)[:, :, None] * np.eye(5)
-        step = np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
-        new = p + step.clip(-1, 1)
+        new = p + np.linalg.solve(damped, slope[:, :, None])[:, :, 0].clip(-1, 1)
         new[:, :2] = position + (new[:, :2] - position).clip(-_FARTHEST, _FARTHEST)
         new[:, 4] = new[:, 4].clip(low, high)
         tried = _model(pixel, value, w, new)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..io.captures import require_pixels
 from ..io.files import atomic_output
 from ..lightfield.grid import lens_types
@@ -93,8 +93,7 @@ def detect_corners(
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
     picture = _picture(image, white, centres, name)
-    found = find_board(picture, board)
-    corner, lens, saddles = _refined(picture, found, camera)
+    corner, lens, saddles = _refined(picture, find_board(picture, board), camera)
     refuse_if(
         not len(corner),
         f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
@@ -141,18 +140,19 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
 
 def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) -> Picture:
     values, light = (_grey(what, given) for what, given in ((name, image), ("white", white)))
-    if values.shape != light.shape:
-        raise InputError(
-            f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
-            f"{light.shape[0]}"
-        )
+    refuse_if(
+        values.shape != light.shape,
+        f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
+        f"{light.shape[0]}",
+    )
     middle = centres.pixel
     distance, _ = cKDTree(middle).query(middle, k=2)
     nearest = float(np.median(distance[:, 1])) / 2
     column, row = np.round(middle).astype(int).T
     inside = (column >= 0) & (column < light.shape[1]) & (row >= 0) & (row < light.shape[0])
-    if inside.sum() < 16:
-        raise InputError(f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least")
+    refuse_if(
+        inside.sum() < 16, f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least"
+    )
     full = float(np.median(light[row[inside], column[inside]]))
     refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)
@@ -167,7 +167,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
 
 
 def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """Return how far from their centres micro-images are as light as in their middle, in pixels, on average."""
+    """Return the radius in pixels within which micro-images are on average as light as in their middle."""
     half = int(radius) + 1
     whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
@@ -175,11 +175,10 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
     values = light[pixel[:, :, 1], pixel[:, :, 0]]
     own = values[:, np.abs(steps).max(1) <= 1].mean(1)
     lit = own > 0
-    distance = np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))
     # Rings of half a pixel, as far as all of them is seen.
-    ring = (2 * distance[lit]).astype(int)
-    share = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
-    dark = np.flatnonzero(share[: 2 * half] < _EVEN)
+    ring = (2 * np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))[lit]).astype(int)
+    ratio = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    dark = np.flatnonzero(ratio[: 2 * half] < _EVEN)
     return min(radius, dark[0] / 2) if dark.size else radius
 
 
@@ -193,7 +192,7 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 def _refined(
     picture: Picture, found: BoardView, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return of each corner that is seen through a lens the corner, the lens and the position."""
+    """Return corners as seen through lenses: indices of corner and lens, and the position."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
     position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
@@ -224,7 +223,7 @@ def _refined(
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return by how much what pixels about corners show lies from where they are, for `find_saddles`."""
+    """Return a function for `find_saddles`: the displacement of what pixels about corners show."""
     defocus = cut.defocus(kind, disparity)
     return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 
@@ -255,7 +254,7 @@ def _agreed(
     position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position and disparity of each corner anew, and which of what is seen agrees with them."""
+    """Return position and disparity of each corner anew, and mark the observations that agree with them."""
     position, disparity = position.copy(), disparity.copy()
     agreed = np.zeros(len(seen), dtype=bool)
     for number in range(len(position)):

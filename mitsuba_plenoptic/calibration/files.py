@@ -17,7 +17,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, naming, refuse_if, require_count, require_number, short_repr
-from ..io.files import atomic_output, read_text
+from ..io.files import read_text, write_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
 from .model import NAMES, camera_of
@@ -67,8 +67,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "outlier_centre_rows": (calibration.centre_outliers + 2).tolist(),
     }
     text = json.dumps({**calibration.camera.to_dict(), "calibration": record}, indent=1) + "\n"
-    with atomic_output(path, ".json") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text, ".json")
 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
@@ -194,5 +193,4 @@ def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
     columns = [np.concatenate(undistort(u, v, e)) - np.concatenate([u, v]) for e in unit]
     scale = np.array([np.abs(column).max() for column in columns])
     wanted = np.concatenate([x - u, y - v])
-    found: np.ndarray = np.linalg.lstsq(np.stack(columns, axis=-1) / scale, wanted)[0] / scale
-    return found
+    return np.asarray(np.linalg.lstsq(np.stack(columns, axis=-1) / scale, wanted)[0] / scale)

@@ -1,4 +1,4 @@
-"""Calibrating a camera from corners of a board in several poses, and judging a camera by them."""
+"""Calibrating a camera from corners of a board in several poses, and evaluating a camera by them."""
 
 from __future__ import annotations
 
@@ -79,17 +79,17 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     middle = (size - 1) / 2
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
     along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
-    if start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE:
-        raise InputError(
-            f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels "
-            f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
-            "hexagonal lattice by 90 degrees if its columns do"
-        )
+    refuse_if(
+        start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE,
+        f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels "
+        f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
+        "hexagonal lattice by 90 degrees if its columns do",
+    )
     seen, frames = observations(corners, board, index)
     problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        used, weight = _kept_centres(centres, index, problem.residuals(numbers, poses)[good])
+        used, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
         problem = _with_centres(problem, centres, used, index, weight)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
     found, steps = adjust(problem, numbers, poses, weights=weights), 0
@@ -152,7 +152,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     corners, board
         As for `calibrate`.
     camera : PlenopticCamera
-        The camera to judge.
+        The camera to evaluate.
     index : LensIndex, optional
         How the corners count lenses. Default: found from where they lie.
 
@@ -203,7 +203,7 @@ def cross_validate(
     camera = calibration.camera
     whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        used, weight = _kept_centres(centres, calibration.index, calibration.evaluation.residuals)
+        used, weight = _used_centres(centres, calibration.index, calibration.evaluation.residuals)
         whole = _with_centres(whole, centres, used, calibration.index, weight)
     numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
     errors = {}
@@ -218,7 +218,7 @@ def cross_validate(
 
 
 def _poses(problem: Problem, used: np.ndarray) -> Problem:
-    """Return a problem with some of the poses only."""
+    """Restrict a problem to some of the poses."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[used], return_inverse=True)
     some = replace(seen.keep(used), pose=pose)
@@ -232,7 +232,7 @@ def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: Len
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
-def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
+def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
     """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
 
     It is the deviation of the corners' residuals over that of centres that err together.
@@ -248,14 +248,13 @@ def _kept_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return how far from its prediction each corner is seen, in pixels."""
-    distance: np.ndarray = np.hypot(*problem.residuals(numbers, poses).T)
-    return distance
+    return np.asarray(np.hypot(*problem.residuals(numbers, poses).T))
 
 
 def _require_matching_pupil(
     problem: Problem, found: Adjusted, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
 ) -> None:
-    """Refuse distances in the camera at which the pupil's images are not as large as micro-images are seen to be.
+    """Refuse distances in the camera by which the pupil's images differ in size from the micro-images seen.
 
     Squares that are given s times too large scale the object space by s and that behind the main lens by 1/s along the
     axis, which explains the corners as well.

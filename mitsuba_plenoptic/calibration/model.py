@@ -50,7 +50,7 @@ NAMES = tuple(UNITS)
 """Their names, in the order of a vector of them."""
 
 AT = {name: index for index, name in enumerate(NAMES)}
-"""Place of each name in the vector."""
+"""Index of each name in the vector."""
 
 # The tilt is a thousandth of a radian and the distortion a few per cent, so that each step gains five digits.
 _NEWTON_STEPS = 2
@@ -60,11 +60,11 @@ _NEWTON_STEPS = 2
 class Observations:
     """Observed corners or centres: all arrays have one row for each observation."""
 
-    # Place of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
+    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
     lens: np.ndarray
     # Column and row; the centre of the first pixel is 0; (n, 2).
     pixel: np.ndarray
-    # Place of the corner on its board in mm; (n, 2).
+    # Position of the corner on its board in mm; (n, 2).
     board: np.ndarray
     # Which pose of the board it is, from 0; (n,).
     pose: np.ndarray
@@ -82,14 +82,11 @@ class Observations:
         return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
 
 
-def _cross(v: np.ndarray) -> np.ndarray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
 def _left_jacobian(vector: np.ndarray) -> np.ndarray:
     """Return J with d(exp(w) x) = -[exp(w) x] J dw (Sola, "Quaternion kinematics", eq. 145 of SO(3))."""
     angle = float(np.linalg.norm(vector))
-    cross = _cross(vector)
+    x, y, z = vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     if angle < 1e-4:
         return np.eye(3) + cross / 2 + cross @ cross / 6
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross

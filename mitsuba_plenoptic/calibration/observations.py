@@ -239,15 +239,15 @@ def require_on_detector(table: Table, size: tuple[int, int]) -> None:
 
 
 def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return what a fit compares with, and the frame indices of its poses."""
+    """Return observations for a fit, and the frame indices of its poses."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
-    places = board.places(corners["cluster"])
-    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, places, pose), frames
+    positions = board.places(corners["cluster"])
+    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, positions, pose), frames
 
 
-def placed(places: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return positions (n, 2) on boards, each in its own of some poses, in the camera frame, (n, 3)."""
-    flat = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
+def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return positions on boards, (n, 2), in the camera frame, (n, 3), each by its own pose."""
+    flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
     turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return turned + poses[pose, 3:]
 
@@ -259,8 +259,8 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
     """
     pixel, best, other = table.pixel, None, np.inf
     for odd_rows in (-0.5, 0.0, 0.5):
-        places = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
-        matrix = np.column_stack([np.ones(len(places)), places])
+        lenses = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
+        matrix = np.column_stack([np.ones(len(lenses)), lenses])
         refuse_if(
             np.linalg.matrix_rank(matrix) < 3,
             f"{table.name}: all lenses lie on one line; corners of at least two rows are needed",
@@ -280,16 +280,16 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
             f"{table.name}: the array {rows} its odd rows by half a pitch, other than the camera's mla_lattice: pixels "
             f"lie {error:.3g} from a grid of that and {other:.3g} from the other"
         )
-    if error > 0.5 * min(np.hypot(*step) for step in grid[1:]):
-        raise InputError(
-            f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
-            "must count the lenses of a row and l the rows"
-        )
-    if np.hypot(*grid[1]) < _CLOSEST:
-        raise InputError(
-            f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
-            "least: u and v must be in pixels"
-        )
+    refuse_if(
+        error > 0.5 * min(np.hypot(*step) for step in grid[1:]),
+        f"{table.name}: pixels lie {error:.3g} from a regular grid of lenses {np.hypot(*grid[1]):.3g} apart: k "
+        "must count the lenses of a row and l the rows",
+    )
+    refuse_if(
+        np.hypot(*grid[1]) < _CLOSEST,
+        f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
+        "least: u and v must be in pixels",
+    )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])
     j = np.round(j)
     i = np.round(along - odd_rows * (j % 2))

@@ -51,22 +51,21 @@ class Evaluation:
 
     @property
     def pose_errors(self) -> np.ndarray:
-        """The same of each pose."""
+        """The same for each pose."""
         return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
 
     @property
     def outliers(self) -> np.ndarray:
         """Rows, from 0, of residuals beyond six times what is typical."""
-        distance = np.hypot(*self.residuals.T)
-        return np.flatnonzero(outlying(distance))
+        return np.flatnonzero(outlying(np.hypot(*self.residuals.T)))
 
     @property
     def error_without_outliers(self) -> float:
-        """RMS of the distances of all rows but the outliers."""
+        """RMS of the distances without the outliers."""
         return self.without_outliers().error
 
     def without_outliers(self) -> Evaluation:
-        """Return the same of all rows but the outliers."""
+        """Return the same without the outliers."""
         inliers = np.delete(np.arange(len(self.residuals)), self.outliers)
         return replace(self, residuals=self.residuals[inliers], pose=self.pose[inliers])
 
@@ -219,7 +218,7 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
 
 
 def field_cells(pixel: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middles of the squares of this side, in pixels, that positions (n, 2) are in, and which each is in."""
+    """Return the middles of the occupied squares of a grid, in pixels, and the index of the square of each position."""
     cell, group = np.unique(np.floor((pixel + 0.5) / side), axis=0, return_inverse=True)
     return (cell + 0.5) * side - 0.5, group.ravel()
 

@@ -116,13 +116,13 @@ def board_images(
             f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
             "not all on one line",
         )
-        places, pixels = centre[mine], pixel[mine]
-        around, moved = (values - _means(values, which)[which] for values in (places, pixels))
+        centres, pixels = centre[mine], pixel[mine]
+        around, moved = (values - _means(values, which)[which] for values in (centres, pixels))
         refuse_if(
             not (around**2).sum() > 0, f"frame {frame}: each corner is seen through one lens only; several are needed"
         )
         slope = (around * moved).sum() / (around**2).sum() - 1
-        image = (places * (1 + slope) - pixels) * (size / slope)
+        image = (centres * (1 + slope) - pixels) * (size / slope)
         slopes[pose] = slope
         maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), seen.board[mine]]), image)[0]
         refuse_if(
@@ -142,11 +142,11 @@ def _agreeing(
     for pose, frame in enumerate(frames):
         mine = np.flatnonzero(near & (seen.pose == pose))
         rows = int((seen.pose == pose).sum())
-        if len(mine) < _AGREEING * rows:
-            raise InputError(
-                f"frame {frame}: {rows - len(mine)} of its {rows} rows lie farther than a lens's width from the "
-                "micro-image of the lens that k and l name: correct or remove the frame"
-            )
+        refuse_if(
+            len(mine) < _AGREEING * rows,
+            f"frame {frame}: {rows - len(mine)} of its {rows} rows lie farther than a lens's width from the "
+            "micro-image of the lens that k and l name: correct or remove the frame",
+        )
         explained, agrees = _board_fit(seen.board[mine], centre[mine], pixel[mine])
         good[mine] = agrees
         if not explained:
@@ -163,11 +163,11 @@ def _agreeing(
             for explained, agrees in [_board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])]
         }
         along = max(fits, key=lambda columns: fits[columns], default=0)
-        if not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses:
-            raise InputError(
-                f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
-                "do: correct or remove the frame"
-            )
+        refuse_if(
+            not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses,
+            f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
+            "do: correct or remove the frame",
+        )
         raise InputError(
             f"corners: in {len(strange)} of {seen.poses} frames they do not lie as on a board of {board.columns}x"
             f"{board.rows} inner corners: "
@@ -196,14 +196,14 @@ def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tupl
 def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
     """Return poses (n, 6) of boards that face the camera, from how a thin lens images them."""
     poses = np.zeros((len(maps), 6))
-    for pose, (place, along, across) in zip(poses, maps, strict=True):
+    for pose, (corner, along, across) in zip(poses, maps, strict=True):
         magnification = np.sqrt(np.linalg.det([along, across]))
         # The image is turned by half a turn.
         pose[2] = np.arctan2(along[1] - across[0], along[0] + across[1]) + np.pi
-        pose[3:] = *(-place / magnification), focal_length * (1 + 1 / magnification)
+        pose[3:] = *(-corner / magnification), focal_length * (1 + 1 / magnification)
     return poses
 
 
 def _means(values: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Return the mean of the rows of each group."""
+    """Return the mean row of each group."""
     return np.stack([np.bincount(which, column) for column in values.T], axis=-1) / np.bincount(which)[:, None]

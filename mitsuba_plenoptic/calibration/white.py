@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import refuse_if
 from ..io.files import atomic_output
 from ..lightfield import LensGrid, estimate_lens_grid
+from ..lightfield.grid_estimation import centroids, pixels_around
 from .adjustment import OUTLIER
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
 
@@ -43,7 +44,7 @@ class Centres:
     grid : LensGrid
         The regular grid that fits them best.
     lens : (n, 2) int array
-        Place of each lens along its row, and its row, counted from the grid's first.
+        Index of each lens along its row, and its row, counted from the grid's first.
     pixel : (n, 2) array
         Column and row; the centre of the first pixel is 0.
     light : (n,) array
@@ -116,21 +117,14 @@ def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[n
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centres that windows about them agree with, and the light in the windows over the darkest in them."""
-    half = int(np.ceil(radius)) + 2
-    window = np.arange(-half, half + 1)
-    base = np.floor(centre).astype(np.int64)
-    x, y = (base[:, axis, None] + window for axis in (0, 1))
-    rows, columns = image.shape
-    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]]
+    """Return centres that agree with the centroids of their windows, and the light over the darkest there."""
+    patches, light = pixels_around(image, centre, int(np.ceil(radius)) + 2), np.zeros(len(centre))
     for _ in range(_REPEATS):
-        dx, dy = x + 0.5 - centre[:, 0, None], y + 0.5 - centre[:, 1, None]
-        distance = np.hypot(dx[:, None, :], dy[:, :, None])
-        weight = np.cos(0.5 * np.pi * (1 + (distance - radius) / 2).clip(0, 1)) ** 2
-        lit = (patch - np.where(weight > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)) * weight
-        light = lit.sum(axis=(1, 2))
-        shift = np.stack([(lit.sum(1) * dx).sum(1), (lit.sum(2) * dy).sum(1)], axis=1)
-        centre = centre + shift / np.where(light > 0, light, 1)[:, None]
+        centre, light = centroids(
+            patches,
+            centre,
+            lambda distance: np.cos(0.5 * np.pi * (1 + (distance - radius) / 2).clip(0, 1)) ** 2,
+        )
     return centre, light
 
 
@@ -140,20 +134,18 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
     if grid.shifted_rows is not None:
         k = k + 0.5 * (l % 2 == grid.shifted_rows)
     matrix = np.column_stack([np.ones(len(k)), k, l])
-    fitted: np.ndarray = matrix @ np.linalg.lstsq(matrix, centre)[0]
-    return fitted
+    return np.asarray(matrix @ np.linalg.lstsq(matrix, centre)[0])
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Return which centres differ from their neighbours, in position or in light, by more than neighbours do."""
+    """Mark centres that differ from their neighbours, in position or in light, by more than neighbours do."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)
     typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
     beyond = sizes > OUTLIER * typical
     beyond[:, 1] &= np.abs(differs[:, 2]) > _LEAST_DARKER
-    doubtful: np.ndarray = beyond.any(1)
-    return doubtful
+    return np.asarray(beyond.any(1))
 
 
 def _local_medians(lens: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -73,7 +73,7 @@ def render_capture(
         For wave captures: intermediate results are saved to its file, and read from there. Ray captures do not take
         one.
     batch_map : callable, optional
-        For wave captures: computes the parts of the sums, for example `runtime.cluster.Cluster`. Default: threads of
+        For wave captures: computes the parts of the sums, for example `Cluster`. Default: threads of
         this process.
     noise : bool
         Whether to estimate also the standard deviation of the pixels from seed to seed, as `Capture.noise`. The value

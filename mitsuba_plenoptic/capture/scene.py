@@ -15,9 +15,8 @@ from ..camera.parameters import PARAMETERS
 from ..errors import InputError, did_you_mean, short_repr, suggest_keywords
 from ..io.exr import read_parts
 from ..io.files import require_file, require_size
-from ..runtime.backend import one_at_a_time
+from ..runtime.backend import one_at_a_time, set_variant
 from ..runtime.limits import require_memory
-from ..runtime.variant import set_variant
 
 _DEEPEST = 64
 _DEEPEST_INCLUDE = 8

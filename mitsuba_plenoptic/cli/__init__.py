@@ -24,7 +24,7 @@ COMMANDS = {
     "render": "render",
     "reconstruct": "reconstruct",
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
-    **dict.fromkeys(("expose", "demosaic"), "detector"),
+    **dict.fromkeys(("expose", "demosaic"), "render"),
     "calibrate": "calibrate",
     "fit": "fit",
     "convert": "light_field",

@@ -1,24 +1,23 @@
-"""``mitsuba-plenoptic calibrate``: a camera from corners of a board, corners and centres from pictures, a judgement."""
+"""``mitsuba-plenoptic calibrate``: a camera from corners, corners and centres from pictures, an evaluation."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
 
+from .. import calibration
+from ..calibration import Board, Evaluation
 from ..errors import refuse_if
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
-from .inputs import CameraFile, Linear, White, load_camera, number, output_option
-
-if TYPE_CHECKING:
-    from ..calibration import Board, Evaluation
+from .inputs import CameraFile, Linear, White, load_camera, numeric, output_option
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -42,7 +41,7 @@ def calibrate(
     board: Annotated[
         str | None, typer.Option(metavar="COLUMNSxROWS", help="Inner corners along the board and across it.")
     ] = None,
-    square: Annotated[float | None, number("Distance of neighbouring corners.", "none", unit="MM")] = None,
+    square: Annotated[float | None, numeric("Distance of neighbouring corners.", "none", unit="MM")] = None,
     centres: Annotated[
         Path | None,
         typer.Option(
@@ -64,7 +63,7 @@ def calibrate(
     """Calibrate a real camera from corners of a checkerboard and white images.
 
     Corners are a table k, l, u, v, cluster, frame: lens along its row, row,
-    pixel, number of the corner, picture. Start values come from the data, except
+    pixel, index of the corner, picture. Start values come from the data, except
     for what [bold]--camera[/bold] provides: detector, lattice and f-number.
 
     [bold]Examples:[/bold]
@@ -77,8 +76,6 @@ def calibrate(
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
-    from .. import calibration
-
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
@@ -95,7 +92,7 @@ def calibrate(
         _evaluate(evaluate, camera, board, square)
     elif all(pictures) and board is not None:
         _refuse("detecting corners", square=square)
-        _detect(sources, output, camera, calibration.Board.parse(board, 1.0), centres, white, linear)
+        _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
         _refuse("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
         _centres(sources, output, linear)
@@ -112,13 +109,11 @@ def _refuse(work: str, **options: object) -> None:
 
 
 def _board(board: str | None, square: float | None) -> Board:
-    from .. import calibration
-
     if board is None or square is None:
         raise typer.BadParameter(
             "corners need the board and the distance of its corners", param_hint="--board --square"
         )
-    return calibration.Board.parse(board, square)
+    return Board.parse(board, square)
 
 
 def _camera(camera: str | None) -> str:
@@ -134,11 +129,9 @@ def _output(output: Path | None, suffix: str) -> Path:
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
-    from .. import calibration
-
-    judged, index = load_camera(_camera(camera), {})
+    tested, index = load_camera(_camera(camera), {})
     size = _board(board, square)
-    found = calibration.evaluate(calibration.read_corners(path, size, judged.crop_size), size, judged, index)
+    found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
     for frame, error in zip(found.frames, found.pose_errors, strict=True):
         typer.echo(f"frame {frame}: {error:.4f} px")
     _print_outliers(found)
@@ -160,8 +153,6 @@ def _detect(
     white: Path | None,
     linear: bool,
 ) -> None:
-    from .. import calibration
-
     output, known = _output(output, ".csv"), None
     if camera is not None:
         known, index = load_camera(camera, {})
@@ -189,8 +180,6 @@ def _detect(
 
 
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
-    from .. import calibration
-
     output = _output(output, ".csv")
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
@@ -218,8 +207,6 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
-    from .. import calibration
-
     output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
     size = _board(board, square)
@@ -230,7 +217,7 @@ def _calibrate(
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:
-        from ..report.calibration import write_calibration_report
+        from ..report.page import write_calibration_report
 
         write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():

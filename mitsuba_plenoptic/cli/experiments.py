@@ -11,9 +11,9 @@ import typer
 from .. import reconstruction
 from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
-from ..errors import InputError, require_count, require_number
+from ..errors import refuse_if, require_count, require_number
+from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
-from ..runtime.variant import DEFAULT_VARIANT
 from .inputs import (
     Definitions,
     Distances,
@@ -27,19 +27,19 @@ from .inputs import (
     Variant,
     Workers,
     batches_on,
-    number,
+    numeric,
     output_option,
     parse_definitions,
+    stage_lines,
 )
-from .terminal import stage_lines
 
 
 def compare(
     scene: Scene,
     output: OutputFolder,
     distance: Distances,
-    wavelength: Annotated[float, number("Wavelength in nanometres.", unit="NM")] = 633.0,
-    spp: Annotated[int, number("Samples per pixel, by rays and by waves.")] = 16,
+    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM")] = 633.0,
+    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.")] = 16,
     resume: ResumeOnly = False,
     define: Definitions = None,
     variant: Annotated[
@@ -141,8 +141,10 @@ def sweep(
     from ..report.sweep import sweep as compute
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
-    if method is not None and "distance" not in wanted:
-        raise InputError("--method: nothing is refocused without a 'distance' in the grid; leave it out")
+    refuse_if(
+        method is not None and "distance" not in wanted,
+        "--method: nothing is refocused without a 'distance' in the grid; leave it out",
+    )
     settings = SweepSettings(
         scene=scene,
         parameters=parse_definitions(define),
@@ -228,7 +230,7 @@ def reproduce(
       mitsuba-plenoptic reproduce --preset paper -o paper
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report.comparison import reproduce as compute
+    from ..report.paper.reproduction import reproduce as compute
 
     with stage_lines(resume) as stages:
         results = compute(output, preset=preset, stages=stages)

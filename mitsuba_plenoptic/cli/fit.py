@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
 
+from .. import fitting
 from ..capture.scene import load_scene
-from ..errors import InputError, require_number
+from ..errors import InputError, refuse_if, require_number
+from ..fitting import Fit, PixelNoise
 from ..io.captures import MODELS, Capture, read_capture
 from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import atomic_output, require_apart, require_writable
+from ..io.files import require_apart, require_writable, write_text
+from ..lightfield.exchange import read_picture
+from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
-from ..runtime.variant import DEFAULT_VARIANT
-from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions
-from .terminal import stopped_by_hand
-
-if TYPE_CHECKING:
-    from ..fitting import Fit, PixelNoise
+from .inputs import CameraFile, Definitions, named_camera, numeric, output_option, parse_definitions, stopped_by_hand
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -38,11 +37,12 @@ def fit(
         typer.Option("--parameter", metavar="NAME", help="Parameter to fit, such as mla_pitch; repeat for several."),
     ],
     photons: Annotated[
-        float | None, number("Photons counted in a pixel of value 1, for their noise.", "the noise that 'expose' keeps")
+        float | None,
+        numeric("Photons counted in a pixel of value 1, for the noise.", "the noise that 'expose' keeps"),
     ] = None,
     saturation: Annotated[
         float | None,
-        number("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
+        numeric("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
     ] = None,
     mask: Annotated[
         Path | None,
@@ -52,18 +52,21 @@ def fit(
     start: Annotated[
         bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
     ] = False,
-    wavelength: Annotated[float | None, number("Wavelength.", "the captures', or 633", unit="NM")] = None,
+    wavelength: Annotated[float | None, numeric("Wavelength.", "the captures', or 633", unit="NM")] = None,
     points_per_lens: Annotated[
         int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
     ] = 64,
     afar: Annotated[
         bool,
-        typer.Option("--from-afar", help="Come near first, by rays with blurred captures: lengths some percent off."),
+        typer.Option(
+            "--from-afar",
+            help="Fit coarsely first, by rays and blurred captures: lengths some percent off.",
+        ),
     ] = False,
     model: Annotated[
         str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
     ] = "wave",
-    accuracy: Annotated[float, number("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
+    accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
     ] = False,
@@ -80,9 +83,6 @@ def fit(
 
       mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
     """
-    from .. import fitting
-    from ..lightfield.exchange import read_picture
-
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output, ".json"), *captures, mask)
@@ -141,11 +141,10 @@ def fit(
 
 def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
-    from .. import fitting
-
     noise, saturation = fitting.kept_noise(capture)
-    if noise is None and photons is None:
-        raise InputError(f"{path}: it keeps no noise, as 'expose' has not made it; give --photons")
+    refuse_if(
+        noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
+    )
     if noise is not None and photons is not None:
         raise InputError(f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons")
     return noise, saturation
@@ -153,8 +152,7 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 def _write(output: Path, found: Fit) -> None:
     """Write the camera, and print what is known of it."""
-    with atomic_output(output, ".json") as temporary:
-        temporary.write_text(found.camera.to_json())
+    write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():
         side = found.at_bounds.get(name)
         at_bound = f", at its {side}: the deviation is one-sided" if side else ""

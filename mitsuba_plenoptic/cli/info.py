@@ -19,7 +19,7 @@ from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
 from ..report.installation import inspect_installation
-from .inputs import Definitions, load_camera, number, parse_definitions
+from .inputs import Definitions, load_camera, numeric, parse_definitions
 
 
 def info(
@@ -31,7 +31,7 @@ def info(
         ),
     ],
     wavelength: Annotated[
-        float | None, number("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM")
+        float | None, numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM")
     ] = None,
     drawing: Annotated[
         Path | None,
@@ -84,7 +84,7 @@ def info(
 
 
 def _origin(capture: Capture) -> dict[str, str]:
-    """Tell how a capture was made, as far as its header says."""
+    """Describe how a capture was made, as far as its header says."""
     noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
     facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
     return {

@@ -1,30 +1,36 @@
-"""Arguments and options that several commands have, and the loading of what they name."""
+"""Common parts of commands: options, the loading of what they name, progress, and the handling of Ctrl-C."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import re
+import signal
+import threading
 import warnings
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
 from ..capture.scene import check_scene_file, load_scene, scene_names, scene_path
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if
-from ..io.captures import MODELS, Capture, read_capture
-from ..io.raw import RAW_SUFFIXES, read_raw, scaled_from, states_detector
+from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
+from ..io.checkpoints import Checkpoint
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.images import Brightness
-from ..runtime.batches import BatchMap
-from ..runtime.cluster import Cluster
-from ..runtime.variant import DEFAULT_VARIANT
+from ..report.stage_store import StageOptions
+from ..runtime.backend import DEFAULT_VARIANT
+from ..runtime.batches import BatchMap, Cluster
+from ..runtime.progress import ProgressBar, plain_lines
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
@@ -35,7 +41,7 @@ def output_option(metavar: str, text: str) -> Any:
     return typer.Option("-o", "--output", metavar=metavar, help=text)
 
 
-def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
+def numeric(text: str, default: str | None = None, *, unit: str = "N") -> Any:
     """Return an option that takes a number; `default` is what the help shows for a default of None."""
     return typer.Option(metavar=unit, show_default=default or True, help=text)
 
@@ -43,9 +49,6 @@ def number(text: str, default: str | None = None, *, unit: str = "N") -> Any:
 Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")]
 CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")]
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
-CaptureOutput = Annotated[Path, output_option("FILE.exr", "File to write.")]
-
-RawOutput = Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")]
 
 Definitions = Annotated[
     list[str] | None,
@@ -59,7 +62,7 @@ Definitions = Annotated[
 
 Distances = Annotated[
     list[float],
-    number("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
+    numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
 ]
 
 Variant = Annotated[
@@ -78,18 +81,9 @@ Model = Annotated[
     ),
 ]
 
-Samples = Annotated[int | None, number("Samples per pixel.", "those of the scene's sampler")]
+Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler")]
 
-Seed = Annotated[int, number("Seed of the random numbers.")]
-
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
-        "version.",
-    ),
-]
+Seed = Annotated[int, numeric("Seed of the random numbers.")]
 
 # For commands that always resume.
 ResumeOnly = Annotated[
@@ -103,8 +97,8 @@ ResumeOnly = Annotated[
 
 Workers = Annotated[
     int | None,
-    number(
-        "By waves: number of processes of this machine to sum on; the capture has the same bits.",
+    numeric(
+        "Wave captures: number of processes of this machine to sum on; the capture has the same bits.",
         "threads of one process",
     ),
 ]
@@ -112,7 +106,8 @@ Workers = Annotated[
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="By waves: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786."
+        metavar="ADDRESS",
+        help="Wave captures: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786.",
     ),
 ]
 
@@ -121,8 +116,7 @@ CameraFile = Annotated[
     typer.Option(
         "--camera",
         metavar="PRESET|FILE.json|SCENE",
-        help=f"Camera, in the place of any that there is: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, "
-        "or a scene's.",
+        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, or a scene's.",
     ),
 ]
 
@@ -158,12 +152,12 @@ Truth = Annotated[
 
 Exposure = Annotated[
     float | None,
-    number("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
+    numeric("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
 ]
 
 Percentile = Annotated[
     float | None,
-    number(
+    numeric(
         "Of a .png: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
         "rest black; 100: the brightest.",
         "99.5",
@@ -172,7 +166,7 @@ Percentile = Annotated[
 ]
 
 ViewCount = Annotated[
-    int | None, number("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
+    int | None, numeric("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
 ]
 
 Linear = Annotated[
@@ -232,18 +226,22 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
 
 def require_linear(linear: bool, *paths: Path | None) -> None:
-    """Refuse --linear where no picture is read whose values could be so."""
+    """Refuse --linear where no picture is read."""
     given = [path for path in paths if path is not None]
-    if linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given):
-        raise InputError(f"--linear: it is for pictures (.png, .tiff); {given[0]} holds values proportional to light")
+    refuse_if(
+        linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given),
+        f"--linear: it is for pictures (.png, .tiff); {given[0]} holds values proportional to light",
+    )
 
 
 def brightness_of(exposure: float | None, percentile: float | None, *paths: Path | None) -> Brightness:
-    """Return what becomes white in pictures; refuse the options where none of the files to write is one."""
+    """Return the brightness that becomes white in pictures; refuse the options where no picture is written."""
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
     given = [path for path in paths if path is not None]
-    if named and not any(path.suffix.lower() == ".png" for path in given):
-        raise InputError(f"{named}: it is for pictures (.png); {given[0]} keeps the values as they are")
+    refuse_if(
+        named and not any(path.suffix.lower() == ".png" for path in given),
+        f"{named}: it is for pictures (.png); {given[0]} keeps the values as they are",
+    )
     return Brightness(exposure, percentile)
 
 
@@ -253,7 +251,7 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 
 
 def open_scene(
-    scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, number: int = 0
+    scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, index: int = 0
 ) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     other = named_camera(camera)
@@ -261,7 +259,7 @@ def open_scene(
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
     if other is not None:
         loaded = with_camera(loaded, other)
-    sensor = plenoptic_sensor(loaded, number)
+    sensor = plenoptic_sensor(loaded, index)
     seen = PlenopticCamera.from_sensor(sensor)
     if colours:
         _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
@@ -310,6 +308,66 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
     return parameters
 
 
-def batches_on(workers: int | None, scheduler: str | None) -> AbstractContextManager[BatchMap | None]:
-    """Return a context of the workers that are asked for; of None if none are."""
-    return nullcontext() if workers is None and scheduler is None else Cluster(workers=workers, scheduler=scheduler)
+def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
+    """Return a context of the requested workers, or of None."""
+    return (
+        contextlib.nullcontext()
+        if workers is None and scheduler is None
+        else Cluster(workers=workers, scheduler=scheduler)
+    )
+
+
+@contextlib.contextmanager
+def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
+    """Let Ctrl-C end a run with its checkpoint written, and say how to resume; a second Ctrl-C ends it at once."""
+    # Only the main thread receives signals.
+    on_main = threading.current_thread() is threading.main_thread()
+    before: Any = signal.getsignal(signal.SIGINT)
+
+    def stop(signal_number: int, frame: Any) -> None:
+        signal.signal(signal.SIGINT, before)
+        if not checkpoint.stop():
+            raise KeyboardInterrupt
+        _log.info("stopping after the current batch; Ctrl-C again stops at once")
+
+    if on_main:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        hint = ": resume with --resume" if checkpoint.path.exists() else ""
+        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, hint)
+        raise
+    finally:
+        if on_main:
+            signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def stage_lines(resume: bool) -> Iterator[StageOptions]:
+    """Print a line for each stage that is done, and show the progress of the current one."""
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with (
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+        plain_lines("starting") as line,
+    ):
+        tasks: dict[str, TaskID] = {}
+
+        def notify(name: str, done: int, total: int) -> None:
+            line.label = _words(name)
+            line(done, total)
+            if name not in tasks:
+                tasks[name] = bar.add_task(_words(name), total=None)
+            bar.update(tasks[name], completed=done, total=total or None)
+
+        def finished(name: str, seconds: float, was_there: bool) -> None:
+            if name in tasks:
+                bar.remove_task(tasks.pop(name))
+            console.print(f"{_words(name):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
+
+        yield StageOptions(notify, finished, resume)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -28,7 +28,7 @@ from .inputs import (
     White,
     brightness_of,
     named_camera,
-    number,
+    numeric,
     output_option,
 )
 
@@ -41,7 +41,7 @@ def views(
             "FILE", "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png."
         ),
     ],
-    count: Annotated[int | None, number("Write N x N views, evenly spread over the pupil.", "all")] = None,
+    count: Annotated[int | None, numeric("Write N x N views, evenly spread over the pupil.", "all")] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
@@ -79,16 +79,16 @@ def epi(
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float | None,
-        number(
-            "Place of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
+        numeric(
+            "Position of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
             "nearest to the axis",
             unit="MM",
         ),
     ] = None,
     through: Annotated[
         float | None,
-        number(
-            "Place on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
+        numeric(
+            "Position on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
             "nearest to the middle",
             unit="MM",
         ),
@@ -177,12 +177,12 @@ def depth(
         ),
     ],
     near: Annotated[
-        float | None, number("Nearest distance to search.", "as near as the capture shows depth", unit="MM")
+        float | None, numeric("Nearest distance to search.", "as near as the capture shows depth", unit="MM")
     ] = None,
     far: Annotated[
-        float | None, number("Farthest distance to search.", "as far as the capture shows depth", unit="MM")
+        float | None, numeric("Farthest distance to search.", "as far as the capture shows depth", unit="MM")
     ] = None,
-    planes: Annotated[int | None, number("Number of distances to try.", "64, more for a wide search")] = None,
+    planes: Annotated[int | None, numeric("Number of distances to try.", "64, more for a wide search")] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,

@@ -10,15 +10,15 @@ from typing import Annotated, Any
 import typer
 
 from .. import reconstruction
-from ..errors import InputError, require_choice
+from ..errors import refuse_if, require_choice
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
 from ..report.images import Brightness
 from ..report.output_files import reconstruction_paths, write_reconstructions
+from ..runtime.backend import set_variant
 from ..runtime.progress import progress_bar
-from ..runtime.variant import set_variant
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -30,12 +30,12 @@ from .inputs import (
     batches_on,
     brightness_of,
     named_camera,
-    number,
+    numeric,
     output_option,
     read_recorded,
     require_linear,
+    stopped_by_hand,
 )
-from .terminal import stopped_by_hand
 
 
 def reconstruct(
@@ -76,7 +76,7 @@ def reconstruct(
         ),
     ] = None,
     wavelength: Annotated[
-        float | None, number("For waves: wavelength in nanometres.", "the capture's", unit="NM")
+        float | None, numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM")
     ] = None,
     relay: Annotated[
         bool | None,
@@ -88,7 +88,7 @@ def reconstruct(
     ] = None,
     camera: CameraFile = None,
     linear: Linear = False,
-    oversample: Annotated[int, number("Bins per microlens along each axis; info prints what suits.")] = 1,
+    oversample: Annotated[int, numeric("Bins per microlens along each axis; info prints what suits.")] = 1,
     white: Annotated[
         Path | None,
         typer.Option(
@@ -107,7 +107,7 @@ def reconstruct(
     ] = None,
     iterations: Annotated[
         int | None,
-        number("For deconvolved: steps.", "until only noise is left, where a capture states its exposure; else 30"),
+        numeric("For deconvolved: steps.", "until only noise is left, where a capture states its exposure; else 30"),
     ] = None,
     accelerate: Annotated[
         bool | None,
@@ -119,7 +119,7 @@ def reconstruct(
     ] = None,
     photons: Annotated[
         float | None,
-        number("For deconvolved: photons that a pixel of value 1 has counted.", "those that 'expose' recorded"),
+        numeric("For deconvolved: photons that a pixel of value 1 has counted.", "those that 'expose' recorded"),
     ] = None,
     volume: Annotated[
         bool,
@@ -127,7 +127,7 @@ def reconstruct(
     ] = False,
     variation: Annotated[
         float | None,
-        number("For deconvolved: weight of the total variation, which makes planes even between sharp borders.", "0"),
+        numeric("For deconvolved: weight of the total variation, which makes planes even between sharp borders.", "0"),
     ] = None,
     overview: Annotated[
         Path | None,
@@ -143,7 +143,7 @@ def reconstruct(
     ] = False,
     workers: Annotated[
         int | None,
-        number("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
+        numeric("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -179,8 +179,10 @@ def reconstruct(
     """
     chosen = METHODS[require_choice("method", method, METHODS)]
     for option, value in (("resume", resume or None), ("workers", workers), ("scheduler", scheduler)):
-        if value is not None and not chosen.long:
-            raise InputError(f"--{option}: method {method} does not take it; methods that do: deconvolved")
+        refuse_if(
+            value is not None and not chosen.long,
+            f"--{option}: method {method} does not take it; methods that do: deconvolved",
+        )
     whole = output.suffix.lower() in SUFFIXES
     paths = [] if whole else reconstruction_paths(output, distance)
     if whole:

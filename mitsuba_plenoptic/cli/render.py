@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic render``: from a scene to a capture."""
+"""``mitsuba-plenoptic render``, ``expose`` and ``demosaic``: captures of scenes, and what a real detector records."""
 
 from __future__ import annotations
 
@@ -11,29 +11,35 @@ import typer
 
 from ..capture.estimate import estimate_capture
 from ..capture.render import is_wave_capture, render_capture
-from ..errors import InputError
-from ..io.captures import Capture, write_capture
+from ..detector import MOSAICS, Detector
+from ..detector import expose as record
+from ..errors import InputError, refuse_if
+from ..io.captures import RAW_SUFFIXES, Capture, read_capture, write_capture, write_raw
 from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import remove_leftovers, require_different, require_writable
+from ..io.files import remove_leftovers, require_apart, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..runtime.progress import progress_bar
 from .inputs import (
     CameraFile,
+    CaptureFile,
     Definitions,
+    Linear,
     Model,
-    Resume,
     Samples,
     Scene,
     Scheduler,
     Seed,
     Workers,
     batches_on,
-    number,
+    named_camera,
+    numeric,
     open_scene,
     output_option,
     parse_definitions,
+    read_recorded,
+    require_linear,
+    stopped_by_hand,
 )
-from .terminal import stopped_by_hand
 
 
 def render(
@@ -44,8 +50,8 @@ def render(
     seed: Seed = 0,
     wavelength: Annotated[
         str | None,
-        number(
-            "By waves: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
+        numeric(
+            "Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
             "the scene's, else 633",
             unit="NM",
         ),
@@ -55,8 +61,8 @@ def render(
         typer.Option(
             metavar="NAME",
             show_default="the scene's, else signed_rays",
-            help="By waves: signed_rays, which takes the rays of a ray capture, or points, the plain reference for "
-            "matte scenes, with --spp points for each microlens.",
+            help="Wave captures: signed_rays, which takes the rays of a ray capture, or points, the plain reference "
+            "for matte scenes, with --spp points for each microlens.",
         ),
     ] = None,
     noise: Annotated[
@@ -66,19 +72,26 @@ def render(
     estimate: Annotated[
         bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
     ] = False,
-    resume: Resume = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
+            "version.",
+        ),
+    ] = False,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
             show_default="FILE.exr.checkpoint",
-            help="By waves: where to keep what is done until the capture is written.",
+            help="Wave captures: file for what is done until the capture is written.",
         ),
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     camera: CameraFile = None,
-    sensor: Annotated[int, number("Which of the scene's sensors, counted from 0.")] = 0,
+    sensor: Annotated[int, numeric("Which of the scene's sensors, counted from 0.")] = 0,
     white: Annotated[
         Path | None,
         typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
@@ -193,3 +206,123 @@ def render(
     rows, columns = capture.camera.shape
     deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")
+
+
+def expose(
+    capture: CaptureFile,
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")],
+    photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
+    quantum_efficiency: Annotated[
+        float, numeric("Electrons per photon, up to 1.", unit="FRACTION")
+    ] = Detector.quantum_efficiency,
+    full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = Detector.full_well,
+    dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = Detector.dark_electrons,
+    read_noise: Annotated[float, numeric("Standard deviation of the reading, in electrons.")] = Detector.read_noise,
+    bits: Annotated[int, numeric("Bits of a digital number, up to 16.")] = Detector.bits,
+    gain: Annotated[
+        float | None, numeric("Numbers per electron.", "the full well is the largest number", unit="K")
+    ] = None,
+    black_level: Annotated[
+        int | None, numeric("Number without any electron.", "four deviations of the dark noise")
+    ] = None,
+    mosaic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MOSAICS),
+            show_default="none",
+            help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
+        ),
+    ] = None,
+    seed: Annotated[int, numeric("Seed of the noise.")] = 0,
+) -> None:
+    """Add what a real detector does: photon and read noise, saturation, digital numbers.
+
+    The sensor is linear after EMVA Standard 1288. The result is a capture in
+    the units of the first, so that every command takes it. A name that ends
+    in .png or .tiff keeps the digital numbers instead, in 16 bits, for other
+    programs and for 'demosaic'.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
+
+      mitsuba-plenoptic expose colours.exr -o bayer.exr --photons 2000 --mosaic RGGB
+
+      mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
+    """
+    require_writable(output, ".exr", *RAW_SUFFIXES)
+    require_apart(output, capture)
+    detector = Detector(
+        quantum_efficiency=quantum_efficiency,
+        full_well=full_well,
+        dark_electrons=dark_electrons,
+        read_noise=read_noise,
+        bits=bits,
+        gain=gain,
+        black_level=black_level,
+        mosaic=mosaic,
+    )
+    exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
+    (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
+    electrons = detector.quantum_efficiency * photons
+    saturated, rows, columns = exposed.metadata["exposure"]["saturated_pixels"], *exposed.image.shape[:2]
+    typer.echo(
+        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
+        f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
+    )
+
+
+def demosaic(
+    capture: CaptureFile,
+    output: Annotated[Path, output_option("FILE.exr", "File to write.")],
+    mosaic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MOSAICS),
+            show_default="as the capture states",
+            help="Colour filters of the first pixels of two rows.",
+        ),
+    ] = None,
+    white: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            show_default="computed from the camera",
+            help="A capture or picture of a white scene by the same camera, without a mosaic.",
+        ),
+    ] = None,
+    camera: CameraFile = None,
+    linear: Linear = False,
+    black_level: Annotated[
+        float, numeric("Number without light in a raw picture of 16 bits; needs --camera and --linear.")
+    ] = 0,
+) -> None:
+    """Estimate all three colours of every pixel, micro-image by micro-image.
+
+    Nothing is taken from a neighbouring lens's micro-image or from the dark
+    between them. A raw picture (.png or .tiff) that 'expose' wrote holds all
+    that is needed; one of a real camera needs its [bold]--camera[/bold].
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic demosaic bayer.exr -o colours.exr
+
+      mitsuba-plenoptic demosaic bayer.tiff -o colours.exr
+
+      mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
+    """
+    require_writable(output, ".exr")
+    require_apart(output, capture, white)
+    # Brings libraries that take a while to load.
+    from ..lightfield import demosaic as interpolate
+
+    require_linear(linear, capture, white)
+    known = named_camera(camera)
+    refuse_if(
+        black_level and not (linear and known),
+        f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",
+    )
+    reference = None if white is None else read_recorded(white, known, linear)
+    found = interpolate(read_recorded(capture, known, linear, black_level), mosaic=mosaic, white=reference)
+    write_capture(output, found)
+    typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")

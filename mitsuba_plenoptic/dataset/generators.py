@@ -82,11 +82,11 @@ class Illumination:
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
         """Describe the lights for ``mi.load_dict``; the lamp stands next to or above the camera, at random."""
         angle = random.uniform(0, 2 * math.pi)
-        place = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
-        squared = float(np.sum(np.square(place - [0, 0, distance])))
+        position = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
+        squared = float(np.sum(np.square(position - [0, 0, distance])))
         return {
             "sky": {"type": "constant", "radiance": self.sky},
-            "lamp": {"type": "point", "position": place.tolist(), "intensity": math.pi * self.lamp * squared},
+            "lamp": {"type": "point", "position": position.tolist(), "intensity": math.pi * self.lamp * squared},
         }
 
 
@@ -160,10 +160,10 @@ class Shapes:
         for index in range(self.objects):
             g = 1 / random.uniform(1 / far, 1 / near)
             field = extent * g / camera.mla_distance
-            place = np.array([*(random.uniform(-0.5, 0.5, 2) * field), g])
+            position = np.array([*(random.uniform(-0.5, 0.5, 2) * field), g])
             kind = self.kinds[int(random.integers(len(self.kinds)))]
             size = self.size * max(field) * random.uniform(0.5, 1.5)
-            objects[f"object_{index}"] = self._object(kind, place, size, self.tilt, self.plain, lens, random)
+            objects[f"object_{index}"] = self._object(kind, position, size, self.tilt, self.plain, lens, random)
         middle = 2 / (1 / near + 1 / far)
         return {
             "type": "scene",
@@ -175,7 +175,7 @@ class Shapes:
     def _object(
         self,
         kind: str,
-        place: np.ndarray,
+        position: np.ndarray,
         size: float,
         tilt: float,
         plain: float,
@@ -184,7 +184,7 @@ class Shapes:
     ) -> dict[str, Any]:
         """Describe one shape; `lens` is the angle between neighbouring lenses, as tangent."""
         size = float(size)
-        towards = mi.ScalarTransform4f().translate(place.tolist())
+        towards = mi.ScalarTransform4f().translate(position.tolist())
         # Mitsuba takes the axis of a rotation as it is: one that is not of length 1 shears.
         axis = random.normal(size=3)
         angle, roll = random.uniform(0, tilt), random.uniform(0, 360)
@@ -204,7 +204,7 @@ class Shapes:
         return {
             "type": kind,
             "to_world": turned,
-            "bsdf": random_diffuse(random, plain, 2 * size / (lens * float(place[2]))),
+            "bsdf": random_diffuse(random, plain, 2 * size / (lens * float(position[2]))),
         }
 
 

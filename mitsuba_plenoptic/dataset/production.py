@@ -14,15 +14,29 @@ import numpy as np
 import yaml
 
 from ..errors import naming
-from ..io.files import atomic_output, remove_leftovers
+from ..io.files import remove_leftovers, write_text
 from ..report.images import shrink, write_png
+from ..runtime.backend import set_variant
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Progress
-from ..runtime.variant import set_variant
-from .layout import CARD, CHECKSUMS, MANIFEST, PREVIEW, Layout, checksum, claim, locked, recorded_checksums
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
-from .shards import DataSet, open_shard, read_sample, whole_samples, write_samples
+from .shards import (
+    CARD,
+    CHECKSUMS,
+    MANIFEST,
+    PREVIEW,
+    DataSet,
+    Layout,
+    checksum,
+    claim,
+    locked,
+    open_shard,
+    read_sample,
+    recorded_checksums,
+    whole_samples,
+    write_samples,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -262,8 +276,7 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
         recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
         software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
     )
-    with atomic_output(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def write_checksums(path: Path, layout: Layout) -> None:
@@ -271,8 +284,7 @@ def write_checksums(path: Path, layout: Layout) -> None:
     files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
     files += [layout.shard(number) for number in range(layout.shards)]
     lines = [f"{checksum(file)}  {file.relative_to(layout.folder).as_posix()}\n" for file in files]
-    with atomic_output(path) as temporary:
-        temporary.write_text("".join(lines))
+    write_text(path, "".join(lines))
 
 
 _ROWS, _WIDTH = 8, 256
@@ -287,7 +299,7 @@ def write_preview(path: Path, samples: DataSet) -> None:
         peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
         pictures = [_grey(capture) / peak for capture in captures]
         if "depth" in arrays:
-            pictures.append(_nearness(arrays["depth"]))
+            pictures.append(_inverse_distance(arrays["depth"]))
         rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
     width = min(row.shape[1] for row in rows)
     write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
@@ -297,7 +309,7 @@ def _grey(image: np.ndarray) -> np.ndarray:
     return image.mean(axis=2) if image.ndim == 3 else image
 
 
-def _nearness(depth: np.ndarray) -> np.ndarray:
+def _inverse_distance(depth: np.ndarray) -> np.ndarray:
     """Return the inverse of depths from 0, as far as any, to 1."""
     known = np.isfinite(depth)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))

@@ -27,10 +27,10 @@ from ..errors import (
     short_repr,
 )
 from ..io.captures import MODELS
+from ..io.files import read_yaml
 from ..io.ground_truth import QUANTITIES, require_quantities
-from ..io.plain_data import read_yaml
 from ..presets import PRESETS
-from ..runtime.variant import DEFAULT_VARIANT
+from ..runtime.backend import DEFAULT_VARIANT
 from .generators import GENERATORS, Illumination, SceneGenerator
 
 MOST_COUNT = 10**6
@@ -353,15 +353,14 @@ def parse(name: str, value: Any) -> Any:
         )
         return OneOf(tuple(choices))
     require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
-    if "one_of" in value or not {"from", "to"} <= set(value):
-        raise InputError(
-            f"{name} = {short_repr(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}"
-        )
+    refuse_if(
+        "one_of" in value or not {"from", "to"} <= set(value),
+        f"{name} = {short_repr(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}",
+    )
     low, high = (require_number(f"{name}: {key}", value[key]) for key in ("from", "to"))
     refuse_if(not low < high, f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")
     log = require_choice(f"{name}: scale", value.get("scale", "linear"), _SCALES) == "log"
-    if log and low <= 0:
-        raise InputError(f"{name}: from = {low:g}: it must be greater than 0 on a scale of logarithms")
+    refuse_if(log and low <= 0, f"{name}: from = {low:g}: it must be greater than 0 on a scale of logarithms")
     step = require_number(f"{name}: step", value["step"], positive=True) if "step" in value else None
     if log and step is not None:
         raise InputError(f"{name}: step = {step:g}: it is of no use on a scale of logarithms")

@@ -285,8 +285,7 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
         infinite.
     """
     camera.require_lens("the range of depths")
-    z = camera.detector_distance
-    slack = _finest(camera, wavelength) / camera.lattice.aperture_width / z
+    slack = _finest(camera, wavelength) / camera.lattice.aperture_width / camera.detector_distance
     found: list[tuple[float, float] | None] = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         if focus == "unfocused":

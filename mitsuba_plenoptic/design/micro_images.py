@@ -8,7 +8,7 @@ import numpy as np
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import refuse_if
 from ..lenses.factory import main_lens
 from ..optics.phase import in_millimetres
 
@@ -115,11 +115,11 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
     """
     lenses, reach, smear = _crosstalk(camera)
     reach += beyond
-    if not lenses <= MOST_OVERLAP:
-        raise InputError(
-            f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
-            f"{MOST_OVERLAP} are followed"
-        )
+    refuse_if(
+        not lenses <= MOST_OVERLAP,
+        f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
+        f"{MOST_OVERLAP} are followed",
+    )
     return camera.lattice.neighbours(reach, smear)
 
 

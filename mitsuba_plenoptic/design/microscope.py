@@ -99,10 +99,10 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
     lens = _fourier(camera)
     growth = lens.magnification / lens.last_focal_length
     sine = growth * position / lens.immersion
-    if abs(sine) > math.sin(lens.half_angle):
-        raise InputError(
-            f"position = {position:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}"
-        )
+    refuse_if(
+        abs(sine) > math.sin(lens.half_angle),
+        f"position = {position:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}",
+    )
     return -camera.detector_distance * growth * math.tan(math.asin(sine))
 
 
@@ -132,5 +132,5 @@ def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None
 
 def _fourier(camera: PlenopticCamera) -> Objective:
     lens = objective_of(camera)
-    refuse_if(not lens.images_stop, "main_lens: arrangement = image: this is a number of the Fourier arrangement")
+    refuse_if(not lens.images_stop, "main_lens: arrangement = image: this is a quantity of the Fourier arrangement")
     return lens

@@ -15,8 +15,7 @@ from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
 from ..lightfield.grid_estimation import estimate_lens_grid
 from .light import View, check_views
-from .model import vector_of
-from .ray_model import RayModels, check_numbers
+from .model import RayModels, check_numbers, vector_of
 
 
 def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
@@ -37,26 +36,25 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     """
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
     shrunk = camera.pupil_distance / (camera.pupil_distance + camera.detector_distance)
-    middle = np.array(camera.resolution) / 2
-    place = (centres + camera.crop_offset - middle) * (camera.pixel_size * shrunk)
-    distance = np.hypot(*place.T)
+    position = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)
+    distance = np.hypot(*position.T)
     reach, found = 3 * max(camera.mla_pitches), camera
     while True:
         # From the axis outwards, so that errors of the start do not add up to whole lenses.
-        found = _fitted(found, place[distance <= reach])
+        found = _fitted(found, position[distance <= reach])
         if reach > distance.max():
             return found
         reach *= 1.5
 
 
-def _fitted(camera: PlenopticCamera, place: NDArray[np.float64]) -> PlenopticCamera:
+def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
     """Return the camera whose nearest lenses are at these positions."""
     lattice = camera.lattice
-    i, j = lattice.cell(*place.T)
+    i, j = lattice.cell(*position.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
     v = v * lattice.row_ratio
-    x, y = place.T
-    one, none = np.ones(len(place)), np.zeros(len(place))
+    x, y = position.T
+    one, none = np.ones(len(position)), np.zeros(len(position))
     # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
     ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
     for _ in range(8):
@@ -180,15 +178,15 @@ def _nearest(
     def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(gaussian_filter(images * used / brightest, blur, axes=(-2, -1)))
 
-    def camera_at(place: NDArray[np.float64]) -> PlenopticCamera:
-        return vector.at(start + place * unit)
+    def camera_at(step: NDArray[np.float64]) -> PlenopticCamera:
+        return vector.at(start + step * unit)
 
-    def residuals(place: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(step: NDArray[np.float64]) -> NDArray[np.float64]:
         count()
-        return blurred(models.images(camera_at(place)) - seen).ravel()
+        return blurred(models.images(camera_at(step)) - seen).ravel()
 
-    def jacobian(place: NDArray[np.float64]) -> NDArray[np.float64]:
-        slopes = models.at(camera_at(place)).derivatives(vector, seen) * unit[:, None, None, None]
+    def jacobian(step: NDArray[np.float64]) -> NDArray[np.float64]:
+        slopes = models.at(camera_at(step)).derivatives(vector, seen) * unit[:, None, None, None]
         return blurred(slopes).reshape(len(start), -1).T
 
     bounds = tuple((limit - start) / unit for limit in limits)

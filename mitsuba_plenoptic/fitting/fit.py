@@ -20,8 +20,7 @@ from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
 from .light import PixelNoise, Pixels, View, by_model, check_views
-from .model import Model, vector_of
-from .ray_model import RayModels, check_numbers
+from .model import RayModels, WaveModel, check_numbers, vector_of
 from .result import Fit, doubts, summary
 
 _ROUNDS = 2
@@ -99,8 +98,9 @@ def fit(
         camera.require_thin("cameras are fitted", "fit one behind a prescription")
     given = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
-    if default is None and any(view.noise is None for view in given):
-        raise InputError("photons: give them, or the noise of every view")
+    refuse_if(
+        default is None and any(view.noise is None for view in given), "photons: give them, or the noise of every view"
+    )
     vector = vector_of(camera, names)
     start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
     if model == "ray":
@@ -153,7 +153,7 @@ def fit(
     return found
 
 
-class _Model(Protocol):
+class Model(Protocol):
     """The captures of some views by a camera."""
 
     def images(self) -> NDArray[np.float64]:
@@ -165,10 +165,10 @@ class _Model(Protocol):
 
 def _model_of(
     model: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
-) -> Callable[[PlenopticCamera], _Model]:
+) -> Callable[[PlenopticCamera], Model]:
     """Return what makes the model of a camera near the first."""
     if require_choice("model", model, MODELS) == "wave":
-        return partial(Model, views=views, wavelength=wavelength, accuracy=accuracy)
+        return partial(WaveModel, views=views, wavelength=wavelength, accuracy=accuracy)
     refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by the wave model; leave it out")
     return RayModels(camera, views, wavelength).at
 
@@ -179,7 +179,7 @@ class _Trials:
     def __init__(
         self,
         vector: CameraVector,
-        model_of: Callable[[PlenopticCamera], _Model],
+        model_of: Callable[[PlenopticCamera], Model],
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self._vector, self._progress = vector, progress

@@ -16,9 +16,8 @@ from ..capture.render import chosen_integrator, plenoptic_sensor
 from ..capture.scene_light import SceneLight
 from ..capture.scene_points import find_points, require_matte
 from ..detector import require_demosaiced
-from ..errors import InputError, refuse_if, require_count, require_number
-from ..io.captures import Capture, as_array, require_pixels
-from ..io.raw import response_of
+from ..errors import InputError, put, refuse_if, require_count, require_number
+from ..io.captures import Capture, as_array, require_pixels, response_of
 from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera
 from ..runtime.backend import one_at_a_time
@@ -237,9 +236,7 @@ class View:
             )
         if self.saturation is not None:
             require_number("saturation", self.saturation, positive=True)
-        given = ("image", image), ("points", points), ("weights", weights), ("noise", noise), ("mask", mask)
-        for name, value in given:
-            object.__setattr__(self, name, value)
+        put(self, image=image, points=points, weights=weights, noise=noise, mask=mask)
 
     @property
     def used(self) -> NDArray[np.bool_]:

@@ -164,9 +164,8 @@ def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> 
             f"at a bound: {named}: the best camera may lie beyond it; its deviation is one-sided, and those of the "
             "others hold it there"
         )
-    off = abs(found.chi_square - 1)
     # Written so that NaN is also doubted.
-    if off <= _FAR * found.chi_square_deviation:
+    if abs(found.chi_square - 1) <= _FAR * found.chi_square_deviation:
         return
     hints = ""
     lit, modelled = (

@@ -1,19 +1,31 @@
-"""A capture: what a plenoptic camera's detector recorded, with the camera, on disk as OpenEXR."""
+"""Captures, what a plenoptic camera's detector recorded, with the camera: on disk as OpenEXR or as raw pictures.
+
+Raw pictures of 16 bits hold the digital numbers of a detector. TIFF (Adobe, "TIFF", revision 6.0) keeps all about them
+in the tag ImageDescription, PNG (W3C, "Portable Network Graphics", third edition) in a text chunk; other programs show
+the numbers and skip it.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, naming, refuse_if, require_choice, short_repr, suggest_keywords
+from ..errors import InputError, naming, put, refuse_if, require_choice, require_number, short_repr, suggest_keywords
+from ..runtime.limits import require_memory
 from .exr import read_exr, write_exr
+from .files import atomic_output, reading_as, require_file, require_writable
 
 MODELS = ("ray", "wave")
 
@@ -62,22 +74,24 @@ class Capture:
     def __post_init__(self) -> None:
         require_camera(self.camera)
         image = as_array("image", self.image)
-        if image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape:
-            raise InputError(
-                f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
-                f"{self.camera.shape[1]} columns"
-            )
+        refuse_if(
+            image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape,
+            f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
+            f"{self.camera.shape[1]} columns",
+        )
         channels = image.shape[2] if image.ndim == 3 else 1
         refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
-        object.__setattr__(self, "image", np.asarray(image, dtype=np.float32))
+        put(self, image=np.asarray(image, dtype=np.float32))
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
-            if len(self.wavelength) != channels:
-                raise InputError(f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels")
-            object.__setattr__(self, "wavelength", tuple(require_wavelength(value) for value in self.wavelength))
+            refuse_if(
+                len(self.wavelength) != channels,
+                f"wavelength = {short_repr(self.wavelength)}: the image has {channels} channels",
+            )
+            put(self, wavelength=tuple(require_wavelength(value) for value in self.wavelength))
         elif self.wavelength is not None:
-            object.__setattr__(self, "wavelength", require_wavelength(self.wavelength))
+            put(self, wavelength=require_wavelength(self.wavelength))
         if not isinstance(self.metadata, dict):
             raise InputError(f"metadata = {short_repr(self.metadata)}: it must be a dictionary")
         if self.noise is not None:
@@ -89,7 +103,7 @@ class Capture:
             require_pixels("noise", noise)
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
-            object.__setattr__(self, "noise", np.asarray(noise, dtype=np.float32))
+            put(self, noise=np.asarray(noise, dtype=np.float32))
 
     def __repr__(self) -> str:
         """Describe the capture in one line."""
@@ -111,7 +125,7 @@ class Capture:
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Return the array of something that should be one, of regular shape and of real numbers."""
+    """Return an array of real numbers, or refuse what is not a regular one."""
     try:
         array = np.asarray(values)
     except (TypeError, ValueError, OverflowError) as error:
@@ -121,7 +135,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def require_pixels(name: str, image: np.ndarray) -> None:
-    """Refuse an image with pixels that are not finite or of a magnitude above `BRIGHTEST`: how many, and the first."""
+    """Refuse an image with pixels that are not finite or exceed `BRIGHTEST` in magnitude: their count and the first."""
     # The largest and the smallest value show every NaN too, and cost far less than a test of each.
     if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
         return
@@ -142,17 +156,17 @@ def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -
     exposure = white.metadata.get("exposure")
     saturated = exposure.get("saturated_pixels", 0) if isinstance(exposure, dict) else 0
     pixels = math.prod(white.camera.shape)
-    if isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels:
-        raise InputError(
-            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}"
-        )
+    refuse_if(
+        isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
+        f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
+    )
     if not cameras or white.camera in cameras:
         return
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
-    number = next(number for number in {**ours, **theirs} if theirs.get(number) != ours.get(number))
+    name = next(name for name in {**ours, **theirs} if theirs.get(name) != ours.get(name))
     raise InputError(
-        f"white: its camera has {number} = {short_repr(theirs.get(number))}, that of the capture "
-        f"{short_repr(ours.get(number))}: it must be by the camera of the capture"
+        f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
+        f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
     )
 
 
@@ -176,8 +190,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     InputError
         If it is not a capture, its metadata are not plain data, or the file cannot be written.
     """
-    if not isinstance(capture, Capture):
-        raise InputError(f"capture of type {type(capture).__name__}: it must be a Capture")
+    refuse_if(not isinstance(capture, Capture), f"capture of type {type(capture).__name__}: it must be a Capture")
     camera = capture.camera
     attributes = {
         "kind": "capture",
@@ -205,10 +218,10 @@ def read_capture(path: str | Path) -> Capture:
     """
     image, noise, attributes = read_exr(path)
     with naming(path):
-        if attributes.get("kind") != "capture":
-            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not a capture")
-        if not isinstance(attributes.get("camera"), dict):
-            raise InputError("its header has no camera")
+        refuse_if(
+            attributes.get("kind") != "capture", f"it holds a {short_repr(attributes.get('kind'))}, not a capture"
+        )
+        refuse_if(not isinstance(attributes.get("camera"), dict), "its header has no camera")
         return Capture(
             image=image,
             camera=PlenopticCamera.from_dict(attributes["camera"]),
@@ -217,3 +230,139 @@ def read_capture(path: str | Path) -> Capture:
             metadata=attributes.get("metadata", {}),
             noise=noise,
         )
+
+
+RAW_SUFFIXES = (".png", ".tif", ".tiff")
+
+_KEY = "mitsuba_plenoptic"
+"""Name of the PNG chunk, and of the object in a TIFF's description."""
+
+_PIXEL_BYTES = 16.0
+
+
+def write_raw(path: str | Path, capture: Capture) -> None:
+    """Write what a detector has recorded as the digital numbers that it gave, in 16 bits.
+
+    Parameters
+    ----------
+    path : path
+        File to write; the name ends in ``.png``, ``.tif`` or ``.tiff``.
+    capture : Capture
+        What `expose` returned; a mosaic, or grey, or in TIFF files of three channels.
+
+    Raises
+    ------
+    InputError
+        If the capture was not exposed, its values are no digital numbers of its detector, a PNG would have three
+        channels, or the file cannot be written.
+    """
+    path = require_writable(path, *RAW_SUFFIXES)
+    numbers = digital_numbers(capture)
+    about = {
+        "kind": "raw",
+        "camera": capture.camera.to_dict(),
+        "wavelength": capture.wavelength,
+        "model": capture.model,
+        "metadata": capture.metadata,
+    }
+    text = json.dumps({_KEY: about})
+    if path.suffix.lower() == ".png":
+        refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
+        information = PngInfo()
+        information.add_text(_KEY, text)
+        with atomic_output(path) as temporary:
+            Image.fromarray(numbers).save(temporary, format="PNG", pnginfo=information)
+        return
+    with atomic_output(path) as temporary:
+        photometric = "rgb" if numbers.ndim == 3 else "minisblack"
+        tifffile.imwrite(temporary, numbers, photometric=photometric, description=text, metadata=None)
+
+
+def read_raw(path: str | Path) -> Capture:
+    """Read a capture that `write_raw` wrote: digital numbers, in the units of the capture that was exposed.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, or states no detector and camera, as those of other programs.
+    """
+    path = require_file(path)
+    numbers, text = _read(path)
+    try:
+        about = json.loads(text)[_KEY]
+        given = about["camera"], about["metadata"]["exposure"]
+        if not all(isinstance(part, dict) for part in given):
+            raise TypeError("camera and exposure are no objects")
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise InputError(f"{path}: it states no camera and detector; a raw picture needs its camera") from None
+    with naming(path):
+        return Capture(
+            image=_values(numbers, about["metadata"]["exposure"]),
+            camera=PlenopticCamera.from_dict(about["camera"]),
+            wavelength=about.get("wavelength"),
+            model=about.get("model", ""),
+            metadata=about["metadata"],
+        )
+
+
+def states_detector(path: str | Path) -> bool:
+    """Return whether a picture states its camera and detector, so that `read_raw` reads it."""
+    return f'"{_KEY}"' in _read(require_file(path))[1]
+
+
+def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
+    """Return the digital numbers that a detector gave for an exposed capture."""
+    exposure = capture.metadata.get("exposure")
+    if not isinstance(exposure, dict):
+        raise InputError("capture: no detector has recorded it; expose it first")
+    gain, black, dark, unit = response_of(exposure)
+    exact = (capture.image.astype(np.float64) * unit + dark) * gain + black
+    numbers = np.rint(exact)
+    # Single precision separates a number of 16 bits from its neighbours.
+    refuse_if(
+        np.abs(exact - numbers).max(initial=0) > 0.1 or numbers.min(initial=0) < 0 or numbers.max(initial=0) > 65535,
+        "capture: its values are no digital numbers of its detector; write it as .exr",
+    )
+    return numbers.astype(np.uint16)
+
+
+def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float32]:
+    gain, black, dark, unit = response_of(exposure)
+    return (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
+
+
+def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, from the record of `expose`."""
+    for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
+        refuse_if(name not in exposure, f"exposure: {name}: it is missing")
+    gain, efficiency, photons = (
+        require_number(name, exposure[name], positive=True) for name in ("gain", "quantum_efficiency", "photons")
+    )
+    black, dark = (require_number(name, exposure[name], minimum=0) for name in ("black_level", "dark_electrons"))
+    return gain, black, dark, efficiency * photons
+
+
+def _read(path: Path) -> tuple[NDArray[Any], str]:
+    """Return the pixels of a picture and its description."""
+    require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
+    with reading_as(path, "a picture"):
+        if path.suffix.lower() == ".png":
+            with Image.open(path, formats=["PNG"]) as picture:
+                require_memory(_PIXEL_BYTES * picture.width * picture.height, f"{path}: its pixels")
+                text = str(picture.info.get(_KEY, ""))
+                return np.asarray(picture), text
+        with tifffile.TiffFile(path) as file:
+            page = file.pages[0]
+            require_memory(_PIXEL_BYTES * page.size, f"{path}: its pixels")
+            return page.asarray(), str(page.description)
+
+
+def scaled_from(capture: Capture, black_level: float) -> Capture:
+    """Return a capture of values from 0 to 1, at 65535 digital numbers, scaled so that another number is black."""
+    black = require_number("black_level", black_level, minimum=0, maximum=65534) / 65535
+    return replace(capture, image=(capture.image - np.float32(black)) / np.float32(1 - black))

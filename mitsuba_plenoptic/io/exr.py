@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError, advice
+from ..errors import InputError, advice, refuse_if
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
 
@@ -125,14 +125,14 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     parts = read_parts(path)
     try:
         part, names = parts[0], _image_channels(parts[0])
-        if ATTRIBUTE not in part.header:
-            raise InputError(
-                f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-                + advice(
-                    python="read the pixels yourself, and give them with a camera",
-                    shell="write its pixels as .tiff, and give --camera",
-                )
-            )
+        refuse_if(
+            ATTRIBUTE not in part.header,
+            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
+            + advice(
+                python="read the pixels yourself, and give them with a camera",
+                shell="write its pixels as .tiff, and give --camera",
+            ),
+        )
         attributes = _attributes(part)
         layers = [names]
         if any(name.startswith(_NOISE) for name in part.channels):
@@ -202,7 +202,7 @@ def read_parts(path: Path) -> list[ExrPart]:
 
 
 def _require_small_header(path: Path) -> None:
-    """Refuse a file whose attributes are too large to be read whole; whether they are right is for OpenEXR to find."""
+    """Refuse a file whose header is too large to be read whole; OpenEXR finds whether it is correct."""
     with path.open("rb") as file:
 
         def text() -> bytes:
@@ -231,7 +231,7 @@ def _part(header: dict[str, Any]) -> ExrPart:
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
-    """Return the error for a file whose damage OpenEXR, JSON or NumPy found, by whatever type of exception."""
+    """Return the error for a damaged file, whichever exception OpenEXR, JSON or NumPy raised."""
     reason = str(error)
     if reason.startswith("Unable to open"):
         # What OpenEXR says of all files that are there but that it cannot make out.

@@ -1,4 +1,4 @@
-"""Files: read without noise, and written so that nothing half-written is left and nothing finished is lost."""
+"""Files: read within bounds on what they may claim, and written whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,14 +6,21 @@ import contextlib
 import errno
 import glob
 import io
+import math
 import os
+import re
 import shutil
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from ..errors import InputError, refuse_if, short_repr
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ..errors import InputError, refuse_if, require_module, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -42,10 +49,12 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that a file that is to be written is not one of those that are read, which it would replace."""
+    """Check that an output file is not also an input, which it would replace."""
     for source in sources:
-        if source is not None and path.exists() and source.exists() and path.samefile(source):
-            raise InputError(f"{path}: it is read, and would be lost; write to another file")
+        refuse_if(
+            source is not None and path.exists() and source.exists() and path.samefile(source),
+            f"{path}: it is read, and would be lost; write to another file",
+        )
 
 
 def require_different(*paths: Path | None) -> None:
@@ -63,8 +72,7 @@ def require_file(path: str | Path) -> Path:
         there, regular = path.exists(), path.is_file()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    if not regular:
-        raise InputError(f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
+    refuse_if(not regular, f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
     return path
 
@@ -120,6 +128,12 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
         raise InputError(f"{path}: it cannot be written: {cause}") from error
 
 
+def write_text(path: str | Path, text: str, *suffixes: str) -> None:
+    """Write a text file in UTF-8, whole or not at all."""
+    with atomic_output(path, *suffixes) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def remove_leftovers(path: str | Path) -> None:
     """Remove what `atomic_output` of the same file left behind in a process that was killed."""
     path = Path(path)
@@ -128,8 +142,19 @@ def remove_leftovers(path: str | Path) -> None:
 
 
 @contextlib.contextmanager
+def reading_as(path: Path, kind: str) -> Iterator[None]:
+    """Refuse a damaged file in one line, whichever type of exception a library raised."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: it cannot be read as {kind}: {error}") from None
+
+
+@contextlib.contextmanager
 def native_output_dropped() -> Iterator[None]:
-    """Drop what libraries in C++ print about damaged files, to Python's output and to the process's own.
+    """Suppress what C++ libraries print about damaged files, on Python's output and on the process's own.
 
     Their exceptions say it again.
     """
@@ -143,3 +168,108 @@ def native_output_dropped() -> Iterator[None]:
             for number, copy in saved:
                 os.dup2(copy, number)
                 os.close(copy)
+
+
+_LARGEST_YAML = 2**16
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as version 1.2 and JSON have it, without its common traps.
+
+    PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Names given twice, and
+    aliases, by which a small file grows endless, are refused.
+    """
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value]
+        for key in keys:
+            refuse_if(keys.count(key) > 1, f"{key} is given twice")
+        return super().construct_mapping(node, deep)
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        refuse_if(self.check_event(yaml.AliasEvent), "aliases (*name) are not allowed")
+        return super().compose_node(parent, index)
+
+
+# The scalars of the core schema of YAML 1.2 (section 10.3.2), without octal and hexadecimal numbers.
+_Loader.yaml_implicit_resolvers = {}
+for _kind, _pattern, _first in (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?[0-9]+", list("-+0123456789")),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", list("-+.0123456789")),
+    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.")),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(rf"^(?:{_pattern})$"), _first)
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))
+
+
+def read_yaml(path: str | Path) -> Any:
+    """Read a YAML or JSON file of at most 64 KiB, without aliases."""
+    text = read_text(path, _LARGEST_YAML)
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: it is not YAML: {' '.join(str(error).split())}") from None
+
+
+_LARGEST_TABLE = 2**22
+
+
+def read_table(path: str | Path) -> NDArray[np.float64]:
+    """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names."""
+    lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
+    if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
+        lines = lines[1:]
+    try:
+        rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
+    except ValueError as error:
+        raise InputError(f"{path}: it is no table of numbers: {error}") from None
+    refuse_if(not len(rows), f"{path}: it has no rows of numbers")
+    if not np.isfinite(rows).all():
+        row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
+    return np.asarray(rows)
+
+
+def _is_number(text: str) -> bool:
+    """Whether a cell is a number, or is meant to be one."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+# Chunks of arrays that are smaller than this may be larger than they are.
+_SMALL = 2**20
+
+
+def h5py_module(purpose: str) -> Any:
+    """Return the module h5py."""
+    return require_module("h5py", f"{purpose} needs the package h5py: pip install h5py")
+
+
+def stored_array(group: Any, name: str) -> Any:
+    """Return an HDF5 dataset of numbers by its name, or None if there is no such entry; links are refused.
+
+    HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
+    stranger that would read files of the user's.
+    """
+    h5py = h5py_module("HDF5")
+    refuse_if(not isinstance(group, h5py.Group), f"{name} is in no structure")
+    link = group.get(name, getlink=True)
+    if link is None:
+        return None
+    stored = group[name] if isinstance(link, h5py.HardLink) else None
+    if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
+        raise InputError(f"{name} is not an array in the file itself: links to other files are not followed")
+    refuse_if(stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8, f"{name} is not an array of numbers")
+    # A chunk is decompressed whole, however little of it the array uses.
+    refuse_if(
+        stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL,
+        f"{name} is stored in chunks of {stored.chunks}, larger than itself",
+    )
+    return stored

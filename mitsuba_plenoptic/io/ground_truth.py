@@ -135,11 +135,15 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
     """
     parts, attributes = read_exr_parts(path)
     with naming(path):
-        if attributes.get("kind") != "ground truth":
-            raise InputError(f"it holds a {short_repr(attributes.get('kind'))}, not ground truth")
+        refuse_if(
+            attributes.get("kind") != "ground truth",
+            f"it holds a {short_repr(attributes.get('kind'))}, not ground truth",
+        )
         camera = PlenopticCamera.from_dict(attributes.get("camera", {}))
-        if set(parts) != {_PIXELS, _VIEWS}:
-            raise InputError(f"its parts are {short_repr(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}")
+        refuse_if(
+            set(parts) != {_PIXELS, _VIEWS},
+            f"its parts are {short_repr(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}",
+        )
         sizes = attributes.get("views")
         if not isinstance(sizes, list) or len(sizes) != 4 or not all(isinstance(n, int) and n > 0 for n in sizes):
             raise InputError(f"views = {short_repr(sizes)}: they must be four numbers")
@@ -160,8 +164,10 @@ def _matrix(value: Any) -> np.ndarray:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         matrix = np.empty(0)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InputError(f"to_world = {short_repr(value)}: it must be 4 x 4 numbers")
+    refuse_if(
+        matrix.shape != (4, 4) or not np.isfinite(matrix).all(),
+        f"to_world = {short_repr(value)}: it must be 4 x 4 numbers",
+    )
     return matrix
 
 
@@ -169,13 +175,17 @@ def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.n
     """Undo `channel_planes`, for a scene of `shapes` shapes."""
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
-    if not names or set().union(*keys.values()) != set(planes):
-        raise InputError(f"its channels are {short_repr(sorted(planes))}: they must be whole quantities")
+    refuse_if(
+        not names or set().union(*keys.values()) != set(planes),
+        f"its channels are {short_repr(sorted(planes))}: they must be whole quantities",
+    )
     found = {
         name: np.stack([planes[key] for key in of_name], axis=-1) if len(of_name) > 1 else planes[of_name[0]]
         for name, of_name in keys.items()
     }
     index = found.get("shape_index")
-    if index is not None and not np.isin(index, np.arange(shapes + 1)).all():
-        raise InputError(f"its shape_index is not always a whole number from 0 to {shapes}")
+    refuse_if(
+        index is not None and not np.isin(index, np.arange(shapes + 1)).all(),
+        f"its shape_index is not always a whole number from 0 to {shapes}",
+    )
     return found

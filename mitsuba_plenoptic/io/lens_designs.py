@@ -53,9 +53,9 @@ class Line:
         self.refuse_if(not math.isfinite(value), f"value {index} must be a number")
         return value
 
-    def require_zero(self, rule: str, first: int = 1) -> None:
+    def require_zero(self, rule: str) -> None:
         """Refuse the command unless all its values are 0."""
-        self.refuse_if(any(self.value(index) for index in range(first, len(self.words))), rule)
+        self.refuse_if(any(self.value(index) for index in range(1, len(self.words))), rule)
 
 
 @dataclass

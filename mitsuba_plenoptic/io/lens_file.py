@@ -14,8 +14,7 @@ from ..lens_data import LensData, known_kind
 from ..objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
 from ..prescription import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
-from .files import atomic_output, require_file
-from .plain_data import read_yaml
+from .files import read_yaml, require_file, write_text
 from .zemax_file import read_zemax
 
 DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
@@ -73,7 +72,7 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
 
 
 def _is_there(path: Path) -> bool:
-    """Whether something has that name; text that can be no file's name is nothing's."""
+    """Whether a file of that name exists; False for text that cannot be the name of a file."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -81,7 +80,7 @@ def _is_there(path: Path) -> bool:
 
 
 def lens_from_plain(value: Any) -> LensData:
-    """Return the main lens of plain data, whose kind an entry marks: a prescription if there is no such entry."""
+    """Return the main lens of plain data: a prescription, unless an entry marks another kind."""
     return known_kind(value, Prescription).from_plain(value)
 
 
@@ -102,5 +101,4 @@ def write_prescription(path: str | Path, lens: Prescription) -> None:
     lens : Prescription
         The lens.
     """
-    with atomic_output(path, ".yaml", ".yml", ".json") as temporary:
-        temporary.write_text(yaml.safe_dump(lens.to_plain(), sort_keys=False), encoding="utf-8")
+    write_text(path, yaml.safe_dump(lens.to_plain(), sort_keys=False), ".yaml", ".yml", ".json")

@@ -113,8 +113,7 @@ class _ZemaxReader:
         first, *lens, image = self.surfaces
         if first.glass is not None:
             raise self.glasses[0].refused("air must precede the first surface")
-        if image.curvature:
-            raise InputError(f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
+        refuse_if(image.curvature, f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
         return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens)
 
     def _asphere(self, lines: list[Line]) -> list[float]:
@@ -143,8 +142,7 @@ class _ZemaxReader:
             kind not in (_FIXED, _PICKED_UP, _SUBSTITUTE),
             "only fixed, substitute, picked up and model glasses are read",
         )
-        where = f"{self.path}, line {line.number}: glass"
-        return catalogue_glass(name, where, self.makers or None)
+        return catalogue_glass(name, f"{self.path}, line {line.number}: glass", self.makers or None)
 
     def _header_mode(self, line: Line) -> None:
         line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")

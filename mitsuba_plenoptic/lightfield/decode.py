@@ -18,10 +18,7 @@ from ..runtime.limits import require_memory
 from .fourier_views import decode_views
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
-from .white import scaled_white, white_image
-
-# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
-MINIMUM_WEIGHT = 0.1
+from .white import divide_by_white, scaled_white, white_image
 
 
 @suggest_keywords
@@ -77,8 +74,10 @@ def decode(
     image, camera = _checked(capture, camera, grid)
     if camera is not None and camera.lens_data.images_stop:
         for name, given in (("grid", grid), ("truth", truth)):
-            if given is not None:
-                raise InputError(f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without")
+            refuse_if(
+                given is not None,
+                f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
+            )
         return decode_views(image, camera, objective_of(camera), None if white is None else _white(white, image))
     reference = _reference(image, camera, white, grid)
     if camera is not None:
@@ -94,8 +93,7 @@ def decode(
     if camera is None:
         fraction /= _brightness(fraction[half, half])
     divide_by_white(light, fraction, alone[:, :, None, None])
-    values = light if light.shape[-1] == 3 else light[..., 0]
-    lf = light_field(values, np.minimum(fraction, 1), camera, bins, lenses)
+    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(fraction, 1), camera, bins, lenses)
     return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
 
 
@@ -125,12 +123,11 @@ def _checked(
     image = _image("capture", capture)
     if camera is not None:
         require_camera(camera)
-    if grid is not None and not isinstance(grid, LensGrid):
-        raise InputError(f"grid = {short_repr(grid)}: it must be a LensGrid")
-    if camera is None and grid is None:
-        raise InputError(
-            "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image"
-        )
+    refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
+    refuse_if(
+        camera is None and grid is None,
+        "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image",
+    )
     if camera is not None and image.shape[:2] != camera.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
     return image, camera
@@ -156,13 +153,6 @@ def _reference(
         return _white(white, image)
     computed = white_image(camera, grid)
     return computed[..., None] if white is None else scaled_white(_white(white, image), computed, camera)
-
-
-def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray) -> None:
-    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little."""
-    fraction[(fraction < MINIMUM_WEIGHT) | ~alone] = 0
-    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
-    light[fraction == 0] = 0
 
 
 def _coordinates(
@@ -202,8 +192,10 @@ def _image(name: str, values: np.ndarray) -> np.ndarray:
 def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return a white capture in one channel, of the image's size."""
     reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
-    if reference.shape[:2] != image.shape[:2]:
-        raise InputError(f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}")
+    refuse_if(
+        reference.shape[:2] != image.shape[:2],
+        f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}",
+    )
     return np.asarray(reference)
 
 
@@ -215,7 +207,7 @@ def _brightness(middle: np.ndarray) -> np.float32:
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """How many views there are on either side of the central one, and which of them are of this lens alone.
+    """Return how many views lie on either side of the central one, and mark those that see this lens alone.
 
     The result has the shape (2 half + 1, 2 half + 1).
     """
@@ -260,8 +252,8 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
         for column in (np.floor(along), np.floor(along) + 1):
             weight = (1 - np.abs(y - row)) * (1 - np.abs(along - column))
             there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns) & (weight > 1e-9)
-            place = (row * columns + column)[there].astype(np.int64)
-            entries.append((weight[there].astype(np.float32), np.flatnonzero(there), place))
+            lens = (row * columns + column)[there].astype(np.int64)
+            entries.append((weight[there].astype(np.float32), np.flatnonzero(there), lens))
     weight, target, source = (np.concatenate(parts) for parts in zip(*entries, strict=True))
     return scipy.sparse.csr_array((weight, (target, source)), shape=(dx.size, rows * columns))
 

@@ -76,13 +76,13 @@ def demosaic(
     if capture.image.ndim != 2:
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
     known = mosaic_of(capture)
-    if mosaic is None and known is None:
-        raise InputError(f"mosaic = None: the capture does not state it; give {argument('mosaic')}")
+    refuse_if(
+        mosaic is None and known is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
+    )
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
     if method == "plain":
-        if white is not None:
-            raise InputError("white: method plain does not take it; it is for micro-images")
+        refuse_if(white is not None, "white: method plain does not take it; it is for micro-images")
         certainty = np.ones((*camera.shape, 3), np.float32)
         lenses = np.zeros(camera.shape, np.int64)
     else:
@@ -145,10 +145,9 @@ def _interpolate(
             weight[(*here, channel)] += seen * certainty[(*there, channel)]
     known = weight > _LIT * certainty.max(initial=0)
     result = np.where(known, certainty * light / np.where(known, weight, 1), 0)
-    recorded = own[..., None] == np.arange(3)
-    return np.asarray(np.where(recorded, image[..., None], result), np.float32)
+    return np.asarray(np.where(own[..., None] == np.arange(3), image[..., None], result), np.float32)
 
 
 def _window(size: int, step: int) -> slice:
-    """Return the part of an axis that stays on it when it is shifted by -step."""
+    """Return the slice of an axis whose samples stay on it when they are shifted by -step."""
     return slice(max(0, step), size + min(0, step))

@@ -17,18 +17,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..lenses.factory import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
-from .geometry import CHANNELS, DIMS
-from .white import white_radiance
+from .geometry import DIMS, labelled
+from .white import MINIMUM_WEIGHT, divide_by_white, white_radiance
 
-MINIMUM_WEIGHT = 0.1
-"""Fraction of a lens within the image of the stop below which its picture is left out."""
-
-_PLACES = 64
-"""Places along a lens at which the stop is looked up."""
+_SAMPLES = 64
+"""Positions along a lens at which the stop is looked up."""
 
 _SAME = 1e-6
 """Fraction of a pitch by which columns of lenses may differ that are one."""
@@ -38,7 +35,7 @@ _SAME = 1e-6
 class LensViews:
     """The lenses of a Fourier microscope whose pictures are views, on a grid of columns and rows."""
 
-    # Places of the columns and rows on the array in millimetres, rising; (columns,).
+    # Positions of the columns and rows on the array in millimetres, rising; (columns,).
     across: NDArray[np.float64]
     down: NDArray[np.float64]
     # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
@@ -57,11 +54,10 @@ class LensViews:
             "of the detector; turn the array by a whole number of right angles",
         )
         half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
-        if min(half) < 1:
-            raise InputError(f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
+        refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
         reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
-        numbers = lattice.lenses_within((-reach, -reach), (reach, reach))
-        x, y = (np.asarray(values, np.float64) for values in lattice.centre(*numbers.T.astype(np.float64)))
+        lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
+        x, y = (np.asarray(values, np.float64) for values in lattice.centre(*lenses.T.astype(np.float64)))
         fraction = _in_stop(camera, lens, x, y)
         seen = fraction >= MINIMUM_WEIGHT
         refuse_if(not seen.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
@@ -94,28 +90,20 @@ def decode_views(
         weight = _sampled(white, camera, views)[..., 0]
         radius = np.hypot(views.across, views.down[:, None]).ravel()
         weight /= white_radiance(weight.sum(axis=(2, 3)).reshape(-1, 1), computed, radius)
-    weight[weight < MINIMUM_WEIGHT] = 0
-    np.divide(values, weight[..., None], out=values, where=weight[..., None] > 0)
-    values[weight == 0] = 0
+    divide_by_white(values, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}
-    for name, places, axis in (("u", views.across, "x"), ("v", views.down, "y")):
-        coordinates[name] = (name, scale * places, {"units": "mm", "long_name": f"{axis} on the stop"})
+    for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
+        coordinates[name] = (name, scale * positions, {"units": "mm", "long_name": f"{axis} on the stop"})
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
         steps = np.arange(half, -half - 1, -1) * camera.bin_size(0)
         coordinates[name] = (name, steps, {"units": "mm", "long_name": f"{axis} in the native object plane"})
-    dims: tuple[str, ...] = DIMS
-    if image.shape[2] == 3:
-        dims = (*DIMS, "c")
-        coordinates["c"] = ("c", list(CHANNELS))
-    else:
-        values = values[..., 0]
     attributes = {"camera": json.dumps(camera.to_dict())}
-    return xr.DataArray(values, dims=dims, coords=coordinates, name="radiance", attrs=attributes)
+    return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
 
 
 def _room(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return width and height of a rectangle about each lens's centre that those of its neighbours do not meet."""
+    """Return the width and height of a rectangle about each lens's centre that overlaps none of its neighbours'."""
     lattice = camera.lattice
     along, across = float(lattice.pitches[0]), float(lattice.row_distance)
     upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
@@ -125,11 +113,10 @@ def _room(camera: PlenopticCamera) -> tuple[float, float]:
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return for lenses at some positions the light that their apertures get, over that of an even stop."""
+    """Return the light that the apertures of lenses at some positions receive, relative to that of an even stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
-    step = 2 * reach / _PLACES
-    offset = (np.arange(_PLACES) + 0.5) * step - reach
+    offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
     dx, dy = (values.ravel() for values in np.meshgrid(offset, offset))
     inside = np.asarray(lattice.in_aperture(dx, dy), bool)
     dx, dy = dx[inside], dy[inside]
@@ -137,20 +124,20 @@ def _in_stop(
     # The mean power over the stop is 1.
     mean = stop.passed_power / (math.pi * stop.pupil_radius**2)
     found = np.empty(len(x), np.float32)
-    for number, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
+    for index, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
         pupil = (cx + dx) * growth, (cy + dy) * growth
         power = np.where(stop.inside(pupil) >= 0, stop.amplitude(pupil, (0.0, 0.0, 0.0)) ** 2, 0)
-        found[number] = power.mean() / mean
+        found[index] = power.mean() / mean
     return found
 
 
-def _lines(places: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct positions, rising, and the number of each one's."""
-    order = np.argsort(places)
-    number = np.cumsum(np.diff(places[order], prepend=-np.inf) > tolerance) - 1
-    result = np.empty(len(places), np.int64)
-    result[order] = number
-    lines = np.array([places[order][number == line].mean() for line in range(int(number[-1]) + 1)])
+def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the distinct positions, rising, and the index of each among them."""
+    order = np.argsort(positions)
+    line_of = np.cumsum(np.diff(positions[order], prepend=-np.inf) > tolerance) - 1
+    result = np.empty(len(positions), np.int64)
+    result[order] = line_of
+    lines = np.array([positions[order][line_of == line].mean() for line in range(int(line_of[-1]) + 1)])
     return lines, result
 
 
@@ -163,9 +150,9 @@ def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensVie
     for row, column in np.argwhere(views.fraction > 0).tolist():
         picked: NDArray[np.float32] = padded
         for axis, centre in ((0, views.down[row]), (1, views.across[column])):
-            place = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
-            low = math.floor(place)
-            part = np.float32(place - low)
+            position = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
+            low = math.floor(position)
+            part = np.float32(position - low)
             index = low + np.arange(-half[1 - axis], half[1 - axis] + 2) + 1
             lines = np.take(picked, index.clip(0, padded.shape[axis] - 1), axis)
             first, second = (np.take(lines, np.arange(len(index) - 1) + step, axis) for step in (0, 1))

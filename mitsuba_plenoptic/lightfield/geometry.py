@@ -89,16 +89,19 @@ def light_field(
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
         coordinates[spatial] = (spatial, *_object_coordinate(lens_places(camera, bins, axis), camera, "xy"[axis]))
-    dims: tuple[str, ...] = DIMS
-    if values.ndim == 5:
-        dims = (*DIMS, "c")
-        coordinates["c"] = ("c", list(CHANNELS))
     attributes = {}
     if camera is not None:
         attributes["camera"] = json.dumps(camera.to_dict())
     if lenses is not None:
         attributes["grid"] = json.dumps(asdict(lenses))
-    return xr.DataArray(values, dims=dims, coords=coordinates, name="radiance", attrs=attributes)
+    return labelled(values, coordinates, attributes)
+
+
+def labelled(values: np.ndarray, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
+    """Return radiance (v, u, t, s[, 3]) with its coordinates and attributes."""
+    colours = {"c": ("c", list(CHANNELS))} if values.ndim == 5 else {}
+    dims = (*DIMS, *colours)
+    return xr.DataArray(values, dims=dims, coords=coordinates | colours, name="radiance", attrs=attributes)
 
 
 def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
@@ -109,8 +112,7 @@ def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
 
 def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
     """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
-    size = bins.shape[1 - axis]
-    pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(size) + camera.crop_offset[axis]
+    pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
     return np.asarray(rays.chief_point(p, camera.mla_distance, camera.detector_distance))
 
@@ -168,8 +170,10 @@ def require_light_field(lf: Any) -> xr.DataArray:
     InputError
         If it is not a DataArray of finite numbers with the dimensions v, u, t, s and the coordinate `weight`.
     """
-    if not isinstance(lf, xr.DataArray):
-        raise InputError(f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives")
+    refuse_if(
+        not isinstance(lf, xr.DataArray),
+        f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives",
+    )
     refuse_if(
         lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords,
         f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight",

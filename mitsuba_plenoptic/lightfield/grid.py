@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
-from ..errors import refuse_if, require_count, require_number, require_pair
+from ..errors import put, refuse_if, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
 
@@ -58,16 +58,20 @@ class LensGrid:
     shifted_rows: int | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        x_and_y = "(along a row, between rows)"
-        put("spacing", tuple(_spacing(value) for value in require_pair("spacing", self.spacing, x_and_y)))
-        put("offset", tuple(_offset(value) for value in require_pair("offset", self.offset, "(column, row)")))
-        put("shape", tuple(_count(value) for value in require_pair("shape", self.shape, "(rows, columns)")))
-        put("rotation", require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau))
+        spacing = require_pair("spacing", self.spacing, "(along a row, between rows)")
+        offset = require_pair("offset", self.offset, "(column, row)")
+        shape = require_pair("shape", self.shape, "(rows, columns)")
+        put(
+            self,
+            spacing=tuple(
+                require_number("spacing", each, positive=True, minimum=1e-3, maximum=1e6) for each in spacing
+            ),
+            offset=tuple(require_number("offset", each, minimum=-1e9, maximum=1e9) for each in offset),
+            shape=tuple(require_count("shape", each, maximum=MOST_PIXELS) for each in shape),
+            rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
+        )
         if self.shifted_rows is not None:
-            put("shifted_rows", require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
+            put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
     @property
     def pitch(self) -> float:
@@ -99,18 +103,6 @@ class LensGrid:
         )
 
 
-def _spacing(value: Any) -> float:
-    return require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6)
-
-
-def _offset(value: Any) -> float:
-    return require_number("offset", value, minimum=-1e9, maximum=1e9)
-
-
-def _count(value: Any) -> int:
-    return require_count("shape", value, maximum=MOST_PIXELS)
-
-
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
     """Return the centres on the detector of the bins that a light field of this camera has: square and upright.
 
@@ -123,8 +115,7 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     start, count = [], []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, bins in enumerate(camera.bin_count):
-        centre = (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch
-        pixel = _pixel(camera, centre, axis)
+        pixel = _pixel(camera, (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch, axis)
         if camera.crop_size[axis] != camera.resolution[axis]:
             pixel = pixel[(pixel >= 0) & (pixel <= camera.crop_size[axis])]
         refuse_if(not pixel.size, f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import scipy.ndimage
@@ -24,7 +25,7 @@ _CONTRAST = 20
 _FIRST_REACH = 4
 _REPEATS = 12
 
-# Ways to lay rows through the lattice count as the same if they part by no more of a lens at the image's corners.
+# Directions of rows through the lattice count as the same if they part by no more of a lens at the image's corners.
 _SAME = 0.02
 
 # Micro-images measured at once.
@@ -90,7 +91,7 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     half_plane = (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
     peak[[0, -1]] = peak[:, [0, -1]] = False
     found = np.argwhere(peak & half_plane)
-    frequencies = np.array([_refined(spectrum, place) - middle for place in found]).reshape(-1, 2)
+    frequencies = np.array([_refined(spectrum, position) - middle for position in found]).reshape(-1, 2)
     frequencies = frequencies[:, ::-1] / [width, height]
     frequencies = frequencies[np.argsort((frequencies**2).sum(1))]
     for second in frequencies[1:]:
@@ -110,12 +111,12 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vectors, origin + steps @ vectors
 
 
-def _refined(spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Place of a peak between samples, by a parabola through the logarithm."""
-    result = place.astype(np.float64)
+def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Position of a peak between samples, by a parabola through the logarithm."""
+    result = position.astype(np.float64)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]
-        before, at, after = (math.log(max(spectrum[tuple(place + k * step)], 1e-300)) for k in (-1, 0, 1))
+        before, at, after = (math.log(max(spectrum[tuple(position + k * step)], 1e-300)) for k in (-1, 0, 1))
         bend = before - 2 * at + after
         result[axis] += 0.5 * (before - after) / bend if bend < 0 else 0
     return result
@@ -158,20 +159,33 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
 
 def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Centroid and brightness of the image within a disc about each centre, over the darkest in it."""
-    half = math.ceil(radius) + 1
+    patches = pixels_around(image, centres, math.ceil(radius) + 1)
+    return centroids(patches, centres, lambda distance: (radius + 0.5 - distance).clip(0, 1))
+
+
+def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the columns (n, k) and the rows (n, k) of the pixels about each centre, and their values (n, k, k)."""
     window = np.arange(-half, half + 1)
     base = np.floor(centres).astype(np.int64)
     x, y = (base[:, axis, None] + window for axis in (0, 1))
     rows, columns = image.shape
-    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]].astype(np.float64)
+    patch = image[y.clip(0, rows - 1)[:, :, None], x.clip(0, columns - 1)[:, None, :]]
+    return x, y, patch.astype(np.float64, copy=False)
+
+
+def centroids(
+    patches: tuple[np.ndarray, np.ndarray, np.ndarray],
+    centres: np.ndarray,
+    weight_at: Callable[[np.ndarray], np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centroids and the brightness of patches, over the darkest in them, weighted by the distance."""
+    x, y, patch = patches
     dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
-    disc = (radius + 0.5 - np.hypot(dx[:, None, :], dy[:, :, None])).clip(0, 1)
-    patch -= np.where(disc > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)
-    patch *= disc
-    light = patch.sum(axis=(1, 2))
-    safe = np.where(light > 0, light, 1)
-    shift = np.stack([(patch.sum(1) * dx).sum(1), (patch.sum(2) * dy).sum(1)], axis=1) / safe[:, None]
-    return centres + shift, light
+    weight = weight_at(np.hypot(dx[:, None, :], dy[:, :, None]))
+    lit = (patch - np.where(weight > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)) * weight
+    light = lit.sum(axis=(1, 2))
+    shift = np.stack([(lit.sum(1) * dx).sum(1), (lit.sum(2) * dy).sum(1)], axis=1)
+    return centres + shift / np.where(light > 0, light, 1)[:, None], light
 
 
 def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
-from ..errors import InputError, suggest_keywords
+from ..errors import refuse_if, suggest_keywords
 from ..io.ground_truth import QUANTITIES, GroundTruth, require_quantities
 from ..runtime.backend import one_at_a_time
 from ..runtime.limits import require_memory
@@ -34,16 +34,18 @@ class FirstHits:
         # What to find, of `QUANTITIES`.
         names: Sequence[str],
     ) -> None:
-        if mi.is_spectral and "albedo" in names:
-            raise InputError(f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant")
+        refuse_if(
+            mi.is_spectral and "albedo" in names,
+            f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant",
+        )
         self._scene, self._names = scene, names
         world = sensor.world_transform()
         self._origin, self._axis = world @ mi.Point3f(0, 0, 0), world @ mi.Vector3f(0, 0, 1)
         self._albedo = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
         self._sampler = mi.load_dict({"type": "independent"})
-        numbers = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
-        self._index = np.zeros(numbers.max(initial=0) + 1, np.float32)
-        self._index[numbers] = np.arange(1, len(numbers) + 1)
+        registered = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+        self._index = np.zeros(registered.max(initial=0) + 1, np.float32)
+        self._index[registered] = np.arange(1, len(registered) + 1)
 
     def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
         """Trace rays, and return float32 arrays (count[, 3]) by name."""
@@ -76,8 +78,8 @@ class FirstHits:
         if "shape_index" in self._names:
             # What is placed by an instance is that instance.
             placed = dr.reinterpret_array(mi.UInt32, hit.instance)
-            number = dr.select(placed != 0, placed, dr.reinterpret_array(mi.UInt32, hit.shape))
-            found["shape_index"] = dr.gather(mi.Float, mi.Float(self._index), number, met)
+            shape = dr.select(placed != 0, placed, dr.reinterpret_array(mi.UInt32, hit.shape))
+            found["shape_index"] = dr.gather(mi.Float, mi.Float(self._index), shape, met)
         dr.eval(found)
         return {name: values.numpy().T for name, values in found.items()}
 
@@ -119,28 +121,28 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     half, _ = view_window(camera, lens_grid(camera))
     sizes = (2 * half + 1, 2 * half + 1, *bins.shape)
     rows, columns = camera.shape
-    numbers = sum(len(QUANTITIES[name]) for name in names)
+    values = sum(len(QUANTITIES[name]) for name in names)
     require_memory(
-        8.0 * numbers * (rows * columns + math.prod(sizes)),
+        8.0 * values * (rows * columns + math.prod(sizes)),
         f"ground truth of {columns} x {rows} pixels and {sizes[1]} x {sizes[0]} views",
     )
     hits = FirstHits(scene, chosen, names)
 
-    def of_pixels(number: Any) -> tuple[Any, Any]:
-        row = number // columns
-        place = mi.Point2f((number - row * columns + 0.5) / columns, (row + 0.5) / rows)
-        return chosen.chief_ray(place)
+    def of_pixels(index: Any) -> tuple[Any, Any]:
+        row = index // columns
+        position = mi.Point2f((index - row * columns + 0.5) / columns, (row + 0.5) / rows)
+        return chosen.chief_ray(position)
 
     pupil = mi.Float(pupil_places(camera, sizes[0]))
     across, down = (mi.Float(lens_places(camera, bins, axis)) for axis in (0, 1))
 
-    def of_views(number: Any) -> tuple[Any, Any]:
-        places = []
+    def of_views(index: Any) -> tuple[Any, Any]:
+        found = []
         for size, coordinates in zip(sizes[::-1], (across, down, pupil, pupil), strict=True):
-            rest = number // size
-            places.append(dr.gather(mi.Float, coordinates, number - rest * size))
-            number = rest
-        s, t, u, v = places
+            rest = index // size
+            found.append(dr.gather(mi.Float, coordinates, index - rest * size))
+            index = rest
+        s, t, u, v = found
         return chosen.pupil_ray((u, v), (s, t))
 
     pixels, views = hits.along(of_pixels, rows * columns), hits.along(of_views, math.prod(sizes))

@@ -16,9 +16,10 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if
 from ..io.captures import Capture
 from ..runtime.limits import require_memory
-from .decode import checked_images, divide_by_white, sample_lenses, view_window
+from .decode import checked_images, sample_lenses, view_window
 from .geometry import camera_of, grid_of, view_steps
 from .grid import LensGrid, bin_grid, lens_grid, lens_types
+from .white import divide_by_white
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +33,9 @@ class MicroImages:
     weight : (rows, columns, v, u) float32 array
         Fraction of the sample that sees through the pupil.
     grid : LensGrid
-        Places of the micro-images on the recorded image.
+        Positions of the micro-images on the recorded image.
     bins : LensGrid
-        Places of the bins of the light field of the same capture.
+        Positions of the bins of the light field of the same capture.
     camera : PlenopticCamera
         The camera.
     """
@@ -82,8 +83,10 @@ def micro_images(
     image, reference, known = checked_images(capture, camera, white, grid)
     if known is None:
         raise InputError("camera = None: of micro-images the camera must be known")
-    if known.lens_data.images_stop:
-        raise InputError("camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode")
+    refuse_if(
+        known.lens_data.images_stop,
+        "camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode",
+    )
     lenses = grid or lens_grid(known)
     half, alone = view_window(known, lenses)
     size = math.prod(lenses.shape) * (2 * half + 1) ** 2
@@ -97,14 +100,14 @@ def micro_images(
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:
-    """Return the micro-images that a light field consists of, which those of upright square lattices do."""
+    """Return the micro-images of a light field that was decoded without interpolation between lenses."""
     camera = camera_of(lf)
     bins = bin_grid(camera)
-    if (grid_of(lf) or lens_grid(camera)) != bins:
-        raise InputError(
-            "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
-            f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}"
-        )
+    refuse_if(
+        (grid_of(lf) or lens_grid(camera)) != bins,
+        "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
+        f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}",
+    )
     for axis in ("v", "u"):
         steps = view_steps(lf, axis)
         refuse_if(

@@ -98,7 +98,7 @@ def focal_stack(
     distances : sequence of floats
         Object distances in millimetres.
     progress : callable, optional
-        Called with the distances done and their number.
+        Called with the distances done and how many there are.
 
     Returns
     -------

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, require_choice, require_count, require_number, suggest_keywords
+from ..errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from .geometry import require_light_field
 
 AXES = ("horizontal", "vertical")
@@ -113,11 +113,11 @@ def epipolar_image(
     axis : {"horizontal", "vertical"}
         Direction of both lines: along u and s, or along v and t.
     at : float, optional
-        Place of the line in the field: t of a horizontal, s of a vertical one; the nearest line is taken. Default: the
-        one nearest to the axis.
+        Position of the line in the field: t of a horizontal, s of a vertical one; the nearest line is taken. Default:
+        the one nearest to the axis.
     through : float, optional
-        Place of the line on the pupil: v of a horizontal, u of a vertical one; the nearest line is taken. Default: the
-        one nearest to the pupil's middle.
+        Position of the line on the pupil: v of a horizontal, u of a vertical one; the nearest line is taken. Default:
+        the one nearest to the pupil's middle.
 
     Returns
     -------
@@ -135,10 +135,10 @@ def epipolar_image(
     return _nearest(lf, **{field: ("at", at), pupil: ("through", through)})
 
 
-def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArray:
+def _nearest(lf: xr.DataArray, **positions: tuple[str, float | None]) -> xr.DataArray:
     """Return the samples nearest to positions on axes, named as in messages; None: nearest to the middle."""
-    wanted = dict.fromkeys(places, 0.0)
-    for axis, (name, value) in places.items():
+    wanted = dict.fromkeys(positions, 0.0)
+    for axis, (name, value) in positions.items():
         if value is None:
             continue
         wanted[axis] = require_number(name, value)
@@ -148,6 +148,8 @@ def _nearest(lf: xr.DataArray, **places: tuple[str, float | None]) -> xr.DataArr
         low, high = samples[0] - reach, samples[-1] + reach
         # Rounding must not refuse the border itself.
         margin = 1e-6 * reach if math.isfinite(reach) else 0.0
-        if not low - margin <= wanted[axis] <= high + margin:
-            raise InputError(f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there")
+        refuse_if(
+            not low - margin <= wanted[axis] <= high + margin,
+            f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there",
+        )
     return lf.sel(wanted, method="nearest")

@@ -10,11 +10,14 @@ import numpy as np
 from scipy.stats import qmc
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..optics import rays
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
 from .grid import LensGrid, lens_numbers, lens_types, micro_image_centres
+
+# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
+MINIMUM_WEIGHT = 0.1
 
 # Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
 _SAMPLES = 16
@@ -28,7 +31,7 @@ class PupilFraction:
     r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
-    place moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
+    position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
     the pupil's disc covers is averaged over the lens's aperture: what the pixel reads of a scene of uniform radiance 1.
     """
 
@@ -50,8 +53,8 @@ class PupilFraction:
         self._step = camera.pupil_step / samples
         lens = camera.lattice.aperture_image(self._step, smear)
         half = math.ceil(camera.aperture_radius / self._step + samples) + lens.shape[0] // 2
-        place = np.arange(-half, half + 1) / samples
-        disc = _square_in_disc(place, place[:, None], camera.aperture_radius / camera.pupil_step)
+        axis = np.arange(-half, half + 1) / samples
+        disc = _square_in_disc(axis, axis[:, None], camera.aperture_radius / camera.pupil_step)
         fraction = blur(disc, lens)
         # The rounding of the transform is not light.
         self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
@@ -59,15 +62,15 @@ class PupilFraction:
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fraction for pixels that see the place (x, y) of the pupil plane through their lens's centre."""
+        """Return the fraction for pixels that see (x, y) in the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
         fx, fy = ((axis - base).clip(0, 1).astype(np.float32) for axis, base in ((x, column), (y, row)))
         table, size = self._table.ravel(), self._table.shape[1]
-        place = row * size + column
-        low = table[place] * (1 - fx) + table[place + 1] * fx
-        return low * (1 - fy) + (table[place + size] * (1 - fx) + table[place + size + 1] * fx) * fy
+        index = row * size + column
+        low = table[index] * (1 - fx) + table[index + 1] * fx
+        return low * (1 - fy) + (table[index + size] * (1 - fx) + table[index + size + 1] * fx) * fy
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
@@ -147,11 +150,11 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         # Those whose micro-image reaches the detector.
         centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
     work = float(len(centres)) * (2 * half + 1) ** 2
-    if not work <= _MOST_WORK:
-        raise InputError(
-            f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
-            f"{len(centres)} lenses are up to {2 * half + 1} pixels wide"
-        )
+    refuse_if(
+        not work <= _MOST_WORK,
+        f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
+        f"{len(centres)} lenses are up to {2 * half + 1} pixels wide",
+    )
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
@@ -169,9 +172,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
         keep &= fraction > 0
-        place = (down * image.shape[1] + across)[keep]
-        first = place.min(initial=image.size)
-        added = np.bincount(place - first, weights=fraction[keep])
+        index = (down * image.shape[1] + across)[keep]
+        first = index.min(initial=image.size)
+        added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
     return image[half : half + rows, half : half + columns]
 
@@ -180,7 +183,7 @@ def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamer
     """Scale a recorded white image to a radiance of 1, and refuse one that does not fill the view.
 
     Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
-    captures by waves this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
 
     Shapes: `white` (rows, columns, channels), `computed` (rows, columns); the result (rows, columns, channels).
     """
@@ -234,6 +237,16 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     return np.asarray(np.where(other, radiance, 1))
 
 
+def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
+    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+
+    So they do where a sample is not of one lens `alone`.
+    """
+    fraction[(fraction < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
+    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
+    light[fraction == 0] = 0
+
+
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
     """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
     refuse_if(fraction < least, f"{text}: {rule}")
@@ -242,19 +255,19 @@ def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to the light of a lens on the axis, which computed white images leave out."""
+    """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
     if not camera.pixel_response:
         return 1.0
     s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
-    place = camera.micro_image_diameter / 2 * np.sqrt(u)
+    distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
-    across = np.hypot(place * np.cos(2 * np.pi * v) - x, place * np.sin(2 * np.pi * v) - y)
+    across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
     angle = np.degrees(np.arctan(across / camera.detector_distance))
     return float(np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2]).mean())
 
 
 class _Fractions:
-    """The `PupilFraction` of lenses of all types and heights."""
+    """`PupilFraction` for lenses of all types and heights."""
 
     def __init__(self, camera: PlenopticCamera) -> None:
         self._camera = camera
@@ -271,7 +284,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return by how much the lenses of micro-images (n, 2) stand nearer to the main lens than one on the axis."""
+        """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
@@ -282,8 +295,8 @@ class _Fractions:
         """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
         fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
         kinds, which = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
-        for number, (kind, level) in enumerate(kinds.T.astype(int)):
-            mine = which.ravel() == number
+        for index, (kind, level) in enumerate(kinds.T.astype(int)):
+            mine = which.ravel() == index
             fraction[mine] = self._table(kind, level)(x[mine, None, :], y[mine, :, None])
         return fraction
 

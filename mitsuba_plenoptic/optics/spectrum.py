@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..errors import InputError, require_count, require_number, suggest_keywords
-from ..io.plain_data import read_table
+from ..io.files import read_table
 
 MOST_WAVELENGTHS = 1024
 """Largest number of wavelengths of a spectrum."""

@@ -25,7 +25,7 @@ Gradient = dict[str, NDArray[np.float64]]
 
 
 class Spreads:
-    """The point spreads of points that a figure looks at, each by itself."""
+    """The point spreads of the points of a figure, each computed by itself."""
 
     def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
@@ -62,15 +62,14 @@ class Spreads:
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera with other parameters that a figure holds."""
+    """Refuse a camera that differs in a parameter that a figure holds."""
     mine, its = camera.to_dict(), other.to_dict()
     for name in held:
-        if mine[name] != its[name]:
-            raise InputError(f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
+        refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
 
 
 VARYING = ("mla_focal_length", "mla_fill", "wavefront")
-"""Numbers that refocusing by rays does without."""
+"""Parameters on which refocusing by rays does not depend."""
 
 
 class RefocusedContrast:
@@ -117,13 +116,14 @@ class RefocusedContrast:
         self._camera, self._spreads = camera, Spreads(points, wavelength, accuracy, method)
         count = require_count("oversample", oversample)
         given = [require_number("frequencies", frequency, positive=True) for frequency in frequencies]
-        if not given or max(given) > count / 2:
-            raise InputError(f"frequencies = {tuple(given)}: give some, at most {count / 2:g}, half of oversample")
+        refuse_if(
+            not given or max(given) > count / 2,
+            f"frequencies = {tuple(given)}: give some, at most {count / 2:g}, half of oversample",
+        )
         self._refocus = [RayRefocus(camera, g, oversample=count) for g in self._spreads.points[:, 2].tolist()]
         waves = []
         for size in reversed(camera.bin_count):
-            place = (np.arange(size * count) + 0.5) / count
-            waves.append(np.exp(-2j * np.pi * np.array(given)[:, None] * place))
+            waves.append(np.exp(-2j * np.pi * np.array(given)[:, None] * ((np.arange(size * count) + 0.5) / count)))
         self._along_y, self._along_x = waves
 
     def value(self, camera: PlenopticCamera) -> float:
@@ -138,7 +138,7 @@ class RefocusedContrast:
         camera : PlenopticCamera
             The camera.
         names : iterable of str
-            The numbers.
+            The parameters.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class RefocusedContrast:
     def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Return the mean contrast, and its gradient by the spreads."""
         total, gradients = 0.0, []
-        number = len(images) * (len(self._along_x) + len(self._along_y))
+        count = len(images) * (len(self._along_x) + len(self._along_y))
         for refocus, image in zip(self._refocus, images, strict=True):
             bins = refocus.forward(image.astype(np.float32)).astype(np.float64)
             light, slope = bins.sum(), np.zeros_like(bins)
@@ -182,8 +182,8 @@ class RefocusedContrast:
                     total += size / light
                     along = (amplitude.conjugate() * wave).real / max(size, 1e-300) / light
                     slope += (along[:, None] if across else along) - size / light**2
-            gradients.append(refocus.adjoint(slope / number))
-        return total / number, np.stack(gradients)
+            gradients.append(refocus.adjoint(slope / count))
+        return total / count, np.stack(gradients)
 
 
 _WAVES = 0.01
@@ -192,7 +192,7 @@ _WAVES = 0.01
 
 @dataclass(frozen=True)
 class _Move:
-    """Two positions of every point, (n, 3), and by what the difference of their spreads is a derivative, (n, 1, 1)."""
+    """Two positions of every point, (n, 3), and factors (n, 1, 1) from differences of spreads to derivatives."""
 
     there: NDArray[np.float64]
     back: NDArray[np.float64]
@@ -271,7 +271,7 @@ class DepthInformation:
         count = len(expected[0])
         cotangents = [np.zeros_like(part) for part in expected]
         value = 0.0
-        for number, parts in enumerate(zip(*expected, strict=True)):
+        for index, parts in enumerate(zip(*expected, strict=True)):
             covariance = self._covariance(*parts)
             variance, column = covariance[2, 2], covariance[2]
             value -= np.log(variance) / 2 / count
@@ -279,9 +279,9 @@ class DepthInformation:
             noise, columns = self._noise(parts[0]), _columns(*parts)
             along = np.tensordot(column, columns, 1)
             for back, part in zip(cotangents, [column[3], *column[:3]], strict=True):
-                back[number] = part * along / noise / variance / count
+                back[index] = part * along / noise / variance / count
             # The brightness w is relative: its derivative is the image itself.
-            cotangents[0][number] -= along**2 / noise**2 / 2 / variance / count
+            cotangents[0][index] -= along**2 / noise**2 / 2 / variance / count
         total: Gradient = {}
         for points, images in self._moved(camera, cotangents):
             found = self._spreads.gradient(camera, self._photons * images, names, points)

@@ -95,9 +95,9 @@ def maximise(
     best: list[Any] = [-np.inf, camera]
     tried = 0
 
-    def cost(place: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def cost(position: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         nonlocal tried
-        one = vector.at(low + place * (high - low))
+        one = vector.at(low + position * (high - low))
         value, slopes = figure.gradient(one, vector.names)
         tried += 1
         if not np.isfinite(value):
@@ -128,8 +128,7 @@ def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) 
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])
         chosen = [each.label for each in found.components if name in (each.name, each.label)]
-        if not chosen:
-            raise InputError(f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
+        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
         named += chosen
     refuse_if(not named, "bounds: name at least one parameter that varies")
     refuse_if(len(set(named)) < len(named), "bounds: a parameter has two of them")

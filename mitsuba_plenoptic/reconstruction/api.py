@@ -221,7 +221,7 @@ def reconstruct(
     checkpoint : Checkpoint, optional
         For ``deconvolved``: intermediate results are saved to its file, and read from there.
     batch_map : callable, optional
-        For ``deconvolved``: computes the point spreads, for example `runtime.cluster.Cluster`. Default: threads of this
+        For ``deconvolved``: computes the point spreads, for example `Cluster`. Default: threads of this
         process.
 
     Returns

@@ -1,25 +1,40 @@
-"""Rays against waves on one scene: a comparison for any scene, and the reproduction of the paper."""
+"""The comparison of rays and waves on any scene: captured, measured, drawn and reported."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-import time
-from dataclasses import replace
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, refuse_if, require_choice
-from ..io.captures import read_capture
-from ..reconstruction import reconstruct
-from ..runtime.variant import set_variant
-from .claims import check_claims, timing_table
-from .experiment import METHODS, Settings, open_store, run_experiment
-from .figures import draw_comparison, figure_2, figure_4
-from .framing import brightest_zoom, letter_zooms
-from .measurements import measure
+import numpy as np
+
+from ..errors import refuse_if
+from .experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
+from .framing import (
+    Canvas,
+    Zoom,
+    annotate,
+    brightest_zoom,
+    common_peak,
+    lit_window,
+    object_bar,
+    scale_bar,
+    show,
+    show_difference,
+)
+from .metrics import (
+    capture_difference,
+    common_scale,
+    image_metrics,
+    interference,
+    lit_region,
+    middle_of_micro_images,
+    relative_error,
+    shape_window,
+    square_sharpness,
+    ssim_text,
+)
 from .page import Report, write_report
 from .stage_store import StageOptions
 
@@ -31,9 +46,8 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
     diffraction is the only difference.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
-    store = open_store(output, stages)
-    experiment = run_experiment(settings, store)
-    numbers = measure(experiment)
+    experiment = run_experiment(settings, open_store(output, stages))
+    measured = measure(experiment)
     zooms = [brightest_zoom(experiment)]
     columns, rows = experiment.camera.bin_count
     name = Path(settings.scene).stem.replace("_", " ")
@@ -42,9 +56,9 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
         lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
         f"{settings.wavelength:g} nm, and refocused from one capture.",
         experiment=experiment,
-        numbers=numbers,
+        measured=measured,
         zooms=zooms,
-        plates=draw_comparison(output, experiment, numbers, zooms),
+        plates=draw_comparison(output, experiment, measured, zooms),
         command=_command(settings),
     )
     return write_report(output, report)
@@ -62,118 +76,209 @@ def _command(settings: Settings) -> str:
     return " ".join(words)
 
 
-# The methods of the paper's comparison.
-TIMED = ("ray", "coherent", "partial")
-_REPEATS = 3
+# The chart's squares, by the beginning of their ids, and how far they are turned.
+_EDGE_PREFIX = "edge_"
+_EDGE_TILT = math.radians(5)
+
+_COHERENT = ("coherent", "partial")
 
 
-def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
-    """Time the reconstruction of a capture's file at a distance on one processor core: seconds by method.
-
-    What counts is processor time, which does not grow with what else the machine does, and of several runs the
-    shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
-    """
-
-    def hold() -> None:
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-
-    answer = subprocess.run(
-        [sys.executable, "-m", __name__, str(capture), f"{distance!r}"],
-        env={**os.environ, "DRJIT_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        preexec_fn=hold if os.name == "posix" else None,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if answer.returncode:
-        raise InputError(f"timing of {capture}: {answer.stderr.strip().splitlines()[-1]}")
-    return dict(json.loads(answer.stdout))
+def measure(experiment: Experiment) -> dict[str, Any]:
+    """Compare the captures with each other and the reconstructions with thin lens and one-lens limit."""
+    ray, wave = experiment.ray.image, experiment.wave.image
+    return {
+        "captures": {
+            **image_metrics(ray, wave).to_dict(),
+            "relative_error": round(relative_error(ray, wave), 5),
+            "difference": _difference(experiment),
+            "points": _against_points(experiment),
+        },
+        "reconstructions": _reconstructions(experiment),
+        "interference": _interference(experiment),
+        "edges": _edges(experiment),
+    }
 
 
-def _main() -> None:
-    set_variant(None)
-    capture, distance = read_capture(sys.argv[1]), float(sys.argv[2])
-    found = {}
+def _difference(experiment: Experiment) -> dict[str, Any]:
+    middle = middle_of_micro_images(experiment.camera)
+    pixels = {"all": None, "middle": middle, "rim": ~middle}
+    return {
+        name: capture_difference(experiment.ray, experiment.wave, where).to_dict() for name, where in pixels.items()
+    }
+
+
+def _against_points(experiment: Experiment) -> dict[str, float] | None:
+    if experiment.points is None:
+        return None
+    wave, points = experiment.wave.image, experiment.points.image
+    energy = float(wave.sum(dtype=np.float64) / points.sum(dtype=np.float64))
+    return {"relative_error": round(relative_error(wave, points), 5), "energy": round(energy, 5)}
+
+
+def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
+    """Return the row of a table that has the wanted values."""
+    return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
+
+
+def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
+    rows = []
+    distances = experiment.settings.distances
+    truths = [experiment.truths[distance] for distance in distances]
     for method in METHODS:
-        if method.name in TIMED:
-            runs = []
-            for _ in range(_REPEATS):
-                start = time.process_time()
-                reconstruct(capture, distance, **method.options)
-                runs.append(time.process_time() - start)
-            found[method.name] = round(min(runs), 3)
-    print(json.dumps(found))
+        images = [experiment.images[method.name, distance] for distance in distances]
+        scale = common_scale(images, truths)
+        for distance, image, truth in zip(distances, images, truths, strict=True):
+            limit = experiment.images["limit", distance]
+            row = {
+                "method": method.name,
+                "distance": distance,
+                "bins": list(image.shape[::-1]),
+                "scale": round(scale, 5),
+                **image_metrics(scale * image, truth).to_dict(),
+                "energy": round(image_metrics(image, truth).energy, 5),
+            }
+            if method.name in _COHERENT:
+                row["interference"] = round(interference(image, limit, lit_region(limit)), 5)
+            rows.append(row)
+    return rows
 
 
-if __name__ == "__main__":
-    _main()
+def _interference(experiment: Experiment) -> list[dict[str, Any]]:
+    rows = []
+    for name, (low, high) in experiment.boxes.items():
+        window = shape_window(experiment.camera, low, high)
+        if high[2] - low[2] > 1e-3 * low[2] or window is None:
+            continue
+        for distance in experiment.settings.distances:
+            limit = experiment.images["limit", distance]
+            values = {
+                method: round(interference(experiment.images[method, distance], limit, window), 5)
+                for method in _COHERENT
+            }
+            rows.append({"shape": name, "shape_distance": _depth(low), "distance": distance, **values})
+    return rows
 
 
-_LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
+def _edges(experiment: Experiment) -> list[dict[str, Any]]:
+    rows = []
+    camera = experiment.camera
+    for name, (low, high) in experiment.boxes.items():
+        distance = _depth(low)
+        if not name.startswith(_EDGE_PREFIX) or distance not in experiment.settings.distances:
+            continue
+        scale = camera.mla_distance / (low[2] * camera.mla_pitch)
+        column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
+        side = float(high[0] - low[0]) / (math.cos(_EDGE_TILT) + math.sin(_EDGE_TILT)) * scale
+        for method in TITLES:
+            try:
+                sharpness = square_sharpness(experiment.image(method, distance), row, column, side)
+            except ValueError:
+                continue
+            bin_size = camera.bin_size(distance)
+            rows.append(
+                {
+                    "shape": name,
+                    "distance": distance,
+                    "method": method,
+                    "width_mm": round(sharpness.width * bin_size, 4),
+                    "mtf50_per_mm": round(sharpness.mtf50 / bin_size, 4),
+                }
+            )
+    return rows
 
-_PLATES = {
-    "fig2.png": "The paper's figure 2: the object and its image on the detector, by waves; below, 8 x 8 lenses of each "
-    "letter.",
-    "fig4.png": "The paper's figure 4: reconstructions by rays (a), coherent (b) and partially coherent (c) at 280 mm, "
-    "and partially coherent at 210 mm (d).",
-}
 
-_PAPER = Settings(
-    scene="letters",
-    distances=(210.0, 240.0, 280.0),
-    slider=(200.0, 210.0, 220.0, 230.0, 240.0, 250.0, 260.0, 270.0, 280.0, 290.0, 300.0),
-    spp=64,
-    points=64,
-    truth_spp=4096,
-)
-
-# The quick one has the paper's lenses and pixels on a detector of half the width, and letters of half the size.
-PRESETS = {
-    "quick": replace(
-        _PAPER,
-        parameters={"resolution": "2048", "detector_width": "4.096", "letter_scale": "0.5"},
-        points=32,
-    ),
-    "paper": _PAPER,
-}
+def _depth(low: np.ndarray) -> float:
+    """Distance of a flat shape, without the noise of single precision."""
+    return round(float(low[2]), 3)
 
 
-def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
-    """Make the paper's figures 2 and 4, its timing comparison and its conclusions, with a report.
+def draw_comparison(
+    folder: Path, experiment: Experiment, measured: Mapping[str, Any], zooms: Sequence[Zoom]
+) -> dict[str, str]:
+    """Draw the figures that every experiment has; return their captions by file name."""
+    rows = measured["reconstructions"]
+    metrics = {(row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {ssim_text(row['ssim'])}" for row in rows}
+    interference = {
+        (row["method"], row["distance"]): f"{row['interference']:.1%} of the mean"
+        for row in rows
+        if "interference" in row
+    }
+    figure_grid(folder / "methods.png", experiment, metrics)
+    figure_interference(folder / "interference.png", experiment, interference)
+    figure_captures(folder / "captures.png", experiment, zooms)
+    return {
+        "methods.png": "All methods next to the thin lens. One bin a pixel shows a grid where the image is out of "
+        "focus: neighbouring pixels go to bins several apart, and how many meet in one changes from bin to bin. The "
+        "lens footprint, which is right there, spreads each pixel over what its lens sees.",
+        "interference.png": "What interference between lenses adds to the image.",
+        "captures.png": "Micro-images by rays and by waves, and their difference.",
+    }
 
-    The wave capture is made from signed rays, and once more point by point, as in the paper; the report states their
-    difference.
-    """
-    settings = PRESETS[require_choice("preset", preset, PRESETS)]
-    store = open_store(output, stages)
-    experiment = run_experiment(settings, store)
-    numbers = measure(experiment)
-    last = settings.distances[-1]
-    seconds = store.facts(
-        "seconds_on_one_core",
-        {"capture": experiment.wave_key, "distance": last},
-        lambda _: seconds_on_one_core(experiment.wave_file, last),
-    )
-    near, _, far = _LETTERS
-    claims = check_claims(experiment, numbers, seconds, near, far)
-    zooms = letter_zooms(experiment, _LETTERS)
-    figure_2(output / "fig2.png", experiment, _LETTERS)
-    panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
-    figure_4(output / "fig4.png", experiment, panels)
-    columns, rows = experiment.camera.bin_count
-    confirmed = sum(claim.verdict == "confirmed" for claim in claims)
-    report = Report(
-        title="A plenoptic camera by rays and by waves",
-        lead=f"Three letters at 210, 240 and 280 mm, recorded through {columns} x {rows} microlenses at "
-        f'{settings.wavelength:g} nm and refocused from one capture, after the paper "Wave-Optical '
-        f'Reconstruction of Plenoptic Camera Images". Of its {len(claims)} conclusions {confirmed} are confirmed.',
-        experiment=experiment,
-        numbers=numbers,
-        zooms=zooms,
-        plates=_PLATES | draw_comparison(output, experiment, numbers, zooms),
-        command=f"mitsuba-plenoptic reproduce --preset {preset}",
-        claims=claims,
-        timing=timing_table(experiment, seconds),
-    )
-    return write_report(output, report)
+
+def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
+    """Draw every method at every distance next to the thin lens, with a note under each."""
+    names = ["truth", *(method.name for method in METHODS)]
+    rows = [(f"{distance:g} mm", distance) for distance in experiment.settings.distances]
+    window = lit_window(list(experiment.truths.values()))
+    peak = common_peak([experiment.truths[distance] for _, distance in rows], window)
+    wide, gap, left, title, foot = 2.7, 0.08, 0.45, 0.4, 0.3
+    tall = wide * window.aspect
+    figure = Canvas(left + len(names) * (wide + gap), title + len(rows) * (tall + foot))
+    for down, (label, distance) in enumerate(rows):
+        for across, name in enumerate(names):
+            axes = figure.axes(left + across * (wide + gap), title + down * (tall + foot), wide, tall)
+            show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
+            if name == "truth":
+                object_bar(axes, experiment.camera, distance, window)
+            annotate(
+                axes,
+                title=TITLES[name] if down == 0 else "",
+                side=label if across == 0 else "",
+                foot=notes.get((name, distance), ""),
+            )
+    figure.save(path)
+
+
+def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
+    """Draw micro-images by rays, by waves, and their difference."""
+    ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
+    peak = float(np.quantile(ray[ray > 0], 0.999)) if np.any(ray > 0) else 1.0
+    size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.35
+    figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + gap) + foot)
+    drawn: Any = None
+    for row, zoom in enumerate(zooms):
+        cuts = [image[zoom.rows, zoom.columns] for image in (ray, wave)]
+        panels = [figure.axes(left + i * (size + gap), title + row * (size + gap), size, size) for i in range(3)]
+        show(panels[0], cuts[0], "", peak=peak)
+        show(panels[1], cuts[1], "", peak=peak)
+        drawn = show_difference(panels[2], cuts[1] - cuts[0], 0.6 * peak)
+        for axes, name in zip(panels, ("By rays", "By waves", "Waves minus rays"), strict=True):
+            annotate(axes, title=name if row == 0 else "", side=zoom.title if axes is panels[0] else "")
+        if row == len(zooms) - 1:
+            scale_bar(panels[0], 0.1, cuts[0].shape[1] * camera.pixel_size, "0.1 mm", below=True)
+    figure.colour_bar(drawn, left + 3 * (size + gap), title, min(3.0, size), "radiance")
+    figure.save(path)
+
+
+def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
+    """Draw what the coherent methods add to the limit in which no two lenses interfere."""
+    window = lit_window(list(experiment.truths.values()))
+    distances, names = experiment.settings.distances, ("coherent", "partial")
+    wide, gap, left, title, foot = 3.4, 0.1, 0.45, 0.4, 0.32
+    tall = wide * window.aspect
+    figure = Canvas(left + len(distances) * (wide + gap) + 0.9, title + len(names) * (tall + foot))
+    bound = 0.15 * max(float(np.nanmax(experiment.images["limit", distance])) for distance in distances)
+    drawn: Any = None
+    for down, name in enumerate(names):
+        for across, distance in enumerate(distances):
+            axes = figure.axes(left + across * (wide + gap), title + down * (tall + foot), wide, tall)
+            difference = experiment.images[name, distance] - experiment.images["limit", distance]
+            drawn = show_difference(axes, window.of(difference), bound)
+            annotate(
+                axes,
+                title=f"{distance:g} mm" if down == 0 else "",
+                side=TITLES[name] if across == 0 else "",
+                foot=notes.get((name, distance), ""),
+            )
+    figure.colour_bar(drawn, left + len(distances) * (wide + gap), title, tall, "radiance beyond the limit")
+    figure.save(path)

@@ -26,7 +26,7 @@ class Row(NamedTuple):
 
 
 _FIELDS = (0.0, 0.7, 1.0)
-"""Distances from the axis, over that of the detector's corner, at which a real main lens is judged."""
+"""Distances from the axis, over that of the detector's corner, at which a real main lens is evaluated."""
 
 # A row without its group: quantity, value, unit and note.
 _Line = tuple[str, str, str, str]
@@ -83,17 +83,17 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
 
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     """Paraxial quantities of a real main lens, and what it does to the light over the field."""
-    numbers = paraxial(lens)
-    scale = camera.focal_length / numbers.focal_length
+    cardinal = paraxial(lens)
+    scale = camera.focal_length / cardinal.focal_length
     wanted = f"at {lens.wavelength:g} nm"
     rows = [
         ("prescription", lens.name or "without a name", "", f"{len(lens.surfaces)} surfaces, scaled by {scale:.6g}"),
         ("focal length", f"{camera.focal_length:.6g}", "mm", wanted),
-        ("back focal length", f"{scale * numbers.back_focal:.6g}", "mm", "from the last vertex"),
-        ("front principal plane", f"{scale * numbers.front_principal:.6g}", "mm", "behind the first vertex"),
-        ("rear principal plane", f"{scale * numbers.rear_principal:.6g}", "mm", "behind the last vertex"),
-        ("entrance pupil", f"{scale * numbers.entrance_pupil:.6g}", "mm", "behind the first vertex"),
-        ("exit pupil", f"{scale * numbers.exit_pupil:.6g}", "mm", "behind the last vertex"),
+        ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
+        ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
+        ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
+        ("entrance pupil", f"{scale * cardinal.entrance_pupil:.6g}", "mm", "behind the first vertex"),
+        ("exit pupil", f"{scale * cardinal.exit_pupil:.6g}", "mm", "behind the last vertex"),
         ("radius of the exit pupil", f"{camera.pupil_radius:.6g}", "mm", ""),
     ]
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2

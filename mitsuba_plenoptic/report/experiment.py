@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,8 +19,7 @@ from ..errors import refuse_if
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
 from ..reconstruction.arguments import require_distances
-from ..runtime.variant import DEFAULT_VARIANT, set_variant
-from .metrics import common_scale, image_metrics
+from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 
 _RAYS_PER_PASS = 2**24
@@ -71,26 +70,6 @@ def _photograph(
         part = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
         total += count / spp * np.array(part, dtype=np.float64)[..., 0]
     return total
-
-
-def best_shift(image: np.ndarray, reference: np.ndarray) -> tuple[int, int]:
-    """Whole-bin shift (rows, columns) of `image` at which it correlates best with the reference."""
-    spectrum = np.fft.fft2(image - image.mean()) * np.conj(np.fft.fft2(reference - reference.mean()))
-    peak = np.unravel_index(np.argmax(np.fft.ifft2(spectrum).real), image.shape)
-    row, column = ((int(p) + n // 2) % n - n // 2 for p, n in zip(peak, image.shape, strict=True))
-    return row, column
-
-
-def agreement(
-    images: Sequence[np.ndarray], references: Sequence[np.ndarray]
-) -> tuple[float, list[tuple[float, float]]]:
-    """Return the `common_scale` of images, and then the PSNR in dB and the correlation of each with its reference."""
-    scale = common_scale(images, references)
-    scores = [
-        (image_metrics(scale * image, reference).psnr, float(np.corrcoef(image.ravel(), reference.ravel())[0, 1]))
-        for image, reference in zip(images, references, strict=True)
-    ]
-    return scale, scores
 
 
 OBJECT_COLUMNS = 1024
@@ -294,7 +273,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Keep one channel of a film that records colours of which a mono variant has one."""
+    """Reduce a capture whose film has three equal channels, of a mono variant, to one."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

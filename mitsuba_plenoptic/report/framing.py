@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,9 @@ from ..camera import PlenopticCamera
 from ..io.files import atomic_output
 from .experiment import Experiment
 from .images import to_bytes
+
+_LENSES = 8
+"""Microlenses across a close-up."""
 
 
 class Window(NamedTuple):
@@ -49,7 +52,7 @@ class Zoom(NamedTuple):
 
 
 def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
-    """Find the part of the field, the same distance from its middle on both sides, that holds the light of images."""
+    """Find the part of the field, symmetric about its middle, that holds the light of all images."""
     reach = []
     for axis in (1, 0):
         ends = []
@@ -67,32 +70,21 @@ def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
     return max(float(np.nanquantile(window.of(image), 0.997)) for image in images)
 
 
-def letter_zooms(experiment: Experiment, letters: Mapping[str, str], lenses: int = 8) -> list[Zoom]:
-    """Look closely at the micro-images in the middle of each of some shapes, given with titles by their ids."""
-    zooms = []
-    for name, title in letters.items():
-        low, high = experiment.boxes[name]
-        middle = (low + high) / 2
-        zooms.append(_zoom(title, experiment.camera, -middle[:2] / middle[2], lenses))
-    return zooms
-
-
-def brightest_zoom(experiment: Experiment, lenses: int = 8) -> Zoom:
+def brightest_zoom(experiment: Experiment) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera
     columns, rows = camera.bin_count
-    means = _resize_mean(experiment.ray.image, rows, columns)
-    gradient = np.hypot(*np.gradient(means))
-    half = lenses // 2
+    gradient = np.hypot(*np.gradient(_resize_mean(experiment.ray.image, rows, columns)))
+    half = _LENSES // 2
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
     slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.mla_pitch / camera.mla_distance
-    return _zoom(f"{lenses} x {lenses} lenses", camera, slopes, lenses)
+    return zoom_at(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
 
 
-def _zoom(title: str, camera: PlenopticCamera, slopes: np.ndarray, lenses: int) -> Zoom:
-    """Window of whole micro-images around where the chief ray of given slopes (x, y) meets the detector."""
-    half = lenses / 2 * camera.micro_image_pitch / camera.pixel_size
+def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
+    """Return a window of whole micro-images around the detector point of a chief ray with given slopes (x, y)."""
+    half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch
     spans = []
     for axis in (1, 0):
@@ -135,8 +127,7 @@ class Canvas:
 
     def colour_bar(self, drawn: Any, left: float, top: float, height: float, label: str) -> None:
         """Add the scale of a difference image."""
-        axes = self.axes(left, top, 0.14, height)
-        bar = self._figure.colorbar(drawn, cax=axes)
+        bar = self._figure.colorbar(drawn, cax=self.axes(left, top, 0.14, height))
         bar.ax.tick_params(labelsize=8, color=_FAINT, labelcolor=_INK)
         bar.set_label(label, size=8, color=_INK)
 
@@ -183,18 +174,18 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
 
 
 def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: bool = False) -> None:
-    """Lay a bar of `length` into an image that is `width` wide, both in the same unit, or under it."""
+    """Draw a bar of `length` into an image that is `width` wide, in the same unit, or below it."""
     fraction = length / width
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")
-    place: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
+    frame: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
     # Bright pictures need an outline.
     outline = [] if below else [withStroke(linewidth=2, foreground="black")]
-    axes.add_patch(Rectangle((x, y), fraction, height, color=colour, linewidth=0, path_effects=outline, **place))
+    axes.add_patch(Rectangle((x, y), fraction, height, color=colour, linewidth=0, path_effects=outline, **frame))
     if below:
-        axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=8, va="center", **place)
+        axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=8, va="center", **frame)
     else:
-        axes.text(x, y + 1.8 * height, label, color=colour, size=8, va="bottom", path_effects=outline, **place)
+        axes.text(x, y + 1.8 * height, label, color=colour, size=8, va="bottom", path_effects=outline, **frame)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:

@@ -74,7 +74,7 @@ class Brightness:
             require_number("percentile", self.percentile, positive=True, maximum=100)
 
     def white(self, images: Sequence[np.ndarray]) -> float:
-        """Return the value that becomes white in pictures that are looked at together; NaN counts as nothing."""
+        """Return the value that becomes white in pictures that are looked at together; NaN is ignored."""
         if self.exposure is not None:
             return float(2.0**-self.exposure)
         values = np.concatenate([image[np.isfinite(image)] for image in images])

@@ -61,8 +61,7 @@ class _DrawnRays:
         self, height: float, slopes: tuple[np.ndarray, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return X/g and Y/g of the object points that rays meet, and which rays get through."""
-        start = np.zeros_like(slopes[0]), np.full_like(slopes[0], height)
-        point, slope, is_open = self.lens.trace(start, slopes)
+        point, slope, is_open = self.lens.trace((np.zeros_like(slopes[0]), np.full_like(slopes[0], height)), slopes)
         X, Y = (p / self._g + (1 - point[2] / self._g) * t for p, t in zip(point[:2], slope, strict=True))
         return X, Y, is_open
 
@@ -79,9 +78,10 @@ class _DrawnRays:
 
 
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where rays from the object point of a position's chief ray meet the MLA, as far as they get through.
+    """Return where on the MLA the rays of one object point land, of those that pass the lens.
 
-    By tracing back: how far from that point the rays from the position meet the object plane, in its image's size.
+    The object point is that of the chief ray of a position on the MLA. Rays are traced back from the position to the
+    object plane, and their distances from the point are scaled to the size of its image.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
-    """Return how much farther from the axis the second wavelength's chief ray puts an image than the first's.
+    """Return how much farther from the axis an image lies by the second wavelength's chief ray than by the first's.
 
     Parameters
     ----------
@@ -137,8 +137,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
         Their positions in the camera frame, on the MLA and on each surface.
     """
     lens = main_lens(camera)
-    tried = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius
-    slopes = (tried - height) / lens.pupil_distance
+    slopes = (np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius - height) / lens.pupil_distance
     _, _, is_open = lens.trace((0.0 * slopes, np.full_like(slopes, height)), (0.0 * slopes, slopes))
     slopes = np.linspace(slopes[is_open][0], slopes[is_open][-1], count)
     N = 1 / np.sqrt(1 + slopes**2)
@@ -187,7 +186,7 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
 
 
 _FIELDS = (0.0, 0.7, 1.0)
-"""Places that are drawn, over the distance of the detector's corner from the axis."""
+"""Field heights that are drawn, over the distance of the detector's corner from the axis."""
 
 _RAYS = ("#1b6ca8", "#2a8f52", "#b8442e")
 """Colours of the rays to each of them."""
@@ -196,7 +195,7 @@ _LINES = {"F": (LINE_F, "#2463d6"), "d": (LINE_D, "#d9a400"), "C": (LINE_C, "#d0
 """Wavelengths of the spots, by the names of their lines, and their colours."""
 
 _HEIGHTS = 13
-"""Places for which curves are computed."""
+"""Field heights for which curves are computed."""
 
 _INK, _GLASS = "#1b1f24", "#dfeaf3"
 
@@ -221,10 +220,9 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     canvas = Canvas(10.6, 7.4)
-    name = camera.prescription.name or "main lens"
-    _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, name)
-    for number, part in enumerate(_FIELDS):
-        _spot(canvas.axes(0.5 + 2.1 * number, 4.6, 1.8, 1.8), camera, part * corner)
+    _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, camera.prescription.name or "main lens")
+    for index, part in enumerate(_FIELDS):
+        _spot(canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8), camera, part * corner)
     _curves(canvas.axes(7.3, 4.6, 1.1, 2.1), canvas.axes(9.1, 4.6, 1.1, 2.1), camera, corner)
     canvas.save(path)
 
@@ -239,10 +237,10 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     for surface, vertex, given in zip(surfaces, vertices, lens.prescription.surfaces, strict=True):
         radius = np.linspace(-1, 1, 65) * given.semi_aperture
         profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
-    for number, given in enumerate(lens.prescription.surfaces):
-        (z, y), stop = profiles[number], number == lens.prescription.stop
+    for index, given in enumerate(lens.prescription.surfaces):
+        (z, y), stop = profiles[index], index == lens.prescription.stop
         if given.glass is not None:
-            behind, below = profiles[number + 1]
+            behind, below = profiles[index + 1]
             outline = np.concatenate([z, behind[::-1]]), np.concatenate([y, below[::-1]])
             axes.fill(*outline, facecolor=_GLASS, edgecolor=_INK, linewidth=0.8)
         if stop:

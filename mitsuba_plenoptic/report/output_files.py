@@ -1,4 +1,4 @@
-"""Linear images as 8-bit pictures."""
+"""Files of reconstructions, views, stacks and depth maps: OpenEXR or 8-bit pictures, by the suffix."""
 
 from __future__ import annotations
 
@@ -140,7 +140,6 @@ def _enlarged(image: np.ndarray) -> np.ndarray:
 def _tiled(images: list[np.ndarray]) -> np.ndarray:
     """Lay images of one size out in rows, as near to a square as can be; empty positions stay black."""
     columns = int(np.ceil(np.sqrt(len(images))))
-    empty = [np.zeros_like(images[0])] * (-len(images) % columns)
-    every = images + empty
+    every = images + [np.zeros_like(images[0])] * (-len(images) % columns)
     rows = [np.concatenate(every[i : i + columns], axis=1) for i in range(0, len(every), columns)]
     return np.concatenate(rows, axis=0)

@@ -1,12 +1,13 @@
-"""The report: all results as JSON, and one HTML file with everything in it, to be opened from anywhere."""
+"""Reports of experiments and of calibrations: one HTML file with everything in it, to be opened from anywhere."""
 
 from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from PIL import Image
 
 from .. import design
-from ..io.files import atomic_output
-from .claims import Claim
+from ..calibration import Board, Calibration, ResidualMap, Table, residual_map
+from ..calibration.model import UNITS
+from ..calibration.observations import placed
+from ..calibration.result import field_cells, group_means
+from ..io.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, common_peak, lit_window
@@ -34,6 +38,17 @@ _EXPLANATIONS = {
 
 
 @dataclass(frozen=True)
+class Claim:
+    """A conclusion of the paper next to our results."""
+
+    statement: str
+    measured: str
+    # ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
+    verdict: str
+    remark: str
+
+
+@dataclass(frozen=True)
 class Report:
     """The content of a report."""
 
@@ -41,8 +56,8 @@ class Report:
     title: str
     lead: str
     experiment: Experiment
-    numbers: dict[str, Any]
-    # Places on the detector that a button leads to.
+    measured: dict[str, Any]
+    # Parts of the detector that a button leads to.
     zooms: Sequence[Zoom]
     # Captions of the figures by their files' names.
     plates: dict[str, str]
@@ -62,14 +77,13 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
         "settings": asdict(experiment.settings),
         "camera": experiment.camera.to_dict(),
         "software": software(),
-        **report.numbers,
+        **report.measured,
         "timing": list(report.timing),
         "claims": [asdict(claim) for claim in report.claims],
         "stage_seconds": experiment.seconds,
     }
     write_json(folder / "results.json", results)
-    with atomic_output(folder / "report.html") as temporary:
-        temporary.write_text(_page(folder, report), encoding="utf-8")
+    write_text(folder / "report.html", _page(folder, report))
     return results
 
 
@@ -98,18 +112,18 @@ def _prose(text: str) -> str:
 
 
 def _ratio(value: float) -> str:
-    """Write a ratio with two digits that mean something and no exponent."""
+    """Write a ratio with two significant digits and no exponent."""
     return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def _page(folder: Path, report: Report) -> str:
     experiment = report.experiment
     camera, wavelength = experiment.camera, experiment.settings.wavelength
-    window = report_window(experiment)
+    window = lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
     return template("page.html").render(
         report=report,
         experiment=experiment,
-        numbers=report.numbers,
+        measured=report.measured,
         titles=TITLES,
         explanations=_EXPLANATIONS,
         folder=folder.name,
@@ -118,21 +132,21 @@ def _page(folder: Path, report: Report) -> str:
         geometry=geometry(experiment, report.zooms, window),
         distances=shown_distances(experiment),
         screen=window.of(next(iter(experiment.truths.values()))).shape,
-        refocus=reconstructions(experiment, report.numbers, window),
+        refocus=reconstructions(experiment, report.measured, window),
         plates=[plate(folder / name, caption) for name, caption in report.plates.items()],
         sheet=groupby(design_sheet(camera, wavelength), key=lambda row: row.group),
         warnings=design.design_warnings(camera, wavelength),
-        facts=_facts(experiment, report.numbers),
+        facts=_facts(experiment, report.measured),
     )
 
 
-def _facts(experiment: Experiment, numbers: dict[str, Any]) -> list[tuple[str, str]]:
+def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:
     """List what the experiment was made with."""
     settings = experiment.settings
     return [
         ("Wavelength", f"{settings.wavelength:g} nm"),
         ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
-        *_points(settings.points, numbers["captures"]["points"]),
+        *_points(settings.points, measured["captures"]["points"]),
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
         *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
@@ -156,11 +170,6 @@ def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str
 # Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
 _CAPTURE_BYTES = 3_500_000
 _QUALITIES = (85, 70, 50, 30)
-
-
-def report_window(experiment: Experiment) -> Window:
-    """Return the part of the field that the page shows."""
-    return lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
 
 
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
@@ -195,12 +204,12 @@ def shown_distances(experiment: Experiment) -> list[float]:
     return sorted({*experiment.settings.slider, *experiment.settings.distances})
 
 
-def reconstructions(experiment: Experiment, numbers: dict[str, Any], window: Window) -> dict[str, Any]:
+def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
     """Return pictures by method and distance, with the metrics of those that have some."""
     distances = shown_distances(experiment)
     peak = common_peak([experiment.truths[distance] for distance in distances], window)
     facts: dict[str, dict[str, list[list[str]]]] = {}
-    for row in numbers["reconstructions"]:
+    for row in measured["reconstructions"]:
         metrics = [
             ["PSNR", f"{row['psnr']:.1f} dB"],
             ["SSIM", ssim_text(row["ssim"])],
@@ -248,3 +257,96 @@ def _encoded(picture: Image.Image, **options: Any) -> bytes:
 
 def _data_url(kind: str, content: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+# Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
+_CELLS = 24
+_ENLARGED = 100
+
+# Parts of which the residuals by field and by depth are listed.
+_PARTS = 6
+
+_WIDTH = 760
+"""Width of the drawings."""
+
+
+def write_calibration_report(
+    path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
+) -> None:
+    """Write the report on a calibration."""
+    size, seen = calibration.camera.crop_size, calibration.evaluation
+    outliers = seen.outliers
+    lens = residual_map(calibration, board, corners, "lens", 1)
+    # Rows far off would hide in means what the others show.
+    calibration = replace(calibration, evaluation=seen.without_outliers())
+    corners = corners.keep(np.delete(np.arange(len(seen.residuals)), outliers))
+    field, depth = (
+        residual_map(calibration, board, corners, by, parts) for by, parts in (("field", _CELLS), ("depth", _PARTS))
+    )
+    maps = [("Corners", _arrows(field.key, field.mean, size))]
+    if centres is not None:
+        used = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
+        middle, cell = field_cells(centres.pixel[used], size[0] / _CELLS)
+        means = group_means(-calibration.centre_residuals[used], cell)[1]
+        maps.append(("Centres of micro-images", _arrows(middle, means, size)))
+    radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
+    page = template("calibration.html").render(
+        calibration=calibration,
+        seen=seen,
+        outliers=outliers + 2,
+        outliers_by_frame=np.bincount(seen.pose[outliers], minlength=len(seen.frames)).tolist(),
+        units=UNITS,
+        weak=calibration.weak_directions(),
+        maps=maps,
+        width=_WIDTH,
+        height=round(_WIDTH * size[1] / size[0]),
+        enlarged=_ENLARGED,
+        tables=[
+            ("Pixels from the detector's centre", _by(radius, calibration.evaluation.residuals)),
+            ("Distance of the corner, mm", [*zip(*depth.key.T, depth.count, depth.error, strict=True)]),
+        ],
+        lenses=_lenses(lens, size),
+        worst=float(lens.error.max()),
+        boards=_boards(calibration, board),
+    )
+    write_text(path, page, ".html")
+
+
+def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:
+    """Return mean residuals as lines from the middle of their cell of the detector, in the drawing's units."""
+    lines = np.concatenate([middle + 0.5, middle + 0.5 + _ENLARGED * mean], axis=1) * (_WIDTH / size[0])
+    return [tuple(line) for line in lines.round(1).tolist()]
+
+
+def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
+    """Return each lens's position and darkness: its error over the 95 % quantile of all."""
+    position = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
+    dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
+    return [tuple(mark) for mark in np.column_stack([position.round(1), dark.round(2)]).tolist()]
+
+
+def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
+    """Return ranges of a quantity with as many observations each, and the RMS residual in them."""
+    squares = (residuals**2).sum(1)
+    return [
+        (float(quantity[part[0]]), float(quantity[part[-1]]), len(part), math.sqrt(squares[part].mean()))
+        for part in np.array_split(np.argsort(quantity), _PARTS)
+        if len(part)
+    ]
+
+
+def _boards(calibration: Calibration, board: Board) -> list[dict[str, Any]]:
+    """Draw the boards obliquely from the side, with the camera at the left end of the axis."""
+    width, height = (board.columns - 1) * board.square, (board.rows - 1) * board.square
+    outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    seen = calibration.evaluation
+    outlines = [placed(outline, pose[None], np.zeros(len(outline), dtype=int)) for pose in seen.poses]
+    scale = (_WIDTH - 40) / max((corner[:, 2] + 0.35 * np.abs(corner[:, 0])).max() for corner in outlines)
+    drawings = []
+    for frame, corner in zip(seen.frames, outlines, strict=True):
+        # Oblique: depth to the right, x towards the reader.
+        across = 20 + scale * (corner[:, 2] + 0.35 * corner[:, 0])
+        down = 150 - scale * (corner[:, 1] - 0.35 * corner[:, 0])
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(across, down, strict=True))
+        drawings.append({"frame": int(frame), "points": points, "x": round(across[0], 1), "y": round(down[0], 1)})
+    return drawings

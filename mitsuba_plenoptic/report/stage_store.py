@@ -24,7 +24,7 @@ from ..errors import InputError
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint, Existing
 from ..io.exr import read_exr, write_exr
-from ..io.files import atomic_output, read_text, require_size
+from ..io.files import read_text, require_size, write_text
 from ..runtime.limits import software as versions
 
 _LARGEST_JSON = 2**26
@@ -72,42 +72,49 @@ class StageStore:
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
         """Return a stage that is a capture, and its key; while it is computed it has a checkpoint."""
 
-        def write(path: Path, value: Capture, key: str) -> None:
-            write_capture(path, replace(value, metadata={**value.metadata, "key": key}))
-
         def read(path: Path) -> tuple[Capture, str]:
             value = read_capture(path)
             return value, value.metadata["key"]
 
         with Checkpoint(self.folder / f"{name}{SUFFIX}", self._existing) as checkpoint:
-            return self._get(name, ".exr", inputs, lambda progress: make(progress, checkpoint), write, read)
+            return self._get(
+                name,
+                ".exr",
+                inputs,
+                lambda progress: make(progress, checkpoint),
+                lambda path, value, key: write_capture(path, replace(value, metadata={**value.metadata, "key": key})),
+                read,
+            )
 
     def image(
         self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
     ) -> tuple[np.ndarray, str]:
         """Return a stage that is an image, and its key; the facts about it go into the file's header."""
 
-        def write(path: Path, value: tuple[np.ndarray, dict[str, Any]], key: str) -> None:
-            write_exr(path, value[0], {**value[1], "key": key})
-
         def read(path: Path) -> tuple[tuple[np.ndarray, dict[str, Any]], str]:
             image, _, attributes = read_exr(path)
             return (image, attributes), attributes["key"]
 
-        (image, _), key = self._get(name, ".exr", inputs, make, write, read)
+        (image, _), key = self._get(
+            name,
+            ".exr",
+            inputs,
+            make,
+            lambda path, value, key: write_exr(path, value[0], {**value[1], "key": key}),
+            read,
+        )
         return np.asarray(image, dtype=np.float32), key
 
     def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
         """Return a stage that is a dictionary of plain JSON values."""
 
-        def write(path: Path, value: dict[str, Any], key: str) -> None:
-            write_json(path, {"key": key, "value": value})
-
         def read(path: Path) -> tuple[dict[str, Any], str]:
             content = json.loads(read_text(path, _LARGEST_JSON))
             return content["value"], content["key"]
 
-        return self._get(name, ".json", inputs, make, write, read)[0]
+        return self._get(
+            name, ".json", inputs, make, lambda path, value, key: write_json(path, {"key": key, "value": value}), read
+        )[0]
 
     def _get(
         self,
@@ -120,7 +127,7 @@ class StageStore:
     ) -> tuple[Value, str]:
         key = _hash({"stage": name, "inputs": inputs, "software": software()})
         path = self.folder / f"{name}{suffix}"
-        value = _read_kept(path, key, read)
+        value = _read_stage(path, key, read)
         was_there = value is not None
         if value is None:
             start = time.perf_counter()
@@ -160,11 +167,10 @@ def time_summary(seconds: dict[str, float]) -> str:
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON to read and to compare: indented, names sorted, whole or not at all."""
-    with atomic_output(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+    write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _read_kept(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) -> Value | None:
+def _read_stage(path: Path, key: str, read: Callable[[Path], tuple[Value, str]]) -> Value | None:
     """Read a stage if its file is whole and has the key."""
     if not path.is_file():
         return None

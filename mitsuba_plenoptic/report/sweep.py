@@ -19,14 +19,13 @@ import xarray as xr
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.render import is_wave_capture, render_capture
-from ..errors import InputError, argument, refuse_if, require_choice, require_number
+from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..io.files import atomic_output, remove_leftovers, require_writable
-from ..io.plain_data import read_yaml
+from ..io.files import atomic_output, read_yaml, remove_leftovers, require_writable
 from ..reconstruction import METHODS
+from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from ..runtime.batches import BatchMap
-from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from ..thin_lens import image_distance
 from .experiment import load_with_sensor, refocused
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software
@@ -44,8 +43,10 @@ _MOST_POINTS = 100_000
 def read_grid(path: Path) -> dict[str, list[Any]]:
     """Read a grid from YAML: names, each with a list of numbers, or with one."""
     content = read_yaml(path)
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'")
+    refuse_if(
+        not isinstance(content, dict),
+        f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'",
+    )
     return {name: value if isinstance(value, list) else [value] for name, value in content.items()}
 
 
@@ -73,8 +74,7 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
     """Return a grid, neither empty nor too large, with its values as finite numbers of which none comes twice."""
     checked: dict[str, tuple[float, ...]] = {}
     for name, values in grid.items():
-        if not isinstance(name, str) or not name.isidentifier():
-            raise InputError(f"grid: {name!r} is not a name")
+        refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
         refuse_if(not len(values), f"grid: {name} has no values")
         checked[name] = tuple(_number(name, value) for value in values)
         for value, count in Counter(checked[name]).items():
@@ -86,8 +86,9 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, (list, tuple, dict)):
-        raise InputError(f"grid: {name} holds a {type(value).__name__}: it must be a number")
+    refuse_if(
+        isinstance(value, (list, tuple, dict)), f"grid: {name} holds a {type(value).__name__}: it must be a number"
+    )
     if isinstance(value, str):
         with contextlib.suppress(ValueError):
             value = float(value)
@@ -137,8 +138,9 @@ class Points:
         """Values for the scene's parameters."""
         varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
         for name in varied:
-            if name in self.settings.parameters:
-                raise InputError(f"grid: {name} varies and is set by {argument('parameters')} too")
+            refuse_if(
+                name in self.settings.parameters, f"grid: {name} varies and is set by {argument('parameters')} too"
+            )
         return {**self.settings.parameters, **varied}
 
     def check(self) -> None:
@@ -255,16 +257,16 @@ class SweepFile:
 
     def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
         """Write one capture and its reconstructions."""
-        place = () if self._scalar else tuple(int(i) for i in index)
-        self.variables["capture"][(*place, ...)] = capture.image
-        self.variables["pixel_size"][place] = capture.camera.pixel_size
+        at = () if self._scalar else tuple(int(i) for i in index)
+        self.variables["capture"][(*at, ...)] = capture.image
+        self.variables["pixel_size"][at] = capture.camera.pixel_size
         for number, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
-            self.variables["reconstruction"][(*place, number, ...)] = image
-            self.variables["bin_size"][(*place, number)] = capture.camera.bin_size(distance)
+            self.variables["reconstruction"][(*at, number, ...)] = image
+            self.variables["bin_size"][(*at, number)] = capture.camera.bin_size(distance)
 
 
 class Sink(io.FileIO):
-    """A file that keeps its write errors until it is asked: HDF5 crashes at the end of the process after one."""
+    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
 
     error: OSError | None = None
 
@@ -317,7 +319,7 @@ def sweep(
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.
     batch_map : callable, optional
-        By waves: computes the sums, for example `Cluster`.
+        For wave captures: computes the sums, for example `Cluster`.
     stages : StageOptions, optional
         How progress is reported, and what becomes of checkpoints.
 
@@ -334,10 +336,7 @@ def sweep(
         If the grid has an unknown name, a value that is no number or twice the same, or none at all; if its images
         differ in size; or if the scene, a camera or a distance is refused.
     """
-    try:
-        import h5netcdf
-    except ImportError:
-        raise InputError("sweep: datasets need h5netcdf: pip install h5netcdf h5py") from None
+    h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
     set_variant(settings.variant)

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lightfield.exchange.pictures import linear_of
 from ..reconstruction.results import Volume
 from .images import write_png
 
@@ -40,9 +41,7 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
     near, far = volume.distances[0], volume.distances[-1]
     depth = (np.array(volume.distances) - near) / ((far - near) or 1)
     encoded = matplotlib.colormaps["turbo"](_DARK_ENDS + (1 - 2 * _DARK_ENDS) * depth)[:, :3]
-    # from sRGB (IEC 61966-2-1) to light, of which the picture is made
-    colours = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    found = colours[grey.argmax(axis=0)] * np.maximum(grey.max(axis=0), 0)[..., None]
+    found = linear_of(encoded)[grey.argmax(axis=0)] * np.maximum(grey.max(axis=0), 0)[..., None]
     return np.asarray(found, np.float32)
 
 
@@ -102,11 +101,11 @@ def _orthogonal(
 
 def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
     """Return how many pixels stand for each plane: as far as to the middles between it and its neighbours."""
-    places = np.array(volume.distances)
-    if len(places) == 1:
+    depths = np.array(volume.distances)
+    if len(depths) == 1:
         return np.array([_LEAST_PLANE])
-    middles = (places[1:] + places[:-1]) / 2
-    borders = np.concatenate([[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]])
+    middles = (depths[1:] + depths[:-1]) / 2
+    borders = np.concatenate([[2 * depths[0] - middles[0]], middles, [2 * depths[-1] - middles[-1]]])
     widths = np.diff(borders)
     # At their true widths where these fill half the picture at most.
     scale = min(1 / volume.voxel_size, 0.5 * volume.values.shape[2] / widths.sum())

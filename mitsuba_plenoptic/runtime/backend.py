@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if
+from ..errors import InputError, refuse_if, require_choice
 from . import llvm
 
 _P = ParamSpec("_P")
@@ -43,7 +43,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def require_own_process() -> None:
-    """Make sure that Dr.Jit's threads are this process's own: without them it waits for ever, sooner or later."""
+    """Refuse a forked process, which lacks Dr.Jit's threads and would wait for them for ever."""
     refuse_if(
         _forked,
         "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
@@ -52,7 +52,7 @@ def require_own_process() -> None:
 
 
 def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Let only one thread at a time into all functions that are decorated so.
+    """Let only one thread at a time into all functions with this decorator.
 
     Mitsuba's loader changes where the whole process looks for files, and Dr.Jit confuses arrays when two threads trace
     scenes at once. Nothing is lost: each computation has all cores to itself.
@@ -103,8 +103,7 @@ class Backend:
 
 def backend() -> Backend:
     """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere."""
-    types = array_module()
-    return _cuda() if types is dr.cuda else _processor()
+    return _cuda() if array_module() is dr.cuda else _processor()
 
 
 def backend_of(array: Any) -> Backend:
@@ -142,3 +141,21 @@ def _cuda() -> Backend:
             "pip install cupy-cuda12x, or cupy-cuda13x by the driver's CUDA"
         ) from None
     return Backend(dr.cuda, cupy, transforms, sparse, is_cuda=True)
+
+
+DEFAULT_VARIANT = "llvm_ad_mono"
+
+
+@one_at_a_time
+def set_variant(variant: str | None) -> None:
+    """Set a Mitsuba variant, or the default one if none is named and none is active."""
+    variant = variant or mi.variant() or DEFAULT_VARIANT
+    require_choice("variant", variant, mi.variants())
+    if variant.startswith("llvm"):
+        llvm.require()
+    refuse_if(
+        variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA),
+        f"variant = {variant!r}: no usable CUDA device was found; use an llvm_ad_* variant",
+    )
+    if mi.variant() != variant:
+        mi.set_variant(variant)

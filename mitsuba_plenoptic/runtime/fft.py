@@ -170,7 +170,7 @@ def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, An
 
 
 def quotient(types: Any, index: Any, divisor: int) -> Any:
-    """Whole quotient, by a multiplication: Dr.Jit's division of integers is several times slower."""
+    """Return the whole quotient by a multiplication, several times faster than Dr.Jit's division of integers."""
     return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 
 

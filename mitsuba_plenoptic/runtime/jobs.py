@@ -14,7 +14,7 @@ from ..errors import refuse_if
 from .batches import Batch, BatchMap, Box, PartialSum, Threads, add
 
 Progress = Callable[[int, int], None]
-"""Called with the items done and their number."""
+"""Called with the items done and how many there are."""
 
 Item = TypeVar("Item")
 
@@ -84,11 +84,11 @@ class Job:
     Attributes
     ----------
     progress : callable, optional
-        Called with the items done and their number.
+        Called with the items done and how many there are.
     batch_map : BatchMap, optional
         Computes the batches. Default: threads of this process.
     keeper : CheckpointStore, optional
-        Keeps what is done.
+        Stores what is done.
     """
 
     progress: Progress | None = None
@@ -130,13 +130,13 @@ class Job:
         state = Snapshot(0, np.zeros(shape, np.float32))
         if self.keeper:
             state = self.keeper.begin(shape, **facts()) or state
-        done = number = 0
-        for number, task in enumerate(tasks, 1):
-            if number > state.sums:
+        done = count = 0
+        for count, task in enumerate(tasks, 1):
+            if count > state.sums:
                 image = task.combine(self._sum(task, state, done, items))
-                state = Snapshot(number, np.add(state.image, image, out=state.image))
+                state = Snapshot(count, np.add(state.image, image, out=state.image))
             done += task.items
-        refuse_if(state.sums > number, f"checkpoint: it is damaged: {state.sums} sums are no part of {number}")
+        refuse_if(state.sums > count, f"checkpoint: it is damaged: {state.sums} sums are no part of {count}")
         return state.image
 
     def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.detector import Detector, expose
 from mitsuba_plenoptic.fitting import View, coarse_fit, kept_noise, lattice_from_white
-from mitsuba_plenoptic.fitting.ray_model import PointRays
+from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of

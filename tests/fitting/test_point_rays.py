@@ -10,7 +10,7 @@ from wave_cases import HALF, WAVELENGTH, error
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.fitting import known_view
-from mitsuba_plenoptic.fitting.ray_model import PointRays
+from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.operator.units import brightness_at
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 

@@ -10,7 +10,7 @@ from wave_cases import CAMERAS, HALF, LATTICES, WAVELENGTH, capture, error, in_e
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.fitting.ray_model import PointRays
+from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.operator.operator import PLANS, CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights

@@ -14,8 +14,9 @@ from mitsuba_plenoptic import InputError, PlenopticCamera, design, load_scene, r
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.io.captures import Capture, write_capture
 from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.report.experiment import agreement, best_shift, thin_lens_image
+from mitsuba_plenoptic.report.experiment import thin_lens_image
 from tools.bench.cases.arrays import centroids
+from tools.bench.measures import agreement, best_shift
 from tools.bench.scenes.light_paths import scene_of
 
 ROOT3 = math.sqrt(3)

@@ -68,7 +68,7 @@ def test_groups_that_are_none_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             focus_by_group(camera, group, 1000.0)
-    with pytest.raises(InputError, match=r"distance = 51: no place of the group of surfaces 1 to 2"):
+    with pytest.raises(InputError, match=r"distance = 51: no position of the group of surfaces 1 to 2"):
         focus_by_group(camera, (1, 2), 51.0)
     with pytest.raises(InputError, match=r"main_lens: a group of it is moved to focus"):
         focus_by_group(PlenopticCamera(), (1, 2), 1000.0)

@@ -12,8 +12,7 @@ from mitsuba_plenoptic.reconstruction.deconvolution import response as response_
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
 from mitsuba_plenoptic.reconstruction.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.reconstruction.deconvolution.variation import MOST, Noise, TotalVariation
-from mitsuba_plenoptic.runtime.batches import Threads
-from mitsuba_plenoptic.runtime.cluster import Cluster
+from mitsuba_plenoptic.runtime.batches import Cluster, Threads
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))

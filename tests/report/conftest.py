@@ -9,9 +9,9 @@ from scene_cases import letters
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Capture
-from mitsuba_plenoptic.report import comparison as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
+from mitsuba_plenoptic.report.paper import reproduction as reproductions
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 from scene_cases import letters
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.report.measurements import capture_difference, middle_of_micro_images
+from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 

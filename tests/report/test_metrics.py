@@ -9,14 +9,15 @@ import pytest
 from scipy.special import erf
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.report.measurements import edge_sharpness, square_sharpness
 from mitsuba_plenoptic.report.metrics import (
     common_scale,
+    edge_sharpness,
     image_metrics,
     interference,
     lit_region,
     relative_error,
     shape_window,
+    square_sharpness,
     ssim_text,
 )
 

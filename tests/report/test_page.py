@@ -9,7 +9,8 @@ import shutil
 import pytest
 
 from mitsuba_plenoptic import scene_path
-from mitsuba_plenoptic.report.comparison import compare, reproduce
+from mitsuba_plenoptic.report.comparison import compare
+from mitsuba_plenoptic.report.paper.reproduction import reproduce
 
 FLAGS = (
     "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "

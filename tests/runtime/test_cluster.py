@@ -20,8 +20,8 @@ from mitsuba_plenoptic import InputError, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.report.sweep import SweepSettings, sweep
-from mitsuba_plenoptic.runtime import cluster as distributed
-from mitsuba_plenoptic.runtime.cluster import Cluster
+from mitsuba_plenoptic.runtime import batches as distributed
+from mitsuba_plenoptic.runtime.batches import Cluster
 from mitsuba_plenoptic.runtime.jobs import Job
 
 pytest.importorskip("distributed")

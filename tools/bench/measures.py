@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.report.experiment import agreement
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.metrics import common_scale, image_metrics
 
 from .registry import Row
 
@@ -30,6 +30,26 @@ def mean_of_seeds(make: Callable[[int], np.ndarray], seeds: int) -> tuple[np.nda
     images = np.array([make(seed) for seed in range(seeds)], float)
     mean = images.mean(0)
     return mean, math.sqrt(float(images.var(0, ddof=1).sum()) / seeds) / float(np.linalg.norm(mean))
+
+
+def best_shift(image: np.ndarray, reference: np.ndarray) -> tuple[int, int]:
+    """Whole-bin shift (rows, columns) of `image` at which it correlates best with the reference."""
+    spectrum = np.fft.fft2(image - image.mean()) * np.conj(np.fft.fft2(reference - reference.mean()))
+    peak = np.unravel_index(np.argmax(np.fft.ifft2(spectrum).real), image.shape)
+    row, column = ((int(p) + n // 2) % n - n // 2 for p, n in zip(peak, image.shape, strict=True))
+    return row, column
+
+
+def agreement(
+    images: Sequence[np.ndarray], references: Sequence[np.ndarray]
+) -> tuple[float, list[tuple[float, float]]]:
+    """Return the `common_scale` of images, and then the PSNR in dB and the correlation of each with its reference."""
+    scale = common_scale(images, references)
+    scores = [
+        (image_metrics(scale * image, reference).psnr, float(np.corrcoef(image.ravel(), reference.ravel())[0, 1]))
+        for image, reference in zip(images, references, strict=True)
+    ]
+    return scale, scores
 
 
 def scores(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> tuple[float, list[Row]]:

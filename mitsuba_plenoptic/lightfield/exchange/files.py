@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, argument, naming, refuse_if
+from ...errors import InputError, argument, naming, refuse_if, require_module
 from ...io.captures import Capture, read_capture
-from ...io.files import atomic_output, require_file, require_size, require_writable
+from ...io.files import atomic_output, reading_as, require_file, require_size, require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
 from ...runtime.limits import require_memory
 from .. import MicroImages, decode, estimate_lens_grid, micro_images
@@ -63,8 +63,9 @@ def open_light_field(
     name = path.name.lower()
     if views is not None:
         _refuse(path, camera=None if camera is None else "given")
-    if white is not None and views is not None:
-        raise InputError(f"{path}: a white image and a number of views exclude each other")
+    refuse_if(
+        white is not None and views is not None, f"{path}: a white image and a number of views exclude each other"
+    )
     if not any(str(one).lower().endswith((".png", *TIFF)) for one in (path, white)):
         _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
@@ -195,8 +196,7 @@ def _white(path: str | Path, linear: bool) -> np.ndarray:
 
 def _refuse(path: Path, **options: object) -> None:
     for name, value in options.items():
-        if value is not None:
-            raise InputError(f"{name} = {value}: of no use for {path}")
+        refuse_if(value is not None, f"{name} = {value}: of no use for {path}")
 
 
 # Bytes that reading takes for each of a file: the file, and the arrays of which a light field is made and checked.
@@ -248,7 +248,7 @@ def read_labelled(path: str | Path) -> xr.DataArray:
         If there is no such file, or it is damaged or something else.
     """
     path = Path(path)
-    try:
+    with reading_as(path, "a light field"):
         if path.suffix.lower() == ".nc":
             require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a light field")
             with path.open("rb") as file:
@@ -266,11 +266,6 @@ def read_labelled(path: str | Path) -> xr.DataArray:
             require_zarr(path)
             _require_zarr_memory(path)
             stored = xr.load_dataarray(path, engine="zarr")
-    except InputError:
-        raise
-    except Exception as error:
-        # NetCDF, Zarr and xarray report damage by many types of exception; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a light field: {error}") from None
     with naming(path):
         lf = require_light_field(stored)
         if lf.attrs.get("camera"):
@@ -294,7 +289,4 @@ def _require_zarr_memory(path: Path) -> None:
 
 def require_zarr(path: Path) -> None:
     """Refuse a file of Zarr where the package is not installed."""
-    try:
-        import zarr  # noqa: F401
-    except ImportError:
-        raise InputError(f"{path}: Zarr needs a package: pip install zarr") from None
+    require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")

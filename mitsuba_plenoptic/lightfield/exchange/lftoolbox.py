@@ -24,13 +24,12 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_choice, require_number
-from ...io.files import atomic_output, require_file
-from ...io.plain_data import h5py_module, stored_array
+from ...io.files import atomic_output, h5py_module, require_file, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ..geometry import grid_of, light_field, require_light_field
 from ..grid import LensGrid, bin_grid
 
-# Bytes of a light field's number while it is read: as stored (at most 8), and twice in single precision.
+# Bytes of a value of a light field while it is read: as stored (at most 8), and twice in single precision.
 _NUMBER_BYTES = 8 + 4 + 4
 
 # Of files of version 5: bytes before the first variable, the type of a packed one, and bytes unpacked at once.
@@ -39,7 +38,7 @@ _HEADER, _PACKED, _PIECE = 128, 15, 2**20
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
 
-# MATLAB's version 5 files hold at most this number of bytes in one variable.
+# Bytes of one variable, at most, in MATLAB's files of version 5.
 _MAX_BYTES = 2**31 - 1
 
 # MATLAB's names of the arrays that a light field may be.
@@ -61,7 +60,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     lf : xarray.DataArray
         The light field.
     precision : {"uint8", "uint16", "single"}
-        MATLAB type of the numbers.
+        MATLAB type of the values.
 
     Raises
     ------
@@ -118,8 +117,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     with path.open("rb") as file:
         is_hdf5 = b"MATLAB 7.3" in file.read(128)
     try:
-        found = _read_hdf5(path) if is_hdf5 else _read_version_5(path)
-        return _from_variables(found)
+        return _from_variables(_read_hdf5(path) if is_hdf5 else _read_version_5(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:
@@ -199,8 +197,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
     h5py = h5py_module("a MATLAB 7.3 file (one saved with '-v7' does not)")
     with h5py.File(path, "r") as file:
         stored = stored_array(file, "LF")
-        if stored is None:
-            raise InputError("it has no variable LF")
+        refuse_if(stored is None, "it has no variable LF")
         # HDF5 lists MATLAB's dimensions in the opposite order.
         _check(stored.shape[::-1])
         found: dict[str, Any] = {"LF": np.transpose(stored[()])}

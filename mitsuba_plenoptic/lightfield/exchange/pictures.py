@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from ...errors import InputError, refuse_if, require_choice, require_count
-from ...io.files import atomic_output, native_output_dropped, require_file
+from ...errors import refuse_if, require_choice, require_count
+from ...io.files import atomic_output, native_output_dropped, reading_as, require_file
 from ...runtime.limits import require_memory
 from ..geometry import light_field, require_light_field
 from ..views import lens_mosaic, view_mosaic
@@ -46,7 +46,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
-    try:
+    with reading_as(path, "a PNG picture"):
         columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         with native_output_dropped():
@@ -55,34 +55,26 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         grey = bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA)
         kind = mi.Bitmap.PixelFormat.Y if grey else mi.Bitmap.PixelFormat.RGB
         values = np.array(bitmap.convert(kind, mi.Struct.Type.Float32, srgb_gamma=False), dtype=np.float32)
-    except InputError:
-        raise
-    except Exception as error:
-        # Damage shows as several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a PNG picture: {error}") from None
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
 def _read_tiff(path: Path, linear: bool) -> np.ndarray:
     """Read a TIFF file, as industrial cameras write their raw pictures."""
-    try:
-        with Image.open(path) as picture:
-            require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
-            wide = picture.mode.startswith("I")
-            values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
-    except InputError:
-        raise
-    except Exception as error:
-        # Damage shows as several exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a TIFF picture: {error}") from None
+    with reading_as(path, "a TIFF picture"), Image.open(path) as picture:
+        require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
+        wide = picture.mode.startswith("I")
+        values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
     image = values.astype(np.float32) / np.float32(65535 if wide else 255)
-    if linear:
-        return image
-    return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return image if linear else linear_of(image).astype(np.float32)
+
+
+def linear_of(encoded: np.ndarray) -> np.ndarray:
+    """Return the light of values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def _size(path: Path) -> tuple[int, int]:
-    """Columns and rows that the header claims: of all chunks the first, and nothing is allocated for it."""
+    """Return the columns and rows that a PNG's header claims, without allocating anything for them."""
     with path.open("rb") as file:
         head = file.read(24)
     if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
@@ -122,8 +114,7 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     require_choice("layout", layout, LAYOUTS)
     lf = require_light_field(lf)
     peak = float(np.max(lf.values, initial=0)) or 1.0
-    mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
-    write_picture(path, mosaic / peak)
+    write_picture(path, (lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)) / peak)
 
 
 def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:

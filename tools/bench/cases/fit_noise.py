@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, coarse_fit, lattice_from_white
 from mitsuba_plenoptic.fitting.light import Pixels
-from mitsuba_plenoptic.fitting.model import Model, vector_of
+from mitsuba_plenoptic.fitting.model import WaveModel, vector_of
 from mitsuba_plenoptic.fitting.result import summary
 from mitsuba_plenoptic.lenses.factory import main_lens
 from mitsuba_plenoptic.operator.units import brightness_of
@@ -188,7 +188,7 @@ class Study:
         """Return what the camera with these parameters records at accuracy 0."""
         camera = self.vector.at(x)
         blank = np.zeros((len(self.lights), *camera.shape))
-        return Model(camera, self.views(blank, self.lights), WAVELENGTH, 0.0).images()
+        return WaveModel(camera, self.views(blank, self.lights), WAVELENGTH, 0.0).images()
 
     def recorded(self, lights: list[tuple[Array, Array]]) -> Array:
         """Return captures of other points, whose total power is the same, at default accuracy."""
@@ -212,7 +212,7 @@ class Study:
         if file.exists() and str(np.load(file)["key"]) == self.key:
             self.slopes = np.load(file)["slopes"]
             return
-        model = Model(self.camera, self.views(self.images, self.lights), WAVELENGTH, accuracy)
+        model = WaveModel(self.camera, self.views(self.images, self.lights), WAVELENGTH, accuracy)
         self.slopes = model.derivatives(self.vector, self.images) * self.unit[:, None, None, None]
         np.savez(file, key=self.key, slopes=self.slopes)
 

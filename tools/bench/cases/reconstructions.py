@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct, render_capture, write_capture
-from mitsuba_plenoptic.report.experiment import best_shift, thin_lens_image
+from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
 
 from .. import Pivot, Row, at_least, at_most, case, pick
-from ..measures import scores, write_comparison
+from ..measures import best_shift, scores, write_comparison
 from ..timing import in_process, once, peak_memory
 
 DISTANCES = (210.0, 240.0, 280.0)

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture, scene_path, with_camera
-from mitsuba_plenoptic.report.measurements import capture_difference, middle_of_micro_images
+from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images
 
 from .. import Row, at_most, case, pick
 from ..measures import mean_of_seeds, relative, spot_filtered, without_noise, write_comparison

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-from .experiment import Experiment
-from .measurements import find
-from .metrics import image_metrics, ssim_text
+from ..comparison import find
+from ..experiment import Experiment
+from ..metrics import image_metrics, ssim_text
+from ..page import Claim
 
 CONFIRMED, PARTLY, DIFFERS = "confirmed", "partly", "differs"
 BY_CONSTRUCTION = "by construction"
@@ -27,31 +27,20 @@ _STRONGLY = 0.5
 _NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
 
 
-@dataclass(frozen=True)
-class Claim:
-    """A conclusion of the paper next to our results."""
-
-    statement: str
-    measured: str
-    # ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
-    verdict: str
-    remark: str
-
-
 def check_claims(
-    experiment: Experiment, numbers: dict[str, Any], seconds: dict[str, float], near: str, far: str
+    experiment: Experiment, measured: dict[str, Any], seconds: dict[str, float], near: str, far: str
 ) -> list[Claim]:
-    """Compute the verdicts from the letters, what `measure` gave of them, and seconds on one core by method.
+    """Compute the verdicts from the letters, their measurements by `measure`, and seconds on one core by method.
 
     Near and far are the ids of the nearest letter and of the farthest; each is out of focus where the other is sharp.
     """
     first, last = experiment.settings.distances[0], experiment.settings.distances[-1]
     blurred = [
-        find(numbers["interference"], shape=near, distance=last),
-        find(numbers["interference"], shape=far, distance=first),
+        find(measured["interference"], shape=near, distance=last),
+        find(measured["interference"], shape=far, distance=first),
     ]
     return [
-        _pixel_counts(numbers),
+        _pixel_counts(measured),
         _interference(blurred),
         _reduction(blurred),
         _similarity_to_rays(experiment, (first, last)),
@@ -75,8 +64,8 @@ def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict
     ]
 
 
-def _pixel_counts(numbers: dict[str, Any]) -> Claim:
-    sizes = {tuple(row["bins"]) for row in numbers["reconstructions"]}
+def _pixel_counts(measured: dict[str, Any]) -> Claim:
+    sizes = {tuple(row["bins"]) for row in measured["reconstructions"]}
     text = ", ".join(f"{columns} x {rows}" for columns, rows in sorted(sizes))
     return Claim(
         "Reconstructions by rays and by waves have the same number of pixels.",
