@@ -1,4 +1,4 @@
-"""The paper once more: its figures 2 and 4, its timing, and its conclusions, with a report."""
+"""The paper once more: its figures, its timing, and its conclusions, with a report."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ from ..images import shrink
 from ..page import Report, write_report
 from ..stage_store import StageOptions
 from .claims import check_claims, timing_table
+from .procedures import figure_1, figure_3
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
 
 _PLATES = {
+    "fig1.png": "The paper's figure 1: the setup. Rays of a point of each object to the microlens array.",
     "fig2.png": "The paper's figure 2: the object and its image on the detector, by waves; below, 8 x 8 lenses of each "
     "letter.",
+    "fig3.png": "The paper's figure 3: the way back to the object plane by rays (a) and by waves (b).",
     "fig4.png": "The paper's figure 4: reconstructions by rays (a), coherent (b) and partially coherent (c) at 280 mm, "
     "and partially coherent at 210 mm (d).",
 }
@@ -57,7 +60,7 @@ PRESETS = {
 
 
 def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
-    """Make the paper's figures 2 and 4, its timing comparison and its conclusions, with a report.
+    """Make the paper's figures, its timing comparison and its conclusions, with a report.
 
     The wave capture is made from signed rays, and once more point by point, as in the paper; the report states their
     difference.
@@ -75,6 +78,9 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     near, _, far = _LETTERS
     claims = check_claims(experiment, measured, seconds, near, far)
     zooms = _letter_zooms(experiment, _LETTERS)
+    objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
+    figure_1(output / "fig1.png", experiment.camera, objects)
+    figure_3(output / "fig3.png", experiment.camera, last)
     figure_2(output / "fig2.png", experiment, _LETTERS)
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
     figure_4(output / "fig4.png", experiment, panels)
