@@ -1,4 +1,7 @@
-"""Checks of a camera's parameters in combination; the table of parameters has the check of each one by itself."""
+"""Checks of a camera's parameters in combination, and whether captures of a kind support the camera.
+
+The table of parameters has the check of each one by itself.
+"""
 
 from __future__ import annotations
 
@@ -94,3 +97,16 @@ def require_known_to(camera: CameraGeometry, captures: Captures, what: str, inst
         value = getattr(camera, entry.attribute)
         if captures not in entry.known_to and value != entry.default:
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
+
+
+def require_ideal(camera: CameraGeometry) -> None:
+    """Refuse a camera with features that the wave model of points does not support, such as an irregular array."""
+    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ")
+
+
+def require_no_glass(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera whose thin lenses are of dispersive glass, for computations without dispersion."""
+    for name in ("glass", "mla_glass"):
+        glass = getattr(camera, name)
+        if glass is not None:
+            raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")

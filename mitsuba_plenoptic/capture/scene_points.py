@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_ideal
 from ..errors import InputError
 from ..io.checkpoints import digest
-from ..lenses.wave_cameras import require_ideal
 from ..operator.operator import CaptureOperator
 from ..operator.patch_plan import Cost
 from ..operator.pupil_weights import PupilWeights, slants

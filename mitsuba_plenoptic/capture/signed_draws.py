@@ -17,9 +17,9 @@ from ..camera import PlenopticCamera
 from ..optics.phase import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
-from ..system.lens_points import LensPoints
+from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace
-from ..system.ray_pupil import RayPupil
+from ..system.ray_coefficients import LensPoints
 from .signed_colours import Lanes
 
 Pair = tuple[Any, Any]
@@ -107,7 +107,7 @@ class Draws:
         step: float,
     ) -> None:
         self._camera, self._step = camera, step
-        self.pupil = RayPupil(plans[0].system)
+        self.pupil, self._lens = RayPupil(plans[0].system), plans[0].system.lens
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
@@ -126,7 +126,7 @@ class Draws:
         # Other points of the cell see other points of the pupil.
         cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
-        return self.pupil.reach + cell + lens
+        return self._lens.reach + cell + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
@@ -144,7 +144,7 @@ class Draws:
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
         camera = self._camera
-        return radius * camera.detector_distance / self.pupil.distance_from(camera.detector_distance)
+        return radius * camera.detector_distance / self._lens.pupil_distance_from(camera.detector_distance)
 
     def aims(self, cells: Cells) -> Aims:
         """Return the centres of cells and of the lenses through which they are lit."""
@@ -158,7 +158,7 @@ class Draws:
             for axis, index, low in ((0, cells.index - row * columns, left), (1, row, top))
         )
         z = camera.detector_distance + self.kinds.height(x, y)
-        i, j = lattice.cell(*(self.pupil.chief_point(p, z) for p in (x, y)))
+        i, j = lattice.cell(*(self._lens.chief_point(p, z) for p in (x, y)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
         centre, height = self.kinds.place(i, j)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
@@ -187,7 +187,7 @@ class Draws:
         else:
             inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
             point, weight = self._points.draw(inner, chance, random[:2])
-        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.radius**2
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.system.camera.pupil_radius**2
         place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, weight, chance, is_open)

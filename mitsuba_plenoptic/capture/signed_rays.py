@@ -30,9 +30,9 @@ from ..camera import PlenopticCamera
 from ..optics.rays import angular_response
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace
 from ..system.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
-from ..system.ray_pupil import RayPupil
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_known_to
+from ..camera.checks import require_known_to, require_no_glass
 from ..camera.entry import Captures
 from ..camera.vector import CameraVector
 from ..errors import InputError
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens
-from ..lenses.wave_cameras import require_no_glass
 from ..operator.pupil_weights import PupilWeights
 from ..operator.units import brightness_at
 from ..optics import rays

@@ -6,7 +6,7 @@ scene. Waves are followed in the opposite direction: the field of a scene point 
 from the point in waves and by its amplitude, propagates from there to the MLA.
 
 A new kind of main lens is a module with a class that has the methods of `MainLens` and a function, marked by
-`builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
+`factory.builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
 gradients that these carry.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,56 +22,13 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 
 if TYPE_CHECKING:
-    from .round_pupil import RoundMap
+    from .real_lens import RoundMap
 
 Pair = tuple[Any, Any]
 """x and y in the camera frame, of positions or of slopes."""
 
 Traced = tuple[tuple[Any, Any, Any], Pair, Any]
 """Start point of a ray towards the scene, its slopes there, and whether it passes the main lens."""
-
-
-@dataclass(frozen=True)
-class LensNumbers:
-    """Parameters from which a main lens is built.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera, for all parameters without gradients.
-    wavelength : float, optional
-        Wavelength in nanometres. None selects the wavelength for which the main lens is specified.
-    focal_length, aperture_radius, mla_distance : float or Dr.Jit array
-        Values of the camera, possibly with gradients.
-    wavefront : floats or Dr.Jit arrays
-        Coefficients of the aberrations.
-    model : {"ideal", "parabolic"}
-        Refraction model of rays, see `PlenopticCamera`.
-    """
-
-    camera: PlenopticCamera
-    wavelength: float | None
-    focal_length: Any
-    aperture_radius: Any
-    mla_distance: Any
-    wavefront: Any
-    model: str
-
-
-Builder = TypeVar("Builder", bound=Callable[[LensNumbers], Any])
-
-BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
-"""Functions that make a main lens, by the type of the camera's `main_lens`."""
-
-
-def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that builds main lenses from a `main_lens` of some type; `type(None)` selects the thin lens."""
-
-    def mark(function: Builder) -> Builder:
-        BUILDERS[description] = function
-        return function
-
-    return mark
 
 
 class MainLens(Protocol):

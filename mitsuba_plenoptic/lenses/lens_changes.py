@@ -20,9 +20,8 @@ from ..lattice import turn
 from ..optics.phase import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .common import FinitePupil
-from .fitted_lens import FittedLens
+from .fitted_lens import FittedLens, at_all, edges, places
 from .lens_system import LensSystem
-from .open_pupil import at_all, edges, places
 from .pupil_fit import PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Place, Polynomial, PupilPolynomial, fit
 

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..optics.phase import in_millimetres
-from .base import LensNumbers, builds
 from .common import UniformLens
+from .factory import LensNumbers, builds
 
 _Pair = tuple[Any, Any]
 

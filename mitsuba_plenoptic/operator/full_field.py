@@ -30,8 +30,7 @@ from ..camera import PlenopticCamera
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
 from ..optics.free_space import advance
-from ..optics.phase import in_millimetres
-from ..optics.power import power
+from ..optics.phase import in_millimetres, power
 from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns

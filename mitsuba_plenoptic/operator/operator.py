@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
+from ..camera.checks import require_ideal, require_no_glass
 from ..errors import InputError, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
-from ..lenses.wave_cameras import require_ideal, require_no_glass
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time

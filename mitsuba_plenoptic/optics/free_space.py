@@ -22,8 +22,7 @@ from ..errors import InputError, require_number
 from ..runtime.backend import array_module, backend, backend_of, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
 from . import guards
-from .phase import in_millimetres, phasor
-from .power import band_edge_fraction, fraction, frequencies_of, power, rim, weighted
+from .phase import band_edge_fraction, fraction, frequencies_of, in_millimetres, phasor, power, rim, weighted
 
 _ROWS = 32
 """Approximate number of rows that are checked in a large field."""

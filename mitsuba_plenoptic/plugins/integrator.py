@@ -10,17 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_known_to
+from ..camera.checks import require_ideal, require_known_to
 from ..camera.entry import Captures
 from ..capture import colour
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
 from ..capture.signed_camera import require_parameters
-from ..capture.signed_capture import SignedCapture
-from ..capture.signed_gradients import SignedGradients
+from ..capture.signed_capture import SignedCapture, SignedGradients
 from ..errors import InputError
-from ..lenses.wave_cameras import require_ideal
 from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..operator.derivatives import NUMBERS
 from ..operator.patch_plan import Cost

@@ -10,6 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_ideal
 from ..detector import require_demosaiced
 from ..errors import (
     InputError,
@@ -23,23 +24,25 @@ from ..errors import (
 )
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.checkpoints import Checkpoint
-from ..lenses.wave_cameras import require_ideal
 from ..lightfield.white import scaled_white
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
-from .arguments import (
+from .deconvolution.variation import MOST as _MOST
+from .methods import (
     FOOTPRINTS,
+    METHODS,
+    Found,
+    Task,
     as_capture,
     require_distances,
     require_image_memory,
     require_interleave,
     require_response,
+    require_taken,
     require_upright,
     require_wavelengths,
 )
-from .deconvolution.variation import MOST as _MOST
-from .methods import METHODS, Found, Task, require_taken
 from .radiance import is_known
 from .ray import white_pixels
 from .results import Reconstruction

@@ -10,24 +10,23 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
+from ..camera.checks import require_ideal
 from ..errors import InputError, require_choice, require_count, require_number
 from ..io.captures import as_array, require_pixels
-from ..lenses.wave_cameras import require_ideal
 from ..optics import guards
 from ..runtime.backend import backend, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
 from ..thin_lens import image_distance
-from .arguments import FOOTPRINTS
-from .bins import BinSums
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields, squared
 from .lens_tiles import fine_bins
+from .methods import FOOTPRINTS
+from .passages import BinSums
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale
 from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
-from .waves import signed_parts
-from .white import white_light
+from .waves import signed_parts, white_light
 
 
 class RayRefocus:

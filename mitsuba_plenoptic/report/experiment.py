@@ -18,7 +18,7 @@ from ..capture.scene import load_scene
 from ..errors import refuse_if
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
-from ..reconstruction.arguments import require_distances
+from ..reconstruction.methods import require_distances
 from ..runtime.variant import DEFAULT_VARIANT, set_variant
 from .metrics import common_scale, image_metrics
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint

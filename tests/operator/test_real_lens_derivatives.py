@@ -8,7 +8,7 @@ from wave_cases import HALF, WAVELENGTH, error, in_every_lens, scattered, small_
 
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
 from mitsuba_plenoptic.lenses.lens_changes import lens_change
-from mitsuba_plenoptic.lenses.wavefront import Wavefront
+from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.operator.arrival import field_grids
 from mitsuba_plenoptic.operator.derivatives import NUMBERS
 from mitsuba_plenoptic.operator.derivatives.plan import DerivativePlan

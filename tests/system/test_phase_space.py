@@ -9,9 +9,8 @@ from scipy.special import j1
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
 from mitsuba_plenoptic.system.phase_space import PhaseSpace
-from mitsuba_plenoptic.system.ray_pupil import RayPupil
 from tools.bench.cases import phase_space
 from tools.bench.measures import relative
 

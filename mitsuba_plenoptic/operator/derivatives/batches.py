@@ -17,10 +17,9 @@ from ...lattice import turn
 from ...runtime.backend import array_module
 from ...runtime.batches import Box, Part
 from ...runtime.fft import as_field, as_words, pack, unpack
-from ..patch import PatchBatch
+from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, reached
-from .chain import FieldChain, Memory, Parts
 from .numbers import VaryingNumbers
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
@@ -105,7 +104,10 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
 
 def varying_factors(fields: Fields, numbers: VaryingNumbers) -> tuple[bool, ...]:
     """Return for each factor of fields whether it changes with some parameters."""
-    return tuple(dr.grad_enabled(value) for value in _factors(fields, numbers).values())
+    # Single values serve all lanes where nothing is computed.
+    elements = numbers.elements(fields.grid, 1)
+    made = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, numbers.types)
+    return tuple(dr.grad_enabled(value) for value in made.values())
 
 
 def _factors(fields: Fields, numbers: VaryingNumbers) -> PatchFactors:
