@@ -179,7 +179,8 @@ class VaryingNumbers:
             return grid.lens.varying(numbers | {"wavefront": held}, self._varies, turned)
 
         def array(cosine: float) -> list[VaryingArrayFactor]:
-            lattice = self._lattice(get, grid.camera, turn(*get["mla_offset"], -angle))
+            x, y = get["mla_offset"]
+            lattice = self._lattice(get, grid.camera, turn(x, y, -angle))
             factors = grid.microlenses.factors(cosine)
             return [VaryingArrayFactor(factor, lattice, get["mla_focal_length"], wavelength) for factor in factors]
 
