@@ -198,10 +198,10 @@ class CameraAdjoint(SignedRaySum):
         """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
-            self._pull(lot, felt, total)
+            self._vjp(lot, felt, total)
         return {name: total[name] for name in self._names}
 
-    def _pull(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
+    def _vjp(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
         key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.cells, key)

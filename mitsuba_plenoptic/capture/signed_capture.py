@@ -156,9 +156,9 @@ class SignedRayAdjoint(SignedRaySum):
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
         """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
         for lot, felt in self._back(gradient):
-            self._pull(lot, felt)
+            self._vjp(lot, felt)
 
-    def _pull(self, lot: Lot, felt: list[list[Any]]) -> None:
+    def _vjp(self, lot: Lot, felt: list[list[Any]]) -> None:
         """Propagate the gradients of the coefficient images through the rays of a lot; see `_back`."""
         drawn, own = self._drawn_rays(lot.cells, dr.opaque(mi.UInt32, lot.seed & ~15))
         spp, rays = dr.opaque(mi.UInt32, self._spp), dr.width(own)

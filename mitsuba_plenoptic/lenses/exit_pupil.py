@@ -83,7 +83,7 @@ class ExitPupil:
         left = (aberration - basis @ self._aberration)[~some & is_open]
         error = float(np.sqrt(np.mean((left - left.mean()) ** 2))) / in_millimetres(wavelength)
         self.error = error
-        guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
+        guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
         # A surface that lets all traced rays through does not vignette.
         ends = [stop for stop in stops if stop.max() > 1]
         fitted = _fit(basis, np.array([*E, *ends]).T).T

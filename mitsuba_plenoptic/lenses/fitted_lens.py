@@ -112,7 +112,7 @@ class FittedLens(FinitePupil):
     def bind(self, points: NDArray[np.float64], which: Any = None) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does."""
         fitted, pupils = self.fitted, self.fitted.pupils
-        field, nearness = pupils.field(points)
+        field, inverse_distance = pupils.field(points)
 
         def lanes(column: NDArray[np.float64]) -> Any:
             if which is None:
@@ -123,13 +123,13 @@ class FittedLens(FinitePupil):
         places = lanes(field[:, 0]), lanes(field[:, 1])
 
         def over_pupil(polynomial: Polynomial) -> Any:
-            return polynomial.over_pupil([lanes(column) for column in polynomial.at(field, nearness).T], places)
+            return polynomial.over_pupil([lanes(column) for column in polynomial.at(field, inverse_distance).T], places)
 
         slope = pupils.slope(field)
         return LensLight(
             self.pupil_distance,
             (lanes(slope[:, 0]), lanes(slope[:, 1])),
-            lanes(pupils.convergence(nearness)),
+            lanes(pupils.convergence(inverse_distance)),
             over_pupil(fitted.aberration),
             over_pupil(fitted.brightness),
             [over_pupil(stop) for stop in fitted.stops],
@@ -165,7 +165,7 @@ class FittedLens(FinitePupil):
     def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
         """Return the stretch of the image of an object plane, up to the corners of the bins."""
         g = min(distance, FAR)
-        near = float(self.nearness(np.array([[0.0, 0.0, g]]))[0])
+        near = float(self.inverse_distance(np.array([[0.0, 0.0, g]]))[0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
         corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
         places = np.linspace(0, corner, _STRETCHED)[1:]
@@ -182,7 +182,7 @@ class FittedLens(FinitePupil):
         zero = np.zeros((len(points), 1))
         return np.concatenate(self.bind(points).land((zero, zero), None), axis=1)
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reciprocals (n,) of the distances of points from the entrance pupil."""
         return self.fitted.pupils.field(points)[1]
 
@@ -191,9 +191,9 @@ class FittedLens(FinitePupil):
         """The same as `pupil_radius`."""
         return self.pupil_radius
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these images and nearnesses."""
-        pupils, distance = self.fitted.pupils, 1 / nearness
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these images and inverse distances."""
+        pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil_distance)
         found = field
@@ -242,8 +242,8 @@ class FittedLens(FinitePupil):
         x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
         heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
         places, paths, edges = np.zeros((3, _HEIGHTS))
-        for nearness in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
-            distance = 1 / (nearness or 1e-12)
+        for inverse_distance in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
+            distance = 1 / (inverse_distance or 1e-12)
             points = np.column_stack([0 * heights, heights * distance, np.full(_HEIGHTS, distance)])
             points[:, 2] += self.fitted.pupils.entrance
             images, here = self.images(points), self.bind(points)
@@ -264,7 +264,7 @@ _ACROSS, _EDGE = 192, 4.0
 """Samples across the pupil's bounding circle for its open area, and the width of softened edges in samples."""
 
 _FIELDS, _DEPTHS = 17, 3
-"""Fields and nearnesses of the table from which the open areas of many points are interpolated."""
+"""Fields and inverse distances of the table from which the open areas of many points are interpolated."""
 
 _TOGETHER = 16
 """Points that are computed together."""
@@ -298,20 +298,20 @@ def edges(light: LensLight, pupil: Place) -> tuple[NDArray[np.int64], NDArray[np
 def at_all(
     lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return a measure of points; for many points it is interpolated over field and nearness, as lenses are round."""
+    """Return a measure of points; for many it is interpolated over field and inverse distance, as lenses are round."""
     from scipy.interpolate import RegularGridInterpolator
 
     if len(points) <= _FIELDS * _DEPTHS:
         parts = [measured(points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
         return np.concatenate([np.empty(0), *parts])
-    field, nearness = lens.fitted.pupils.field(points)
+    field, inverse_distance = lens.fitted.pupils.field(points)
     heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
     # The ranges are widened so that they are never empty.
     axes = (
         np.linspace(0, heights.max() + 1e-9 * scales.field, _FIELDS),
-        np.linspace(nearness.min(), nearness.max() + 1e-9 * scales.half, _DEPTHS),
+        np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, _DEPTHS),
     )
     u, near = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
     nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
     table = at_all(lens, nodes, measured).reshape(_FIELDS, _DEPTHS)
-    return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, nearness)))
+    return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))

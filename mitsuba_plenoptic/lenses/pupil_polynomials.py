@@ -2,7 +2,7 @@ r"""Polynomials over pupil, field and distance for a lens that is rotationally s
 
 A scalar of such a lens depends on the position P on the pupil and on the field u of a scene point only through the
 invariants :math:`P^2`, :math:`P \cdot u` and :math:`u^2` (Welford, "Aberrations of Optical Systems", section 7.1), and
-on the point's nearness v.
+on the point's inverse distance v.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Scales:
     # Radius of the pupil, in millimetres, and largest field.
     radius: float
     field: float
-    # Centre of the range of nearnesses and half its width, in 1/mm.
+    # Centre of the range of inverse distances and half its width, in 1/mm.
     middle: float
     half: float
 
@@ -35,9 +35,9 @@ class Scales:
         """Return the invariant of the pupil alone from the squared distance of a position from the axis."""
         return square * (2 / self.radius**2) - 1
 
-    def of_points(self, square: Any, nearness: Any) -> tuple[Any, Any]:
-        """Return the invariant of the field alone and the scaled nearness, both from -1 to 1."""
-        return square * (2 / self.field**2) - 1, (nearness - self.middle) * (1 / self.half)
+    def of_points(self, square: Any, inverse_distance: Any) -> tuple[Any, Any]:
+        """Return the invariant of the field alone and the scaled inverse distance, both from -1 to 1."""
+        return square * (2 / self.field**2) - 1, (inverse_distance - self.middle) * (1 / self.half)
 
     @property
     def mixed(self) -> float:
@@ -47,7 +47,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Degrees:
-    """Largest powers of the pupil coordinates, of the field coordinates, and of the nearness."""
+    """Largest powers of the pupil coordinates, of the field coordinates, and of the inverse distance."""
 
     pupil: int
     field: int
@@ -62,16 +62,16 @@ class Degrees:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial in the nearness and the invariants of field and pupil."""
+    """A polynomial in the inverse distance and the invariants of field and pupil."""
 
     scales: Scales
     degrees: Degrees
     # Coefficients of the powers, (depth + 1, field / 2 + 1, pairs).
     coefficients: NDArray[np.float64]
 
-    def at(self, field: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the coefficients (n, pairs) over the pupil for points with fields (n, 2) and nearnesses (n,)."""
-        f, d = self.scales.of_points((field**2).sum(1), nearness)
+    def at(self, field: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the coefficients (n, pairs) over the pupil for fields (n, 2) and inverse distances (n,) of points."""
+        f, d = self.scales.of_points((field**2).sum(1), inverse_distance)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
         return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
@@ -86,7 +86,7 @@ def fit(
     degrees: Degrees,
     place: NDArray[np.float64],
     field: NDArray[np.float64],
-    nearness: NDArray[np.float64],
+    inverse_distance: NDArray[np.float64],
     values: NDArray[np.float64],
 ) -> list[Polynomial]:
     """Fit polynomials by least squares.
@@ -99,8 +99,8 @@ def fit(
         Largest powers.
     place : float64 array (2, n)
         Positions on the pupil, for points whose fields lie along y.
-    field, nearness : float64 array (n,)
-        Fields and nearnesses of these points.
+    field, inverse distance : float64 array (n,)
+        Fields and inverse distances of these points.
     values : float64 array (k, n)
         Values of k functions.
 
@@ -108,7 +108,7 @@ def fit(
     -------
     list of k Polynomial
     """
-    f, d = scales.of_points(field**2, nearness)
+    f, d = scales.of_points(field**2, inverse_distance)
     s, t = scales.of_pupil((place**2).sum(0)), place[1] * field * scales.mixed
     own = [(b, c, a) for b, c in degrees.pairs for a in range((degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)

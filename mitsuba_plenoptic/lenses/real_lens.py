@@ -96,8 +96,8 @@ def _edge(lens: LensSystem, height: float, reach: float) -> NDArray[np.float64] 
     return np.stack([middle[0] + distance * np.cos(dense), middle[1] + distance * np.sin(dense)], -1)
 
 
-_FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
-"""Steps of the fitted range, so that fits are reused: a factor of fields; nearnesses over the power of the lens."""
+_FIELD_STEP, _INVERSE_DISTANCE_STEP = 1.1, 0.02
+"""Steps of the fitted range, so that fits are reused: a factor of fields; inverse distances over the lens's power."""
 
 _NARROWEST = 0.1
 """Smallest range of fields that is fitted, over that of the detector."""
@@ -182,9 +182,9 @@ class RealLens(LensSystem):
             raise InputError(
                 f"position: g = {points[within][0, 2]:g}: it must lie before the main_lens, beyond {front:.6g}"
             )
-        field, nearness = Pupils.of(self).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
+        field, inverse_distance = Pupils.of(self).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
         largest = np.hypot(*field.T)
-        lens = self._over_field(float(largest.max()), (float(nearness.min()), float(nearness.max())))
+        lens = self._over_field(float(largest.max()), (float(inverse_distance.min()), float(inverse_distance.max())))
         beyond = largest > lens.fitted.aberration.scales.field
         if beyond.any():
             place = ", ".join(f"{c:g}" for c in points[beyond][0])
@@ -200,9 +200,9 @@ class RealLens(LensSystem):
             self._lights[x, y, g] = ExitPupil(self, (x, y, g))
         return self._lights[x, y, g]
 
-    def over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
-        """Return the lens for waves, fitted for nearnesses (low, high) up to a field, or to its own largest field."""
-        return _checked(self._over_field(field, nearness))
+    def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
+        """Return the lens for waves, fitted for inverse distances (low, high) up to a field, by default its largest."""
+        return _checked(self._over_field(field, inverse_distance))
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
         """Return points (n, 3), one at each distance, at the largest field that a detector sees through the lens."""
@@ -213,31 +213,31 @@ class RealLens(LensSystem):
         field = np.minimum(field, WITHIN * lens.fitted.aberration.scales.field)
         return np.column_stack([0 * depths, field / near, depths])
 
-    def _over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
-        """Return a lens fitted for a field and nearnesses; ranges grow in steps, so that fits can be reused."""
+    def _over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
+        """Return a lens fitted for a field and inverse distances; ranges grow in steps, so that fits can be reused."""
         least = _NARROWEST * self.corner / self.mla_distance
         steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
-        power = _NEARNESS_STEP / self.focal_length
-        low, high = math.floor(nearness[0] / power), math.ceil(nearness[1] / power)
+        power = _INVERSE_DISTANCE_STEP / self.focal_length
+        low, high = math.floor(inverse_distance[0] / power), math.ceil(inverse_distance[1] / power)
         key = least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power
         if key not in self._fits:
             self._fits[key] = self._fit(*key)
         return self._fits[key]
 
     def _fit(self, field: float, low: float, high: float) -> FittedLens:
-        """Fit the lens for a range of nearnesses, up to a field or to the edge of its own field."""
-        tracer, radius, nearness = functools.partial(trace, self), self.aperture_radius, (low, high)
-        field = covered(tracer, radius, field, nearness)
+        """Fit the lens for a range of inverse distances, up to a field or to the edge of its own field."""
+        tracer, radius, inverse_distance = functools.partial(trace, self), self.aperture_radius, (low, high)
+        field = covered(tracer, radius, field, inverse_distance)
         if not field > 0:
             raise InputError("main_lens: no light of the scene points passes it")
         with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
-            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, nearness, self._light)
+            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self._light)
         return FittedLens(self, self.reach, fitted)
 
 
 def _checked(lens: FittedLens) -> FittedLens:
     """Return a lens after a check of the error of its fitted path."""
-    guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
+    guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 
 

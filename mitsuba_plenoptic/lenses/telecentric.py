@@ -128,13 +128,13 @@ class TelecentricLens(UniformLens):
         """Return the positions (n, 2) of the chief rays of points in the native image plane."""
         return -self.objective.magnification * points[:, :2]
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the depths (n,) of scene points, in which wavefronts change uniformly."""
         return points[:, 2]
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `nearness`."""
-        return np.column_stack([images * (-1 / self.objective.magnification), nearness])
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return 0: wavefronts of all points of an object plane differ by their tilts alone.

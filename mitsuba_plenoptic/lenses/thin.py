@@ -188,13 +188,13 @@ class ThinLens(UniformLens, FinitePupil):
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
         return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reciprocals (n,) of the distances of scene points."""
         return np.asarray(1 / points[:, 2])
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `nearness`."""
-        distance = 1 / nearness[:, None]
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        distance = 1 / inverse_distance[:, None]
         return np.hstack([images * (-distance / self.pupil_distance), distance])
 
     def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:

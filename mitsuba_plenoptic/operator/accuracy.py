@@ -188,13 +188,13 @@ def find_patterns(
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
     place = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
-    mean = np.bincount(pattern, lens.nearness(positions)) / count
+    mean = np.bincount(pattern, lens.inverse_distance(positions)) / count
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
-    nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, nearness)
+    inverse_distance = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
+    found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, inverse_distance)
     return Patterns(found, slant, pattern, cell - middle[pattern])
 
 

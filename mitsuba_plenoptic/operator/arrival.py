@@ -183,7 +183,7 @@ def at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil:
     """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
-    guards.judge(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
+    guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength)
     return onto_window(spectrum, grids)
 
@@ -204,7 +204,7 @@ def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
         for block in blocks(rows):
             wide = interpolate(partial[block], grids.wide_mla, axis=1)
             samples[block] = wide[:, left : left + columns]
-    guards.judge_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
+    guards.check_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
     origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
     return SampledField(samples, origin, grids.pitch)
 
@@ -272,7 +272,7 @@ def _at_native_image(
     scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
     shape = count, count
     packed = as_field(pack(spectrum * types.Float(scale)), shape)
-    guards.judge(guards.UNDERSAMPLED, band_edge_fraction(packed))
+    guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
     mla = onto_window(packed, grids)
     stop = backend().arrays.fft.fftshift(as_field(pack(field), shape))[::-1, ::-1]
     half = (count - 1) // 2

@@ -114,7 +114,7 @@ def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field,
         before = _passed_power(system, grids, samples)
         _apply(system.microlenses.factors(grids.bend), grids, samples)
         if before > 0:
-            guards.judge(guards.MICROLENS, 1 - power(samples) / before)
+            guards.check(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, system.camera.detector_distance, system.wavelength)

@@ -351,5 +351,5 @@ class PatchSum:
         """Check the fraction of light that has arrived, and integrate the sum over the recorded pixels."""
         loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
         if loss is not None:
-            guards.judge(guards.PATCH, loss)
+            guards.check(guards.PATCH, loss)
         return self._plan._recorder.record(total.sums)

@@ -76,10 +76,10 @@ class StepGuard:
         """Check the field after the step, and report all findings."""
         after, rim = self._of_field(field)
         with guards.watch():
-            guards.judge(guards.EVANESCENT, self._evanescent)
-            guards.judge(guards.UNDERSAMPLED, self._band_edge)
+            guards.check(guards.EVANESCENT, self._evanescent)
+            guards.check(guards.UNDERSAMPLED, self._band_edge)
             # if the rows do not represent the field, its power in the rim before the step is unknown
-            guards.judge_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
+            guards.check_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
     def _of_field(self, field: Field) -> tuple[float, float]:
         """Total power, and power in the rim of the window."""

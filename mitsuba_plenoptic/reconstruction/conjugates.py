@@ -135,10 +135,10 @@ class RealConjugates:
                 )
         b, behind = camera.mla_distance, float(real.pupil_distance)
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
-        nearness = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
+        inverse_distance = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
         fields = [abs(pupils.magnification) / behind]
-        fields += [min(g, FAR) * near / b for g, near in zip(distances, nearness, strict=True)]
-        lens = real.over_field(corner * max(fields), (min(nearness), max(nearness)))
+        fields += [min(g, FAR) * near / b for g, near in zip(distances, inverse_distance, strict=True)]
+        lens = real.over_field(corner * max(fields), (min(inverse_distance), max(inverse_distance)))
         seen = behind_thin_lens(system)
         wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
         more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
@@ -149,12 +149,12 @@ class RealConjugates:
         pupils = self.lens.fitted.pupils
         return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
 
-    def _nearness(self, distance: float) -> float:
+    def _inverse_distance(self, distance: float) -> float:
         return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
 
     def _bound(self, places: NDArray[np.float64], distance: float, which: Any = None) -> Light:
         """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
-        points = self.lens.points(self.lens.within(places), np.full(len(places), self._nearness(distance)))
+        points = self.lens.points(self.lens.within(places), np.full(len(places), self._inverse_distance(distance)))
         return self.lens.bind(points, which)
 
     def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:

@@ -270,7 +270,7 @@ class _BinnedPower:
         self._at, passed = self._fields(amplitude)
         sent = float(image.sum(dtype=np.float64))
         if checked and sent:
-            guards.judge(guards.PUPIL, 1 - passed / sent)
+            guards.check(guards.PUPIL, 1 - passed / sent)
         power: Any = sum(squared((slice(None), field))[1] for field in self._at)
         bins = backend().to_host(self._sums.forward([(slice(None), power)]))
         spread = bins if refocus._spread is None else refocus._spread.forward(bins)

@@ -82,11 +82,11 @@ def reconstruct_subsets(
                     total[part] += found[part]
             progress((done + 1) / interleave**2)
     if checked:
-        guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+        guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
         for total, distance in zip(totals, distances, strict=True):
             # Where the detector's edge cuts the light nothing is known.
             if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
-                guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+                guards.check(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
     return totals
 
 

@@ -233,9 +233,9 @@ def reconstruct_lens_by_lens(
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch.bin)) / len(lit))
     if checked and len(lit):
-        guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
+        guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
         for total, rim in zip(totals, in_rim, strict=True):
-            guards.judge(guards.OBJECT, fraction(rim, float(total.sum())))
+            guards.check(guards.OBJECT, fraction(rim, float(total.sum())))
     return [on_bins(total, lenses) for total in totals]
 
 

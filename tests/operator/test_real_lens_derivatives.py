@@ -119,8 +119,8 @@ def test_changes_of_the_light_against_refitted_lenses():
     change = lens_change(lens, "wavelength")
     rng = np.random.default_rng(1)
     pupil = tuple(part[None] for part in 0.6 * lens.pupil_radius * rng.uniform(-1, 1, (2, 50)))
-    fields, nearness = lens.fitted.pupils.field(points)
-    lanes = [np.array([[number]]) for number in change.aberration.at(fields, nearness)[0]]
+    fields, inverse_distance = lens.fitted.pupils.field(points)
+    lanes = [np.array([[number]]) for number in change.aberration.at(fields, inverse_distance)[0]]
     field = fields[:, :1], fields[:, 1:]
     found = change.aberration.over_pupil(lanes, field).value(pupil)
     high, low = (

@@ -128,7 +128,7 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 
     The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
     """
-    numbers = VaryingNumbers(camera, 1.0, names)
+    numbers = VaryingParameters(camera, 1.0, names)
     value = dr.log(numbers.brightness(camera))
     if dr.grad_enabled(value):
         dr.backward(value)
@@ -147,7 +147,7 @@ def light_slopes(
     return found | system.waves_of(points).open_slopes(found, points)
 
 
-class VaryingNumbers:
+class VaryingParameters:
     """The parameters of a camera, and the wavelength, as Dr.Jit arrays; those in `names` carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:

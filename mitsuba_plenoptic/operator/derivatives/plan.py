@@ -37,7 +37,7 @@ from .batches import (
     copy_slopes,
     varying_factors,
 )
-from .numbers import MOVES, VaryingNumbers
+from .numbers import MOVES, VaryingParameters
 
 Direction = dict[str, NDArray[np.float64]]
 """Changes of parameters, by name."""
@@ -92,7 +92,7 @@ class DerivativePlan(PatchPlan):
 
         `done` of the `total` points of a job are already complete.
         """
-        numbers = VaryingNumbers(self._camera, self._wavelength, names)
+        numbers = VaryingParameters(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
         shifted = self._shifted(names)
         summed = 3 if shifted else bool(moves)
@@ -141,11 +141,11 @@ class DerivativePlan(PatchPlan):
         """Return whether copies shift with some parameters."""
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
-    def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
+    def offset_for(self, names: Iterable[str]) -> VaryingParameters | None:
         """Return the parameters with a varying ``mla_offset``, if the changes of copies by `names` depend on it."""
         if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
             return None
-        return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
+        return VaryingParameters(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the spreads for whose copies the motion of the lattice against their points is included.
@@ -176,7 +176,7 @@ class DerivativePlan(PatchPlan):
         chunk: NDArray[np.int64],
         weights: NDArray[np.float64],
         moving: NDArray[np.bool_],
-        offset: VaryingNumbers | None,
+        offset: VaryingParameters | None,
         samples: Any,
         summed: int,
         varies: tuple[bool, ...],
@@ -232,7 +232,7 @@ class JvpSum:
         offset = plan.offset_for(name for changes in self._directions for name in changes)
         moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
-            numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
+            numbers = tuple(VaryingParameters(plan._camera, plan._wavelength, changes) for changes in self._directions)
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
             fields, copies = plan.lit(chunk, self._weights, moving)
