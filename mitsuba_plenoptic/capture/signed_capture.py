@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera
 from ..camera.vector import Values
 from ..io.checkpoints import digest
 from ..operator.patch_plan import Cost
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.jobs import Job, SumTask
 from .noise import PARTS, Mended, keep_spread, with_spread
 from .scene_light import LightDerivatives, SceneLight

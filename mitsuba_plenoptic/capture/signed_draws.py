@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
 from ..system.optical_system import RayPupil

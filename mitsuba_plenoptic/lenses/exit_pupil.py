@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..optics import guards
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from . import sequential
 from .lens_system import LensSystem
 

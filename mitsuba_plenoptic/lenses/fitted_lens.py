@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from .common import FinitePupil
 from .pupil_fit import PupilFit
 from .pupil_polynomials import LensLight, Place, Polynomial

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .common import FinitePupil
 from .fitted_lens import FittedLens, at_all, edges, places

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from . import sequential
 from .lens_system import LensSystem
 from .pupil_polynomials import Degrees, Polynomial, Scales, fit

@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 
 Place = tuple[Any, Any]
 

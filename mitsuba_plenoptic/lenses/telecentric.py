@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..objective import Objective
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from .common import UniformLens
 from .factory import LensNumbers, builds
 

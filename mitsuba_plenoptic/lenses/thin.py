@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..bounds import WAVEFRONT_UNIT
 from ..optics import rays
-from ..optics.phase import in_millimetres, parabola
+from ..optics.waves import in_millimetres, parabola
 from ..thin_lens import vergence
 from .common import FinitePupil, UniformLens
 from .distortion import undistort

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, require_number
 from ..lenses.base import MainLens
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from .grid import Band
 from .pupil_weights import PupilWeights
 

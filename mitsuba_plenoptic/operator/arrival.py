@@ -16,8 +16,7 @@ from ..errors import InputError
 from ..lenses.exit_pupil import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
-from ..optics.free_space import advance
-from ..optics.phase import band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
+from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, pack, resting_drjit, rows_and_columns
 from ..system.microlenses import diffraction, scattering

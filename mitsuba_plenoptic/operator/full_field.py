@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
-from ..optics.free_space import advance
-from ..optics.phase import in_millimetres, power
+from ..optics.waves import advance, in_millimetres, power
 from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns

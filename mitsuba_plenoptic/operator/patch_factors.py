@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from ..lattice import turn
 from ..lenses.base import Light, MainLens
 from ..lenses.lens_changes import VaryingLens, VaryingLight
-from ..optics.free_space import transfer
-from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
+from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime.backend import array_module
 from ..runtime.fft import split
 from ..system.microlens_orders import ArrayFactor, VaryingArrayFactor

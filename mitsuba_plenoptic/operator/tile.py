@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module, backend
 from ..runtime.batches import Box, Part
 from ..runtime.fft import fft2, resting_drjit

@@ -27,7 +27,7 @@ from ..lenses.base import Light
 from ..lenses.fitted_lens import FAR, FittedLens
 from ..lenses.pupil_fit import Pupils
 from ..lenses.real_lens import RealLens
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module
 from ..system.optical_system import OpticalSystem
 

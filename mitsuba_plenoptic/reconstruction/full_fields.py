@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
-from ..optics.phase import fraction, parabola, phasor, power, soft_edge
+from ..optics.waves import fraction, parabola, phasor, power, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory

@@ -24,7 +24,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
-from ..optics.phase import fraction, in_millimetres, parabola, phasor, soft_edge
+from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..system.optical_system import OpticalSystem

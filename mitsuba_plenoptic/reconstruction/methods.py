@@ -17,7 +17,7 @@ from ..detector import require_demosaiced
 from ..errors import InputError, argument, require_choice, require_count, require_number, short_repr
 from ..io.captures import Capture, as_array
 from ..io.checkpoints import Checkpoint
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.batches import BatchMap
 from ..runtime.limits import largest_fitting, require_memory
 from ..system.optical_system import OpticalSystem

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.free_space import advance
-from ..optics.phase import in_millimetres
+from ..optics.waves import advance, in_millimetres
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, pack, split
 from .planning import AxisStep, Step

@@ -31,7 +31,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import memory_limit, require_memory
 from ..system.microlenses import bend
 from ..system.sampling import fast_length

@@ -42,7 +42,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import InputError
 from ..optics import rays
-from ..optics.phase import in_millimetres, soft_edge
+from ..optics.waves import in_millimetres, soft_edge
 from ..runtime.fft import blur, convolve
 from ..runtime.limits import require_memory
 from .methods import Progress, Task, portion

@@ -51,7 +51,7 @@ from ..design import focus_type
 from ..errors import InputError
 from ..lightfield.white import PupilFraction
 from ..optics import rays
-from ..optics.phase import soft_edge
+from ..optics.waves import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, convolve
 from ..system.optical_system import OpticalSystem

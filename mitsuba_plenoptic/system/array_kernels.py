@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import Lattice
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .lens_kinds import Kind, LensKinds
 

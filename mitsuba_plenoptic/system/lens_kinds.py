@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""

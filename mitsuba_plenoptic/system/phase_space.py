@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, short_repr
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem

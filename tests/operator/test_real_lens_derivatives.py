@@ -14,7 +14,7 @@ from mitsuba_plenoptic.operator.derivatives import NUMBERS
 from mitsuba_plenoptic.operator.derivatives.plan import DerivativePlan
 from mitsuba_plenoptic.operator.full_field import full_field
 from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.optics.phase import in_millimetres
+from mitsuba_plenoptic.optics.waves import in_millimetres
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 POINT = np.array((0.03, -0.02, 115.0))

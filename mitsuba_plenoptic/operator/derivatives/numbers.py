@@ -19,7 +19,7 @@ from ...camera.vector import change_of, parts_of, size_of
 from ...errors import InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
-from ...optics.phase import in_millimetres
+from ...optics.waves import in_millimetres
 from ...runtime.backend import array_module, backend
 from ...system.microlens_orders import VaryingArrayFactor
 from ...system.optical_system import OpticalSystem
