@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, argument, require_choice, require_count, suggest_keywords
+from ..errors import InputError, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..operator.patch_plan import Cost
@@ -153,11 +153,9 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     if isinstance(sensor, mi.Sensor):
         return sensor
     sensors = scene.sensors()
-    if not sensors:
-        raise InputError("scene: it has no sensor; add one of type 'plenoptic'")
+    refuse_if(not sensors, "scene: it has no sensor; add one of type 'plenoptic'")
     number = require_count("sensor", sensor, minimum=0)
-    if number >= len(sensors):
-        raise InputError(f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
     return sensors[number]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 
 Pair = tuple[Any, Any]
 
@@ -71,8 +71,7 @@ def require_finite(radiance: list[Any], *others: Any) -> None:
     """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite."""
     finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
     dr.eval(finite, radiance, others)
-    if not dr.all(finite):
-        raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
+    refuse_if(not dr.all(finite), "scene: the radiance of some rays is NaN or infinite: all must be finite")
 
 
 @dataclass(frozen=True)
@@ -160,8 +159,9 @@ def _differentiable(integrator: Any) -> Any:
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
         return integrator
     name = type(integrator).__name__ if type(integrator).__module__ != "mitsuba" else integrator.class_name()
-    if name not in _REPLAYED:
-        raise InputError(f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb")
+    refuse_if(
+        name not in _REPLAYED, f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb"
+    )
     # Integrators written in C++ show these parameters only in their description.
     depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
     if depths["max_depth"] >= _ENDLESS:

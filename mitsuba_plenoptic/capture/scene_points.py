@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.checks import require_ideal
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..io.checkpoints import digest
 from ..operator.operator import CaptureOperator
 from ..operator.patch_plan import Cost
@@ -95,8 +95,10 @@ def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCam
     bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     for shape in scene.shapes():
         name = f"{what}: surface {shape.id()}"
-        if shape.class_name() == "Instance":
-            raise InputError(f"{name} is an instance, whose materials are not known: place the shapes themselves")
+        refuse_if(
+            shape.class_name() == "Instance",
+            f"{name} is an instance, whose materials are not known: place the shapes themselves",
+        )
         if shape.interior_medium() is not None or shape.exterior_medium() is not None:
             raise InputError(f"{name} bounds a medium: it needs empty space")
         if any(mi.has_flag(shape.bsdf().flags(), lobes) for lobes in bent):
@@ -209,8 +211,9 @@ class _Finder:
         channels = [part for light in self.lights for part in light(start, direction, mi.Bool(True), seed)]
         means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
         radiance = np.stack(means, axis=1).astype(np.float64)
-        if not np.isfinite(radiance).all():
-            raise InputError("scene: the radiance of some points is NaN or infinite: all must be finite")
+        refuse_if(
+            not np.isfinite(radiance).all(), "scene: the radiance of some points is NaN or infinite: all must be finite"
+        )
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
@@ -279,8 +282,7 @@ class PointsCapture:
 
         The result has the shape (rows, columns, channels).
         """
-        if noise:
-            raise InputError("noise: method = points does not state it; compare seeds, or use signed_rays")
+        refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warnings.warn("plenoptic_wave: no ray from the pupil meets anything that shines", stacklevel=2)

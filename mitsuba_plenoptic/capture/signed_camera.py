@@ -31,7 +31,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import Captures
 from ..camera.parameters import with_gradient
 from ..camera.vector import Values, shortest_parts, with_parts
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..optics import rays
 from ..system.phase_space import PhaseSpace
 from ..system.ray_coefficients import RayCoefficients
@@ -75,17 +75,19 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
     for name in names:
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
-        if name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1]:
-            raise InputError("mla_pitch: captures by signed rays have no derivative by one of two pitches")
+        refuse_if(
+            name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1],
+            "mla_pitch: captures by signed rays have no derivative by one of two pitches",
+        )
         for other in _REFUSED:
             value = getattr(camera, other)
             if any(value) if isinstance(value, tuple) else value is not None:
                 raise InputError(f"{name}: captures by signed rays have no derivative by it with {other}; leave it out")
-        if by_points:
-            raise InputError(
-                f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "
-                f"detector_distance = {camera.detector_distance:g} is far from it"
-            )
+        refuse_if(
+            by_points,
+            f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "
+            f"detector_distance = {camera.detector_distance:g} is far from it",
+        )
 
 
 class CameraTangents(SignedRaySum):

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import refuse_if
 from ..optics.waves import in_millimetres
 from .common import FinitePupil
 from .pupil_fit import PupilFit
@@ -172,8 +172,10 @@ class FittedLens(FinitePupil):
         points = np.column_stack([0 * places, -places * g / camera.mla_distance, np.full(len(places), g)])
         images = self.images(points)[:, 1]
         growth = np.gradient(np.append(0, images), np.append(0, places))[1:]
-        if images.min() <= 0 or growth.min() <= 0:
-            raise InputError(f"distance = {distance:g}: the main_lens distorts so that the image of this plane folds")
+        refuse_if(
+            images.min() <= 0 or growth.min() <= 0,
+            f"distance = {distance:g}: the main_lens distorts so that the image of this plane folds",
+        )
         ratio = images / places
         return ImageStretch(places, ratio, ratio * growth)
 

@@ -20,7 +20,7 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.data import height
 from ..thin_lens import vergence
@@ -150,8 +150,7 @@ class LensSystem(FiniteDistance):
         axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
         y, Px, Py = np.meshgrid(np.linspace(0, field, _FIELDS), axis[_ACROSS // 2 :], axis, indexing="ij")
         _, _, is_open = self.trace((np.zeros_like(y), y), (Px / distance, (Py - y) / distance))
-        if not np.any(is_open[0]):
-            raise InputError("main_lens: no ray gets through it to the middle of the array")
+        refuse_if(not np.any(is_open[0]), "main_lens: no ray gets through it to the middle of the array")
         return float(np.max(np.hypot(Px, Py)[is_open])) + (axis[1] - axis[0])
 
     def vergence(self, distance: Any) -> Any:

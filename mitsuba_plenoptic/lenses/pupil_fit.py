@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..optics.waves import in_millimetres
 from . import sequential
 from .lens_system import LensSystem
@@ -233,8 +233,7 @@ def fit_pupil(
     """Trace rays, and fit polynomials of rising degree until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
     is_open = rays.open
-    if not is_open.any():
-        raise InputError("main_lens: no ray gets through it from where the scene points lie")
+    refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
     judges = judges.take(judges.open)
     low, high = inverse_distance
     scales = Scales(float(np.hypot(*rays.place[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)

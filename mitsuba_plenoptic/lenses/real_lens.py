@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
@@ -69,8 +69,9 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
         result[number] = outward * (radius - inside)[:, None]
         # The round pupil has no points farther from its edge than its centre.
         result[number][inside > radius] = 0
-    if not (np.hypot(*result[0].T) <= radius).any():
-        raise InputError("main_lens: no ray gets through it to the middle of the array")
+    refuse_if(
+        not (np.hypot(*result[0].T) <= radius).any(), "main_lens: no ray gets through it to the middle of the array"
+    )
     return RoundMap(last, half, result.reshape(_FIELDS, _MAP_NODES, _MAP_NODES, 2))
 
 
@@ -228,8 +229,7 @@ class RealLens(LensSystem):
         """Fit the lens for a range of inverse distances, up to a field or to the edge of its own field."""
         tracer, radius, inverse_distance = functools.partial(trace, self), self.aperture_radius, (low, high)
         field = covered(tracer, radius, field, inverse_distance)
-        if not field > 0:
-            raise InputError("main_lens: no light of the scene points passes it")
+        refuse_if(not field > 0, "main_lens: no light of the scene points passes it")
         with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
             fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self._light)
         return FittedLens(self, self.reach, fitted)

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..errors import refuse_if, require_number
 from ..lenses.base import MainLens
 from ..optics.waves import in_millimetres
 from .grid import Band
@@ -68,8 +68,7 @@ _MANY = 1600
 def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
     """Return an allowed error as a float."""
     number = require_number(name, accuracy)
-    if not 0 <= number < 1:
-        raise InputError(f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
+    refuse_if(not 0 <= number < 1, f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
     return number
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import refuse_if
 from ..lenses.exit_pupil import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
@@ -169,11 +169,10 @@ def pupil_field(
         density *= types.Float64(passed)
         cover *= amplitude
     power = dr.sum(density)[0] * pitch**2
-    if not 0 < power < math.inf:
-        raise InputError(
-            f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples "
-            f"{pitch:g} apart"
-        )
+    refuse_if(
+        not 0 < power < math.inf,
+        f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart",
+    )
     field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(power))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 

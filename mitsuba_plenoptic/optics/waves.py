@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_number
+from ..errors import refuse_if, require_number
 from ..runtime.backend import array_module, backend, backend_of, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
 from . import guards
@@ -216,8 +216,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
     arrays = libraries.arrays if on_device else np
     samples = arrays.array(field, np.complex64, order="C", copy=None if overwrite else True)
-    if samples.ndim != 2 or samples.size == 0:
-        raise InputError(f"field of shape {samples.shape}: it must have rows and columns")
+    refuse_if(samples.ndim != 2 or samples.size == 0, f"field of shape {samples.shape}: it must have rows and columns")
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
     packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
@@ -226,8 +225,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     result = as_field(fft2_packed(packed, shape, inverse=True), shape)
     result = result if on_device else libraries.to_host(result)
     # Every sample of a transform depends on all others: a single sample that is not finite makes them all so.
-    if not np.isfinite(complex(result[0, 0])):
-        raise InputError("field: its samples must be finite")
+    refuse_if(not np.isfinite(complex(result[0, 0])), "field: its samples must be finite")
     guard.see_result(result)
     return result
 

@@ -15,6 +15,7 @@ from ..detector import require_demosaiced
 from ..errors import (
     InputError,
     argument,
+    refuse_if,
     require_choice,
     require_count,
     require_flag,
@@ -66,16 +67,18 @@ def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
 
 def _require_same_light(white: Capture, capture: Capture, channels: int) -> None:
     """Refuse a white wave capture that lost a different part of the light at the edges of its micro-images."""
-    if white.model == "wave" and capture.model != "wave":
-        raise InputError("white: it was captured by waves, and the capture by rays, which lose no light at edges")
+    refuse_if(
+        white.model == "wave" and capture.model != "wave",
+        "white: it was captured by waves, and the capture by rays, which lose no light at edges",
+    )
     if white.wavelength is None or capture.wavelength is None:
         return
     theirs, own = (np.broadcast_to(light, channels) for light in (white.wavelength, capture.wavelength))
-    if not np.array_equal(theirs, own):
-        raise InputError(
-            f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
-            "it must be of the same wavelengths"
-        )
+    refuse_if(
+        not np.array_equal(theirs, own),
+        f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
+        "it must be of the same wavelengths",
+    )
 
 
 _PROGRESS_STEPS = 100
@@ -248,11 +251,11 @@ def reconstruct(
     capture = as_capture(capture, camera)
     camera = capture.camera
     chosen = METHODS[require_choice("method", method, METHODS)]
-    if not camera.lens_data.converges and method != "deconvolved":
-        raise InputError(
-            f"method = {method}: behind main_lens = {camera.lens_data.label} captures are only deconvolved; use "
-            f"{argument('method')} deconvolved"
-        )
+    refuse_if(
+        not camera.lens_data.converges and method != "deconvolved",
+        f"method = {method}: behind main_lens = {camera.lens_data.label} captures are only deconvolved; use "
+        f"{argument('method')} deconvolved",
+    )
     if white is not None and method == "deconvolved":
         raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     require_upright(camera)
@@ -282,8 +285,10 @@ def reconstruct(
         "volume": volume is not None and require_flag("volume", volume),
         "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
     }
-    if not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray":
-        raise InputError(f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave")
+    refuse_if(
+        not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray",
+        f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave",
+    )
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = require_distances(distance, camera)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..camera.checks import require_ideal
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number
 from ..io.captures import as_array, require_pixels
 from ..optics import guards
 from ..runtime.backend import backend, one_at_a_time
@@ -62,8 +62,7 @@ class RayRefocus:
         self._numbers = numbers[1:]
         white = white_sums(*numbers)
         reached = is_reached(white)
-        if not reached.any():
-            raise InputError(f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
+        refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
 
     def forward(self, capture: Any) -> np.ndarray:

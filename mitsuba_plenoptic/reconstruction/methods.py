@@ -14,7 +14,7 @@ import numpy as np
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..detector import require_demosaiced
-from ..errors import InputError, argument, require_choice, require_count, require_number, short_repr
+from ..errors import InputError, argument, refuse_if, require_choice, require_count, require_number, short_repr
 from ..io.captures import Capture, as_array
 from ..io.checkpoints import Checkpoint
 from ..optics.waves import in_millimetres
@@ -168,8 +168,10 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
 
 def require_upright(camera: PlenopticCamera) -> None:
     """Refuse a tilted array behind a real main lens."""
-    if not camera.lens_data.is_thin and any(camera.mla_tilt):
-        raise InputError(f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only")
+    refuse_if(
+        not camera.lens_data.is_thin and any(camera.mla_tilt),
+        f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only",
+    )
 
 
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
@@ -185,8 +187,7 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     distances = [require_number("distance", value, finite=False) for value in given]
     for value in distances:
         camera.lens_data.require_distance(camera, value)
-    if not distances:
-        raise InputError("distance = []: give at least one")
+    refuse_if(not distances, "distance = []: give at least one")
     return distances
 
 
@@ -221,10 +222,10 @@ def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera
             f"wavelength = None: a wave method needs one, and the capture has none; give {argument('wavelength')}"
         )
     values = [given] * channels if np.ndim(given) == 0 else list(given)
-    if len(values) != channels:
-        raise InputError(
-            f"wavelength = {short_repr(given)}: the capture has {channels} channels; give one, or one for each"
-        )
+    refuse_if(
+        len(values) != channels,
+        f"wavelength = {short_repr(given)}: the capture has {channels} channels; give one, or one for each",
+    )
     found = [require_wavelength(value) for value in values]
     if in_millimetres(max(found)) >= min(camera.mla_pitches):
         raise InputError(

@@ -48,7 +48,7 @@ import numpy as np
 from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..errors import InputError
+from ..errors import refuse_if
 from ..lightfield.white import PupilFraction
 from ..optics import rays
 from ..optics.waves import soft_edge
@@ -128,12 +128,12 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = T
     Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera.
     """
     back, sent = (_aligned_throughput if camera.lenses_are_bins else _mean_throughput)(camera, wavelength, relay)
-    if not min(back, sent) > 0:
-        raise InputError(
-            f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
-            f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
-            "no white can be computed for waves"
-        )
+    refuse_if(
+        not min(back, sent) > 0,
+        f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
+        f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
+        "no white can be computed for waves",
+    )
     return back / sent
 
 
@@ -227,10 +227,10 @@ def white_power(
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
     """Return the camera with a crop of `lenses` lenses on each side of the axis; the detector grows if needed."""
     around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
-    if around > MOST_PIXELS // 2:
-        raise InputError(
-            f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves"
-        )
+    refuse_if(
+        around > MOST_PIXELS // 2,
+        f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves",
+    )
     columns, rows = (max(size, 2 * around) for size in camera.resolution)
     return camera.replace(
         resolution=(columns, rows),

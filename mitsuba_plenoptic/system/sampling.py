@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..bounds import SHORTEST
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lenses.base import Light, MainLens
 from ..runtime.limits import memory_limit, require_memory
 
@@ -114,8 +114,7 @@ def fast_length(minimum: float, multiple: int = 1) -> int:
 def check_samples(count: float, where: str) -> None:
     """Refuse a field with more samples along an axis than memory can hold, before conversion to integers."""
     # Written so that NaN is refused.
-    if not count <= _LONGEST:
-        raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
+    refuse_if(not count <= _LONGEST, f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
 def check_positions(
@@ -126,8 +125,10 @@ def check_positions(
         points = np.asarray(positions, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError("position: it must be numbers (X, Y, g)") from None
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g")
+    refuse_if(
+        points.ndim != 2 or points.shape[1] != 3,
+        f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",
+    )
     for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
         if bad.any():
             raise InputError(f"position = {_format(points[bad][0])}: {rule}")
