@@ -378,7 +378,15 @@ def register(cls: type[Lattice]) -> type[Lattice]:
 
 
 def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
-    """Build the lattice of a name in `LATTICES`; see `Lattice` for the parameters."""
+    """Build a lattice.
+
+    Parameters
+    ----------
+    name : str
+        Its name in `LATTICES`.
+    pitches, numbers
+        Parameters of `Lattice`.
+    """
     return LATTICES[name](pitches, **numbers)
 
 
