@@ -201,7 +201,7 @@ class CameraGeometry(CameraParameters):
         refuse_if(
             not self.lens_data.converges,
             f"main_lens = {self.lens_data.label}: {what} is not defined behind an objective; "
-            "mitsuba_plenoptic.design tells native_field and resolution_limit",
+            "mitsuba_plenoptic.design has native_field and resolution_limit",
         )
 
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:

@@ -15,8 +15,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import InputError, refuse_if
-
-Pair = tuple[Any, Any]
+from ..lenses.base import Pair
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 """For the class names of integrators, the plugins that find the same radiance and its derivatives."""

@@ -32,12 +32,13 @@ from ..camera.entry import Captures
 from ..camera.parameters import with_gradient
 from ..camera.vector import Values, shortest_parts, with_parts
 from ..errors import InputError, refuse_if
+from ..lenses.base import Pair
 from ..optics import rays
 from ..system.phase_space import PhaseSpace
 from ..system.ray_coefficients import RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Cells, Drawn, Lot, Pair
+from .signed_draws import Cells, Drawn, Lot
 from .signed_rays import REACH, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..lenses.base import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
@@ -21,8 +22,6 @@ from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace
 from ..system.ray_coefficients import LensPoints
 from .signed_colours import Lanes
-
-Pair = tuple[Any, Any]
 
 _STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 """Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""

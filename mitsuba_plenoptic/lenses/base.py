@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .real_lens import RoundMap
 
 Pair = tuple[Any, Any]
-"""x and y in the camera frame, of positions or of slopes."""
+"""x and y in the camera frame, of positions, slopes or direction cosines."""
 
 Traced = tuple[tuple[Any, Any, Any], Pair, Any]
 """Start point of a ray towards the scene, its slopes there, and whether it passes the main lens."""
@@ -134,9 +134,7 @@ class MainLens(Protocol):
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene.
 
         Parameters
@@ -159,7 +157,7 @@ class MainLens(Protocol):
     def convergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
 
-    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, in the form that `trace` returns."""
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
@@ -225,7 +223,7 @@ class MainLens(Protocol):
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
         """Return the lens with plain parameters made opaque by a function, if kernels depend on them."""
 
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
+    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions on the MLA of chief rays from object points that reconstruction bins assign to x, y.
 
         Parameters
@@ -244,7 +242,7 @@ class MainLens(Protocol):
     def cone(self, distances: Any) -> float:
         """Return half the range of direction cosines of one point's light at the MLA, the largest over `distances`."""
 
-    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
+    def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
         """Follow plane waves back from a position on the MLA, as in the Debye integral.
 
         Parameters
@@ -289,13 +287,13 @@ class MainLens(Protocol):
         """
 
 
-class Light(Protocol):
-    """Light of scene points on the exit pupil. Lengths are in millimetres, wavelengths in nanometres.
+class LightOnPupil(Protocol):
+    """Path, amplitude and edge of scene points' light on the exit pupil. Lengths are in mm, wavelengths in nm.
 
     The points passed to its methods must be those to which it is bound.
     """
 
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
 
         Parameters
@@ -308,46 +306,31 @@ class Light(Protocol):
             Wavelength in nanometres.
         """
 
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         """Return the modulus of a scene point's field on the exit pupil, in units common to the whole field."""
 
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the exit pupil, positive inside and negative outside."""
 
-    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+
+class Light(LightOnPupil, Protocol):
+    """Light of scene points on the exit pupil, with its directions and the rays to the MLA."""
+
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the exit pupil or, up to rounding, on its edge."""
 
-    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the direction cosines of a scene point's light at the exit pupil: the gradient of `path`."""
 
-    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point; `ray` traces it back."""
 
 
-class PointLight(Protocol):
-    """The path, amplitude and edge of `Light` for one point, as `MainLens.waves_of_one` returns them."""
+class PointLight(LightOnPupil, Protocol):
+    """The light of one point, as `MainLens.waves_of_one` returns it."""
 
     pupil_radius: Any
     pupil_distance: Any
-
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path as `Light.path` does.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
-        """
-
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return the amplitude as `Light.amplitude` does."""
-
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
-        """Return the distance from the edge as `Light.inside` does."""
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics.waves import in_millimetres
+from .base import Pair, Traced
 from .common import FinitePupil
 from .pupil_fit import PupilFit
-from .pupil_polynomials import LensLight, Place, Polynomial
+from .pupil_polynomials import LensLight, Polynomial
 
 FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
@@ -96,11 +97,11 @@ class FittedLens(FinitePupil):
         """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
-    def trace(self, place: Place, slope: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(place, slope)
 
-    def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, as `MainLens.ray` does."""
         return self.system.ray(pupil, place)
 
@@ -156,7 +157,7 @@ class FittedLens(FinitePupil):
         """Return the lens itself, because its parameters are stored in arrays."""
         return self
 
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
+    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions of chief rays from object points, as `MainLens.stretch` does."""
         found = self.image_stretch(camera, distance)
         ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
@@ -283,7 +284,7 @@ def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float
     return at_all(lens, points, measured)
 
 
-def places(lens: FittedLens) -> tuple[float, float, Place]:
+def places(lens: FittedLens) -> tuple[float, float, Pair]:
     """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
     step, beyond = 2 * lens.pupil_radius / _ACROSS, round(_EDGE)
     axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.pupil_radius
@@ -291,7 +292,7 @@ def places(lens: FittedLens) -> tuple[float, float, Place]:
     return step, _EDGE * step, (x, y)
 
 
-def edges(light: LensLight, pupil: Place) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the index of the edge nearest to each position, and the position's distance from it, positive inside."""
     away = np.stack([replace(light, stops=[stop]).inside(pupil) for stop in light.stops])
     return away.argmin(0), away.min(0)

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from ..lattice import turn
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
+from .base import Pair
 from .common import FinitePupil
 from .fitted_lens import FittedLens, at_all, edges, places
 from .lens_system import LensSystem
 from .pupil_fit import PupilRays, entrance_place, nodes, trace_all
-from .pupil_polynomials import LensLight, Place, Polynomial, PupilPolynomial, fit
+from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
 LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
 """Parameters that change the light on the exit pupil."""
@@ -215,21 +216,21 @@ class VaryingLight:
     base: LensLight
     changes: list[Shown]
 
-    def path(self, pupil: Place, point: Any, wavelength: Any) -> Any:
+    def path(self, pupil: Pair, point: Any, wavelength: Any) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
         length, held = self.base.length(pupil), dr.detach(pupil)
         for change in self.changes:
             length += change.amount * change.aberration.value(held)
         return length * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: Place, point: Any) -> Any:
+    def amplitude(self, pupil: Pair, point: Any) -> Any:
         """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
         result, held = self.base.amplitude(pupil, point), dr.detach(pupil)
         for change in self.changes:
             result += change.amount * change.brightness.value(held)
         return result
 
-    def inside(self, pupil: Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
         least, held = None, dr.detach(pupil)
         for number, stop in enumerate(self.base.stops):

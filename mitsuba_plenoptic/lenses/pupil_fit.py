@@ -94,8 +94,8 @@ def trace_all(
     with np.errstate(all="ignore"):
         away = (entrance[0] * inverse_distance) ** 2 + (entrance[1] * inverse_distance - field) ** 2 + 1
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
-        told = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
-        kept = told & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
+        finite = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
+        kept = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
     return PupilRays(field, inverse_distance, place, entrance, path - middle, amplitude, stops), kept
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
-
-Place = tuple[Any, Any]
+from .base import Pair
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class Polynomial:
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
         return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
 
-    def over_pupil(self, coefficients: list[Any], field: Place) -> PupilPolynomial:
+    def over_pupil(self, coefficients: list[Any], field: Pair) -> PupilPolynomial:
         """Return the polynomial over the pupil from coefficients as `at` returns them and the fields of the points."""
         return PupilPolynomial(self.scales, self.degrees, coefficients, field)
 
@@ -133,9 +132,9 @@ class PupilPolynomial:
     degrees: Degrees
     # The arguments of `Polynomial.over_pupil`.
     coefficients: list[Any]
-    field: Place
+    field: Pair
 
-    def value(self, pupil: Place) -> Any:
+    def value(self, pupil: Pair) -> Any:
         """Return the values at positions on the pupil, (x, y) in millimetres."""
         s, t = self._invariants(pupil)
         total: Any = 0.0
@@ -150,7 +149,7 @@ class PupilPolynomial:
             total = total * t + row
         return total
 
-    def gradient(self, pupil: Place) -> tuple[Any, Any, Any]:
+    def gradient(self, pupil: Pair) -> tuple[Any, Any, Any]:
         """Return the values and their derivatives along x and y."""
         s, t = self._invariants(pupil)
         value, along_s, along_t = self._sum(s, t)
@@ -158,7 +157,7 @@ class PupilPolynomial:
         x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
         return value, x, y
 
-    def _invariants(self, pupil: Place) -> tuple[Any, Any]:
+    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
         (x, y), (u, v) = pupil, self.field
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
@@ -185,7 +184,7 @@ class LensLight:
     # Distance from the exit pupil to the MLA in millimetres.
     pupil_distance: float
     # Slopes of the ray from the centre of the exit pupil to the paraxial image, (array, array).
-    slope: Place
+    slope: Pair
     # Reciprocal of that image's distance from the exit pupil.
     convergence: Any
     # Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
@@ -194,21 +193,21 @@ class LensLight:
     # Squared distance from the axis over the squared semi-aperture, for each vignetting surface.
     stops: list[PupilPolynomial]
 
-    def length(self, pupil: Place) -> Any:
+    def length(self, pupil: Pair) -> Any:
         """Return the path to a position on the exit pupil, less a constant of the point, in millimetres."""
         (x, y), (sx, sy), w = pupil, self.slope, self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
         return sphere / (self._secant(pupil) + _sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
 
-    def path(self, pupil: Place, point: Any, wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: Any, wavelength: float) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
         return self.length(pupil) * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: Place, point: Any) -> Any:
+    def amplitude(self, pupil: Pair, point: Any) -> Any:
         """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
         return self.brightness.value(pupil)
 
-    def inside(self, pupil: Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a position from the nearest edge, positive inside; accurate near the edges."""
         least: Any = None
         for stop in self.stops:
@@ -219,14 +218,14 @@ class LensLight:
             least = away if least is None else _minimum(least, away)
         return least
 
-    def is_open(self, pupil: Place) -> Any:
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether light passes a position, as `Light.is_open` does."""
         result: Any = True
         for stop in self.stops:
             result = (stop.value(pupil) <= 1) & result
         return result
 
-    def cosines(self, pupil: Place, point: Any) -> Place:
+    def cosines(self, pupil: Pair, point: Any) -> Pair:
         """Return the direction cosines of the light at the exit pupil, as `Light.cosines` does."""
         secant = self._secant(pupil)
         _, *change = self.aberration.gradient(pupil)
@@ -235,14 +234,14 @@ class LensLight:
         )
         return cx, cy
 
-    def land(self, pupil: Place, point: Any) -> Place:
+    def land(self, pupil: Pair, point: Any) -> Pair:
         """Return the positions on the MLA of rays through positions of the exit pupil, as `Light.land` does."""
         cosines = self.cosines(pupil, point)
         along = self.pupil_distance / _sqrt(1 - cosines[0] * cosines[0] - cosines[1] * cosines[1])
         x, y = (P + along * c for P, c in zip(pupil, cosines, strict=True))
         return x, y
 
-    def _secant(self, pupil: Place) -> Any:
+    def _secant(self, pupil: Pair) -> Any:
         x, y = (P * self.convergence - s for P, s in zip(pupil, self.slope, strict=True))
         return _sqrt(x * x + y * y + 1)
 

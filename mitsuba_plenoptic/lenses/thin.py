@@ -21,6 +21,7 @@ from ..bounds import WAVEFRONT_UNIT
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
 from ..thin_lens import vergence
+from .base import Pair, Traced
 from .common import FinitePupil, UniformLens
 from .distortion import undistort
 from .factory import LensNumbers, builds
@@ -76,7 +77,7 @@ class Wavefront:
         u, v = x / self._radius, y / self._radius
         return _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
 
-    def slope(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def slope(self, x: Any, y: Any) -> Pair:
         """Return the derivatives of `path` along x and y, which are the changes of direction."""
         u, v = x / self._radius, y / self._radius
         scale = in_millimetres(WAVEFRONT_UNIT) / self._radius
@@ -141,9 +142,7 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
         return vergence(self.focal_length, distance)
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
         if self.model == "ideal":
@@ -152,7 +151,7 @@ class ThinLens(UniformLens, FinitePupil):
             behind = rays.cosines_to_slopes(*self.refract(rays.slopes_to_cosines(*slope), (Px, Py)))
         return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
 
-    def refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
+    def refract(self, direction: Pair, pupil: Pair) -> Pair:
         """Return the direction before the lens, as slopes or cosines, from that between lens and MLA."""
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
         if not self.is_round:
@@ -164,7 +163,7 @@ class ThinLens(UniformLens, FinitePupil):
         """Return `vergence`: the lens is its own pupil."""
         return self.vergence(distance)
 
-    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point; the pupil's edge is not applied."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return (*pupil, 0.0), self.refract((tx, ty), pupil), True
@@ -197,7 +196,7 @@ class ThinLens(UniformLens, FinitePupil):
         distance = 1 / inverse_distance[:, None]
         return np.hstack([images * (-distance / self.pupil_distance), distance])
 
-    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         b, f1, g = self.pupil_distance, self.focal_length, point[2]
         x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
@@ -206,7 +205,7 @@ class ThinLens(UniformLens, FinitePupil):
             x, y = x + b * sx, y + b * sy
         return x, y
 
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
 
         The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
@@ -228,20 +227,20 @@ class ThinLens(UniformLens, FinitePupil):
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the pupil, positive inside."""
         return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
-    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
-    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations."""
         length = _distance(pupil, point)
         sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
@@ -266,7 +265,7 @@ class ThinLens(UniformLens, FinitePupil):
         return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
 
 
-def _distance(pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
     """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
     dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
     return _signed(_sqrt(dx * dx + dy * dy + g * g), g)
@@ -292,9 +291,7 @@ class DistortedLens(ThinLens):
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA through the same pupil point to the scene."""
         source = undistort(*place, self.distortion)
         moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))

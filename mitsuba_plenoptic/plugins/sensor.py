@@ -15,10 +15,11 @@ from ..camera.documentation import with_sensor_parameters
 from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, refuse_if
+from ..lenses.base import Pair, Traced
 from ..lenses.factory import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
-from .camera_rays import CameraRays, Pair, Traced
+from .camera_rays import CameraRays
 from .properties import film_numbers, read_camera
 
 NAME = "plenoptic"

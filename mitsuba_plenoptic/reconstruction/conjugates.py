@@ -23,7 +23,7 @@ from scipy import ndimage
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
-from ..lenses.base import Light
+from ..lenses.base import Light, Pair
 from ..lenses.fitted_lens import FAR, FittedLens
 from ..lenses.pupil_fit import Pupils
 from ..lenses.real_lens import RealLens
@@ -40,8 +40,6 @@ _MOST_ZONES = 8
 _ZONE_BLUR = 0.2
 """Part of a bin by which the path of the middle of a zone may lead a ray from the pupil's rim astray at its corners."""
 
-Place = tuple[Any, Any]
-
 
 @dataclass(frozen=True)
 class Conjugate:
@@ -52,14 +50,14 @@ class Conjugate:
     wavelength: float
     tilt: tuple[float, float] = (0.0, 0.0)
 
-    def path(self, pupil: Place) -> Any:
+    def path(self, pupil: Pair) -> Any:
         """Return the path from the object plane in waves, less a tilt."""
         waves = self.light.path(pupil, self.point, self.wavelength)
         if not any(self.tilt):
             return waves
         return waves - (pupil[0] * self.tilt[0] + pupil[1] * self.tilt[1]) * (1 / in_millimetres(self.wavelength))
 
-    def inside(self, pupil: Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance in millimetres by which a point lies inside the pupil's edge."""
         return self.light.inside(pupil)
 
