@@ -34,8 +34,7 @@ from ..camera.vector import Values, shortest_parts, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays
-from ..system.phase_space import PhaseSpace
-from ..system.ray_coefficients import RayCoefficients
+from ..system.phase_space import PhaseSpace, RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot

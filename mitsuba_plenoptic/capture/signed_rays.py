@@ -32,8 +32,7 @@ from ..optics.rays import angular_response
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
-from ..system.phase_space import PhaseSpace
-from ..system.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
+from ..system.phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
