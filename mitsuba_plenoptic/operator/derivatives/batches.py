@@ -19,7 +19,7 @@ from ...runtime.batches import Box, Part
 from ...runtime.fft import as_field, as_words, pack, unpack
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
-from ..tile import Copies, CopySum, reached
+from ..tile import Copies, CopySum, FieldBatch, reached
 from .numbers import VaryingParameters
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
@@ -142,21 +142,15 @@ def _changed(fields: Fields, numbers: VaryingParameters) -> Parts:
 
 
 @dataclass(frozen=True)
-class JvpBatch:
+class JvpBatch(FieldBatch):
     """Changes of point spreads and of their copies, to be added with weights, and the point spreads themselves."""
 
-    fields: Fields
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
     directions: tuple[VaryingParameters, ...]  # with the tangents set
     slopes: tuple[NDArray[np.float64], ...]  # for each direction (2, 2), A of `copies.copy_slopes`
     offset: VaryingParameters | None  # those of which ``mla_offset`` varies; None where no A is needed
     placed: bool  # whether the point spreads are added times the copies' positions along x and y, too
-
-    @property
-    def samples(self) -> int:
-        """Samples of all patches."""
-        return self.fields.samples
 
     def prepare(self) -> Callable[[], Part]:
         """Compute the fields and the changes of their factors, and return the function that adds the results."""
@@ -212,21 +206,15 @@ class VjpResult:
 
 
 @dataclass(frozen=True)
-class VjpBatch:
+class VjpBatch(FieldBatch):
     """Point spreads through which the gradient of an image is taken back to the factors on their fields."""
 
-    fields: Fields
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
     offset: VaryingParameters | None  # as in `JvpBatch`
     tile: NDArray[np.float32]  # gradient by the samples that the spreads cover, (channels, rows, columns)
     summed: int  # sums of the point spreads: 0, 1 (with their weights) or 3 (also times the copies' x, and y)
     varies: tuple[bool, ...]  # the factors whose cotangents are asked for
-
-    @property
-    def samples(self) -> int:
-        """Samples of all patches."""
-        return self.fields.samples
 
     def prepare(self) -> Callable[[], VjpResult]:
         """Make the fields, and return the function that goes back."""

@@ -120,22 +120,16 @@ class DerivativePlan(PatchPlan):
         if placed:
             stepped = [self._recorder.spread(image, move) for move in STEPS]
             for axis, part in enumerate(placed):
-                products[1, :, axis] = self._unturned([float((step * part).sum(dtype=np.float64)) for step in stepped])
+                x, y = (float((step * part).sum(dtype=np.float64)) for step in stepped)
+                products[1, :, axis] = turn(x, y, -self._grid.rotation)
         gradients = numbers.gradients()
         for name in copied:
             slopes = copy_slopes(self._camera, self._wavelength, name)
             gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
         for name in moves:
-            gradients[name] = gradients[name] + self._along(plain, image, name)
+            change = self._recorder.record(plain, name)
+            gradients[name] = gradients[name] + float(np.einsum("ijk,ijk->", change, image, dtype=np.float64))
         return gradients
-
-    def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
-        """Return the product of an image with the derivative of the image of sums as the pixels move."""
-        return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
-
-    def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
-        """Transform a vector from the frame of the camera to that of the lattice."""
-        return np.array(turn(vector[0], vector[1], -self._grid.rotation))
 
     def _shifted(self, names: Iterable[str]) -> bool:
         """Return whether copies shift with some parameters."""
