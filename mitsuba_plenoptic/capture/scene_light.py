@@ -53,17 +53,23 @@ class SceneLight:
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
     ) -> tuple[Any, Any]:
         """Return a sampler, and the rays from points in the camera frame as Mitsuba's rays in the world frame."""
-        to_world = self.sensor.world_transform()
-        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+        ray = world_ray(self.sensor, point, slope)
         if wavelengths is not None:
             ray.wavelengths = type(ray.wavelengths)(*wavelengths)
         elif self.wavelength is not None:
             ray.wavelengths = self.wavelength
         sampler = random_numbers(seed, dr.width(ray))
-        ray.time = self.sensor.shutter_open()
         if self.sensor.shutter_open_time() > 0:
             ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
         return sampler, ray
+
+
+def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
+    """Return rays from points in the camera frame as Mitsuba's in the world frame, when the shutter opens."""
+    to_world = sensor.world_transform()
+    ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+    ray.time = sensor.shutter_open()
+    return ray
 
 
 def require_finite(radiance: list[Any], *others: Any) -> None:

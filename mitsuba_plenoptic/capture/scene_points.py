@@ -36,7 +36,7 @@ from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from ..system.optical_system import OpticalSystem
 from .entrance import Entrances, LensWindow
-from .scene_light import SceneLight
+from .scene_light import SceneLight, world_ray
 
 PATHS = 64
 """Light paths averaged for each point: this reduces their noise to an eighth in less time than a point spread takes."""
@@ -175,7 +175,7 @@ class _Finder:
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
         is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
         tried = cell[is_open.numpy()]
-        hit = self.lights[0].scene.ray_intersect(self._ray(point, slope), is_open)
+        hit = self.lights[0].scene.ray_intersect(world_ray(self.lights[0].sensor, point, slope), is_open)
         met = dr.compress(hit.is_valid())
         bits = np.empty((0, _CELLS**2 // 8), np.uint8)
         if not dr.width(met):
@@ -196,12 +196,6 @@ class _Finder:
             hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
             bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
         return positions, radiance[lit], slant, bits, cell[lit], tried
-
-    def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> Any:
-        to_world = self.lights[0].sensor.world_transform()
-        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
-        ray.time = self.lights[0].sensor.shutter_open()
-        return ray
 
     def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> NDArray[np.float64]:
         """Return the mean radiance of the light paths of each ray, an array (rays, channels)."""
