@@ -251,11 +251,11 @@ def reconstruct(
     capture = as_capture(capture, camera)
     camera = capture.camera
     chosen = METHODS[require_choice("method", method, METHODS)]
-    refuse_if(
-        not camera.lens_data.converges and method != "deconvolved",
-        f"method = {method}: behind main_lens = {camera.lens_data.label} captures are only deconvolved; use "
-        f"{argument('method')} deconvolved",
-    )
+    if not camera.lens_data.converges and method != "deconvolved":
+        raise InputError(
+            f"method = {method}: behind main_lens = {camera.lens_data.label} captures are only deconvolved; use "
+            f"{argument('method')} deconvolved"
+        )
     if white is not None and method == "deconvolved":
         raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     require_upright(camera)
