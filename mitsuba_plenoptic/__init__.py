@@ -29,8 +29,7 @@ llvm.choose()
 from . import design as design
 from . import plugins as plugins
 from .camera import PlenopticCamera
-from .capture.estimate import estimate_capture
-from .capture.render import render_capture
+from .capture.render import estimate_capture, render_capture
 from .capture.scene import load_scene, scene_path
 from .detector import Detector, expose
 from .errors import InputError, did_you_mean

@@ -1,4 +1,7 @@
-"""Checks of a camera's parameters in combination; the table of parameters has the check of each one by itself."""
+"""Checks of a camera's parameters in combination, and whether captures of a kind support the camera.
+
+The table of parameters has the check of each one by itself.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..bounds import MOST_JITTER
-from ..errors import InputError, require_number, short_repr
+from ..errors import InputError, refuse_if, require_number, short_repr
 from ..lattice import LATTICES
 from ..lens_data import THIN
 from ..thin_lens import image_distance
@@ -70,10 +73,10 @@ def _complete_window(values: dict[str, Any]) -> None:
     if size is None:
         rest = tuple(count - first for count, first in zip(resolution, offset, strict=True))
         size = values["crop_size"] = PARAMETERS["crop_size"].check("crop_size", rest)
-    if any(first + recorded > count for count, first, recorded in zip(resolution, offset, size, strict=True)):
-        raise InputError(
-            f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}"
-        )
+    refuse_if(
+        any(first + recorded > count for count, first, recorded in zip(resolution, offset, size, strict=True)),
+        f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}",
+    )
 
 
 def require_whole(camera: CameraGeometry) -> None:
@@ -81,11 +84,15 @@ def require_whole(camera: CameraGeometry) -> None:
     camera.lens_data.require_fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
-    if rise >= min(camera.detector_distance, camera.mla_distance):
-        raise InputError(f"mla_tilt = {camera.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens")
+    refuse_if(
+        rise >= min(camera.detector_distance, camera.mla_distance),
+        f"mla_tilt = {camera.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens",
+    )
     radius, (k1, k2, k3) = np.linspace(0, reach, 64) ** 2, camera.distortion[:3]
-    if np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0:
-        raise InputError(f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis")
+    refuse_if(
+        np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0,
+        f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis",
+    )
 
 
 def require_known_to(camera: CameraGeometry, captures: Captures, what: str, instead: str = "") -> None:
@@ -94,3 +101,16 @@ def require_known_to(camera: CameraGeometry, captures: Captures, what: str, inst
         value = getattr(camera, entry.attribute)
         if captures not in entry.known_to and value != entry.default:
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
+
+
+def require_ideal(camera: CameraGeometry) -> None:
+    """Refuse a camera with features that the wave model of points does not support, such as an irregular array."""
+    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ")
+
+
+def require_no_glass(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera whose thin lenses are of dispersive glass, for computations without dispersion."""
+    for name in ("glass", "mla_glass"):
+        glass = getattr(camera, name)
+        if glass is not None:
+            raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lattice import Lattice, make_lattice
 from ..lens_data import THIN, LensData, even_count
 from ..objective import Objective
@@ -77,8 +77,7 @@ class CameraGeometry(CameraParameters):
             If the distance is 0, or the main lens is an objective, whose image has no such cone.
         """
         self.require_lens("defocus")
-        if distance == 0:
-            raise InputError("distance = 0: the point lies in the main lens; it has no image")
+        refuse_if(distance == 0, "distance = 0: the point lies in the main lens; it has no image")
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:
@@ -199,11 +198,11 @@ class CameraGeometry(CameraParameters):
         InputError
             If the main lens is an objective.
         """
-        if not self.lens_data.converges:
-            raise InputError(
-                f"main_lens = {self.lens_data.label}: {what} is not defined behind an objective; "
-                "mitsuba_plenoptic.design tells native_field and resolution_limit"
-            )
+        refuse_if(
+            not self.lens_data.converges,
+            f"main_lens = {self.lens_data.label}: {what} is not defined behind an objective; "
+            "mitsuba_plenoptic.design has native_field and resolution_limit",
+        )
 
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:
         """Refuse a camera with a real main lens, for computations that support only thin lenses.
@@ -220,11 +219,10 @@ class CameraGeometry(CameraParameters):
         InputError
             If the camera has a real main lens.
         """
-        if not self.lens_data.is_thin:
-            raise InputError(
-                f"main_lens = {self.lens_data.label}: {what} for thin main lenses only; "
-                f"leave main_lens out, or {instead}"
-            )
+        refuse_if(
+            not self.lens_data.is_thin,
+            f"main_lens = {self.lens_data.label}: {what} for thin main lenses only; leave main_lens out, or {instead}",
+        )
 
     def require_no_objective(self, what: str) -> None:
         """Refuse a camera with an objective, for computations that support thin main lenses and prescriptions.
@@ -239,8 +237,10 @@ class CameraGeometry(CameraParameters):
         InputError
             If the main lens is an objective.
         """
-        if not self.lens_data.converges:
-            raise InputError(f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only")
+        refuse_if(
+            not self.lens_data.converges,
+            f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only",
+        )
 
     @property
     def bin_count(self) -> tuple[int, int]:

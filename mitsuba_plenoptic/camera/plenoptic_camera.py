@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
-from ..errors import InputError, did_you_mean, require_choice, short_repr, suggest_keywords
+from ..errors import InputError, did_you_mean, refuse_if, require_choice, short_repr, suggest_keywords
 from ..presets import PRESETS
 from .checks import checked_values, require_whole
 from .documentation import numpy_section, signature
@@ -149,8 +149,9 @@ class PlenopticCamera(CameraGeometry):
         """
         if isinstance(values, dict):
             for name, entry in sorted(PARAMETERS.items()):
-                if entry.in_first_files and name not in values:
-                    raise InputError(f"{name}: it is missing from the camera parameters")
+                refuse_if(
+                    entry.in_first_files and name not in values, f"{name}: it is missing from the camera parameters"
+                )
         return cls._from_names(values)
 
     def arguments(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, did_you_mean, short_repr
+from ..errors import InputError, did_you_mean, refuse_if, short_repr
 from .entry import Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
@@ -71,8 +71,7 @@ def _components(camera: PlenopticCamera, name: str) -> list[Component]:
     count, entry = len(parts_of(camera, name)), PARAMETERS[name]
     if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
         return [Component(name, tuple(range(count)), name)]
-    if count <= entry.unseen:
-        raise InputError(f"{name}: the camera has no coefficients to start from; give it some, zeros too")
+    refuse_if(count <= entry.unseen, f"{name}: the camera has no coefficients to start from; give it some, zeros too")
     labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
     return [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
 
@@ -137,12 +136,16 @@ class CameraVector:
                     f"bounds: {short_repr(name)} is not fitted; there are {', '.join(labels)}"
                     f"{did_you_mean(name, labels)}"
                 )
-            if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-                raise InputError(f"bounds: {name} = {short_repr(pair)}: it must be the lowest and the highest value")
+            refuse_if(
+                np.shape(pair) != (2,) or not pair[0] < pair[1],
+                f"bounds: {name} = {short_repr(pair)}: it must be the lowest and the highest value",
+            )
             low[where], high[where] = pair
         for label, value, least, most in zip(labels, start, low, high, strict=True):
-            if not least <= value <= most:
-                raise InputError(f"bounds: {label} starts at {value:g}: it must lie from {least:g} to {most:g}")
+            refuse_if(
+                not least <= value <= most,
+                f"bounds: {label} starts at {value:g}: it must lie from {least:g} to {most:g}",
+            )
         return low, high
 
     def at(self, values: Array) -> PlenopticCamera:

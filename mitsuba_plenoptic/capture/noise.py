@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import refuse_if
 from ..runtime.jobs import SumTask
 
 PARTS = 16
@@ -21,8 +21,7 @@ PARTS = 16
 
 def require_samples(spp: int) -> None:
     """Refuse fewer than two samples, which have no spread."""
-    if spp < 2:
-        raise InputError(f"spp = {spp}: it must be at least 2 for an estimate of the noise")
+    refuse_if(spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
 
 
 class PassSpread:

@@ -12,7 +12,7 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, did_you_mean, short_repr, suggest_keywords
+from ..errors import InputError, did_you_mean, refuse_if, short_repr, suggest_keywords
 from ..io.exr import read_parts
 from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
@@ -54,11 +54,11 @@ def _check(
 ) -> None:
     path = require_file(path)
     files.append(path)
-    if path.resolve() in parents or len(parents) > _DEEPEST_INCLUDE or len(files) > _MOST_FILES:
-        raise InputError(
-            f"{path}: scenes include each other without end, deeper than {_DEEPEST_INCLUDE} or more than "
-            f"{_MOST_FILES} times"
-        )
+    refuse_if(
+        path.resolve() in parents or len(parents) > _DEEPEST_INCLUDE or len(files) > _MOST_FILES,
+        f"{path}: scenes include each other without end, deeper than {_DEEPEST_INCLUDE} or more than "
+        f"{_MOST_FILES} times",
+    )
     elements = _parse(path)
     # The first of several defaults of one name is used. A scene's defaults also apply to the files that it includes.
     defaults = (given for tag, given in reversed(elements) if tag == "default" and given["name"])
@@ -69,8 +69,10 @@ def _check(
         _refuse_native_code(path, folder)
     for tag, given in elements:
         plugin = given["type"]
-        if re.search(r"[^\w$.\-]", plugin) or ".." in plugin:
-            raise InputError(f"{path}: type = {short_repr(plugin)}: it must be the name of a plugin")
+        refuse_if(
+            re.search(r"[^\w$.\-]", plugin) or ".." in plugin,
+            f"{path}: type = {short_repr(plugin)}: it must be the name of a plugin",
+        )
         for name in (given["value"], given["filename"]):
             for file in _existing(name, folders):
                 _check_resource(path, file)
@@ -96,8 +98,7 @@ def _parse(path: Path) -> list[_Element]:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > _DEEPEST:
-            raise InputError(f"{path}, line {parser.CurrentLineNumber}: nested deeper than {_DEEPEST}")
+        refuse_if(depth > _DEEPEST, f"{path}, line {parser.CurrentLineNumber}: nested deeper than {_DEEPEST}")
         elements.append((tag, {name: attributes.get(name, "") for name in _ATTRIBUTES}))
 
     def end(tag: str) -> None:
@@ -153,8 +154,10 @@ def _refuse_native_code(path: Path, folder: Path) -> None:
 def _check_resource(scene: Path, file: Path) -> None:
     """Refuse a file that may never end, or whose header claims more data than it has or memory allows."""
     status = file.stat()
-    if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"{scene}: {file} is a device, a pipe or a socket: a scene may name regular files only")
+    refuse_if(
+        not stat.S_ISREG(status.st_mode),
+        f"{scene}: {file} is a device, a pipe or a socket: a scene may name regular files only",
+    )
     # Imported here because only some scenes need it.
     from PIL import Image
 
@@ -186,8 +189,10 @@ def _check_ply(scene: Path, file: Path, size: int) -> None:
         header = opened.read(_LONGEST_PLY_HEADER).partition(b"end_header")[0]
     for match in re.finditer(rb"^\s*element\s+(\w+)\s+(\S+)", header, re.MULTILINE):
         name, count = (word.decode(errors="replace") for word in match.groups())
-        if not count.isdecimal() or len(count) > 18 or int(count) > size:
-            raise InputError(f"{scene}: {file} claims {short_repr(count)} elements '{name}' in {size} bytes")
+        refuse_if(
+            not count.isdecimal() or len(count) > 18 or int(count) > size,
+            f"{scene}: {file} claims {short_repr(count)} elements '{name}' in {size} bytes",
+        )
 
 
 KNOWN_PARAMETERS = {

@@ -14,9 +14,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import InputError
-
-Pair = tuple[Any, Any]
+from ..errors import InputError, refuse_if
+from ..lenses.base import Pair
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 """For the class names of integrators, the plugins that find the same radiance and its derivatives."""
@@ -54,25 +53,30 @@ class SceneLight:
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
     ) -> tuple[Any, Any]:
         """Return a sampler, and the rays from points in the camera frame as Mitsuba's rays in the world frame."""
-        to_world = self.sensor.world_transform()
-        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+        ray = world_ray(self.sensor, point, slope)
         if wavelengths is not None:
             ray.wavelengths = type(ray.wavelengths)(*wavelengths)
         elif self.wavelength is not None:
             ray.wavelengths = self.wavelength
         sampler = random_numbers(seed, dr.width(ray))
-        ray.time = self.sensor.shutter_open()
         if self.sensor.shutter_open_time() > 0:
             ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
         return sampler, ray
+
+
+def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
+    """Return rays from points in the camera frame as Mitsuba's in the world frame, when the shutter opens."""
+    to_world = sensor.world_transform()
+    ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+    ray.time = sensor.shutter_open()
+    return ray
 
 
 def require_finite(radiance: list[Any], *others: Any) -> None:
     """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite."""
     finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
     dr.eval(finite, radiance, others)
-    if not dr.all(finite):
-        raise InputError("scene: the radiance of some rays is NaN or infinite: all must be finite")
+    refuse_if(not dr.all(finite), "scene: the radiance of some rays is NaN or infinite: all must be finite")
 
 
 @dataclass(frozen=True)
@@ -160,8 +164,9 @@ def _differentiable(integrator: Any) -> Any:
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
         return integrator
     name = type(integrator).__name__ if type(integrator).__module__ != "mitsuba" else integrator.class_name()
-    if name not in _REPLAYED:
-        raise InputError(f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb")
+    refuse_if(
+        name not in _REPLAYED, f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb"
+    )
     # Integrators written in C++ show these parameters only in their description.
     depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
     if depths["max_depth"] >= _ENDLESS:

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..camera.checks import require_ideal
+from ..errors import InputError, refuse_if
 from ..io.checkpoints import digest
-from ..lenses.wave_cameras import require_ideal
 from ..operator.operator import CaptureOperator
 from ..operator.patch_plan import Cost
 from ..operator.pupil_weights import PupilWeights, slants
@@ -36,7 +36,7 @@ from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from ..system.optical_system import OpticalSystem
 from .entrance import Entrances, LensWindow
-from .scene_light import SceneLight
+from .scene_light import SceneLight, world_ray
 
 PATHS = 64
 """Light paths averaged for each point: this reduces their noise to an eighth in less time than a point spread takes."""
@@ -95,8 +95,10 @@ def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCam
     bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     for shape in scene.shapes():
         name = f"{what}: surface {shape.id()}"
-        if shape.class_name() == "Instance":
-            raise InputError(f"{name} is an instance, whose materials are not known: place the shapes themselves")
+        refuse_if(
+            shape.class_name() == "Instance",
+            f"{name} is an instance, whose materials are not known: place the shapes themselves",
+        )
         if shape.interior_medium() is not None or shape.exterior_medium() is not None:
             raise InputError(f"{name} bounds a medium: it needs empty space")
         if any(mi.has_flag(shape.bsdf().flags(), lobes) for lobes in bent):
@@ -173,7 +175,7 @@ class _Finder:
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
         is_open = mi.Bool(is_open) & dr.full(mi.Bool, True, len(numbers))
         tried = cell[is_open.numpy()]
-        hit = self.lights[0].scene.ray_intersect(self._ray(point, slope), is_open)
+        hit = self.lights[0].scene.ray_intersect(world_ray(self.lights[0].sensor, point, slope), is_open)
         met = dr.compress(hit.is_valid())
         bits = np.empty((0, _CELLS**2 // 8), np.uint8)
         if not dr.width(met):
@@ -195,12 +197,6 @@ class _Finder:
             bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
         return positions, radiance[lit], slant, bits, cell[lit], tried
 
-    def _ray(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]) -> Any:
-        to_world = self.lights[0].sensor.world_transform()
-        ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
-        ray.time = self.lights[0].sensor.shutter_open()
-        return ray
-
     def _radiance(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], seed: int) -> NDArray[np.float64]:
         """Return the mean radiance of the light paths of each ray, an array (rays, channels)."""
         lane = dr.arange(mi.UInt32, dr.width(point[0]) * self.paths) // self.paths
@@ -209,8 +205,9 @@ class _Finder:
         channels = [part for light in self.lights for part in light(start, direction, mi.Bool(True), seed)]
         means = [dr.block_sum(channel, self.paths).numpy() / self.paths for channel in channels]
         radiance = np.stack(means, axis=1).astype(np.float64)
-        if not np.isfinite(radiance).all():
-            raise InputError("scene: the radiance of some points is NaN or infinite: all must be finite")
+        refuse_if(
+            not np.isfinite(radiance).all(), "scene: the radiance of some points is NaN or infinite: all must be finite"
+        )
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
@@ -279,8 +276,7 @@ class PointsCapture:
 
         The result has the shape (rows, columns, channels).
         """
-        if noise:
-            raise InputError("noise: method = points does not state it; compare seeds, or use signed_rays")
+        refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warnings.warn("plenoptic_wave: no ray from the pupil meets anything that shines", stacklevel=2)

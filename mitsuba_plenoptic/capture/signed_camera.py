@@ -31,13 +31,13 @@ from ..camera import PlenopticCamera
 from ..camera.entry import Captures
 from ..camera.parameters import with_gradient
 from ..camera.vector import Values, shortest_parts, with_parts
-from ..errors import InputError
+from ..errors import InputError, refuse_if
+from ..lenses.base import Pair
 from ..optics import rays
-from ..system.phase_space import PhaseSpace
-from ..system.ray_coefficients import RayCoefficients
+from ..system.phase_space import PhaseSpace, RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Cells, Drawn, Lot, Pair
+from .signed_draws import Cells, Drawn, Lot
 from .signed_rays import REACH, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -75,17 +75,19 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
     for name in names:
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
-        if name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1]:
-            raise InputError("mla_pitch: captures by signed rays have no derivative by one of two pitches")
+        refuse_if(
+            name == "mla_pitch" and camera.mla_pitches[0] != camera.mla_pitches[1],
+            "mla_pitch: captures by signed rays have no derivative by one of two pitches",
+        )
         for other in _REFUSED:
             value = getattr(camera, other)
             if any(value) if isinstance(value, tuple) else value is not None:
                 raise InputError(f"{name}: captures by signed rays have no derivative by it with {other}; leave it out")
-        if by_points:
-            raise InputError(
-                f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "
-                f"detector_distance = {camera.detector_distance:g} is far from it"
-            )
+        refuse_if(
+            by_points,
+            f"{name}: captures by signed rays have derivatives by it near the microlenses' focus alone, and "
+            f"detector_distance = {camera.detector_distance:g} is far from it",
+        )
 
 
 class CameraTangents(SignedRaySum):
@@ -198,10 +200,10 @@ class CameraAdjoint(SignedRaySum):
         """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
-            self._pull(lot, felt, total)
+            self._vjp(lot, felt, total)
         return {name: total[name] for name in self._names}
 
-    def _pull(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
+    def _vjp(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
         key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.cells, key)

@@ -1,25 +1,41 @@
-"""Captures of scenes by signed rays: plan, noise, and cost."""
+r"""Captures of scenes by signed rays: plan, noise and cost, and derivatives by textures, emitters, BSDFs and media.
+
+A capture is linear in the radiances of its rays, so its change is the same sum of their changes. In reverse, let
+:math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
+function by the radiance of ray k of N through a cell and lens is
+
+.. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
+          \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,
+
+where the second term is due to the mean c that the ray's half h, of :math:`N_h` rays, provides to the other half. The
+mixing of a ray's values into channels by the nodes is linear as well, and is transposed in reverse.
+"""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.vector import Values
 from ..io.checkpoints import digest
 from ..operator.patch_plan import Cost
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.jobs import Job, SumTask
 from .noise import PARTS, Mended, keep_spread, with_spread
-from .scene_light import SceneLight
-from .signed_colours import FINE, Node, SignedColours
+from .scene_light import LightDerivatives, SceneLight
+from .signed_camera import CameraAdjoint, CameraTangents
+from .signed_colours import FINE, Lanes, Node, SignedColours, mixed
+from .signed_draws import Lot
 from .signed_rays import SignedRaySum
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
@@ -132,3 +148,126 @@ class SignedCapture:
 def _part(runs: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the contribution of one of `runs` captures to their mean."""
     return image * np.float32(1 / runs)
+
+
+class SignedRayAdjoint(SignedRaySum):
+    """The reverse pass of a signed-ray capture; its light is a `LightDerivatives`."""
+
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
+        """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
+        for lot, felt in self._back(gradient):
+            self._vjp(lot, felt)
+
+    def _vjp(self, lot: Lot, felt: list[list[Any]]) -> None:
+        """Propagate the gradients of the coefficient images through the rays of a lot; see `_back`."""
+        drawn, own = self._drawn_rays(lot.cells, dr.opaque(mi.UInt32, lot.seed & ~15))
+        spp, rays = dr.opaque(mi.UInt32, self._spp), dr.width(own)
+        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
+            replay = self._light.replay(*self._asked(pupil, drawn, own, lanes, lot.seed))
+            # Cells of which no ray hits a surface are left out.
+            meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
+            met = dr.compress(dr.block_sum(meets, self._spp) > 0)
+            if not dr.width(met):
+                continue
+            lane = dr.arange(mi.UInt32, dr.width(met) * self._spp)
+            place = dr.gather(mi.UInt32, met, lane // spp) * spp + lane % spp
+            cotangent = dr.zeros(mi.Spectrum, rays)
+            for value, part in self._cotangents(lot, met, felt, nodes, lanes).items():
+                every = dr.zeros(mi.Float, rays)
+                dr.scatter(every, part, place)
+                cotangent[value] = every
+            dr.eval(cotangent)
+            replay.differentiate(dr.ADMode.Backward, cotangent)
+
+    def _cotangents(
+        self, lot: Lot, met: Any, felt: list[list[Any]], nodes: Sequence[int], lanes: Lanes | None
+    ) -> dict[int, Any]:
+        """Return the derivatives by the radiance values of each ray of the cells `met` of a lot."""
+        spp, every = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
+        cells, key = (
+            replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, met)),
+            dr.opaque(mi.UInt32, lot.seed & ~15),
+        )
+        drawn, own = self._drawn_rays(cells, key)
+        sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
+        # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
+        totals: dict[int, tuple[Any, Any]] = {}
+        for number in nodes:
+            node = self._nodes[number]
+            first = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), met)
+            place = dr.gather(mi.UInt32, first, own)
+            values = self._coefficients[number](drawn.point, drawn.inner, drawn.chance, drawn.open)
+            direct, others = [], []
+            for total in felt[number]:
+                parts = [dr.gather(mi.Float, total, place + every * n, drawn.open) for n in range(len(values))]
+                by_ray = drawn.weight * mixed(values, parts)
+                direct.append(dr.select(drawn.open, by_ray, 0))
+                others.append(dr.select(drawn.open, (parts[0] - by_ray) * self._known_part, 0))
+            used, weights = node.mixture(lanes)
+            if lanes is not None:
+                each = dr.gather(mi.UInt32, met, own)
+                weights = [[dr.gather(mi.Float, weight, each) for weight in row] for row in weights]
+            for value, column in zip(used, zip(*weights, strict=True), strict=True):
+                before = totals.get(value, (0, 0))
+                totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, others)
+        seen = dr.select(drawn.open, mi.Float(1), 0)
+        dr.eval(seen, totals)
+        (even, odd), *sums = self._halves(seen, [total[1] for total in totals.values()], dr.width(met))[0]
+        by_mean = [
+            (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
+        ]
+        dr.eval(by_mean)
+        is_even, scale = (
+            (sample & 1) == 0,
+            self._answer(drawn) / mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes)),
+        )
+        return {
+            value: (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, own) for half in halves))) * scale
+            for (value, (by_ray, _)), halves in zip(totals.items(), by_mean, strict=True)
+        }
+
+
+@dataclass(frozen=True)
+class SignedGradients:
+    """The derivatives of a signed-ray capture, with the same rays as its `compute` draws."""
+
+    capture: SignedCapture
+    # The derivatives of its light; None means that the light does not change.
+    light: LightDerivatives | None
+    seed: int
+    spp: int
+
+    def forward(self, changes: Values) -> NDArray[np.float32]:
+        """Return the change of the capture, an array (rows, columns, channels)."""
+        with dr.suspend_grad():
+            change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
+            if self.light is not None:
+                change += self._image(SignedRaySum, self.light)
+            if changes:
+                change += self._image(partial(CameraTangents, changes=changes))
+            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
+                change[..., channel] = mended.forward(change[..., channel])
+        return change
+
+    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
+        """Return the gradients for the camera's parameters; those for the scene's are accumulated in Dr.Jit.
+
+        Shapes: `gradient` (rows, columns, channels).
+        """
+        with dr.suspend_grad():
+            linear = list(np.moveaxis(gradient, -1, 0))
+            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
+                linear[channel] = mended.backward(linear[channel])
+            if self.light is not None:
+                self._sum(SignedRayAdjoint, self.light).backward(linear)
+            return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
+
+    def _sum(self, kind: Callable[..., Sum], light: LightDerivatives | None = None) -> Sum:
+        return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
+
+    def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:
+        """Return the image of a kind of sum, an array (rows, columns, channels)."""
+        work = self._sum(kind, light)
+        items = int(work.items.sum())
+        shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels
+        return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.phase import in_millimetres
 from ..optics.spectrum import Responses, Spectrum
+from ..optics.waves import in_millimetres
 from ..system.optical_system import OpticalSystem
 from ..system.phase_space import PhaseSpace
 

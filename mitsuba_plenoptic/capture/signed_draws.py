@@ -1,7 +1,13 @@
-"""Sampling of rays for signed-ray captures: from detector cells, through points around lenses and of the pupil."""
+"""Sampling of rays for signed-ray captures: from detector cells, through points around lenses and of the pupil.
+
+Points around microlenses are drawn with a density near that of the rays' light. At each node of a plan's table the
+window around a lens is divided into strips, and each strip into cells, all of which receive equally many rays. Cells
+are narrow where the first coefficient, which contains a ray's light, is large.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,15 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..optics.phase import in_millimetres
+from ..lenses.base import Pair
+from ..optics.waves import in_millimetres
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
-from ..system.lens_points import LensPoints
-from ..system.phase_space import PhaseSpace
-from ..system.ray_pupil import RayPupil
+from ..system.optical_system import RayPupil
+from ..system.phase_space import PhaseSpace, TableNodes
 from .signed_colours import Lanes
-
-Pair = tuple[Any, Any]
 
 _STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 """Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""
@@ -33,6 +37,12 @@ _AIRY, _AIRY_REACH = 1024, 200.0
 ORDER = 2
 """Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
 frequencies that the grid cannot represent."""
+
+_CELLS = 64
+"""Number of strips of a window, and of cells of a strip."""
+
+_LEAST = 0.05
+"""Fraction of the mean density that is added: other coefficients may be nonzero where the first is 0."""
 
 
 class Drawn(NamedTuple):
@@ -107,7 +117,7 @@ class Draws:
         step: float,
     ) -> None:
         self._camera, self._step = camera, step
-        self.pupil = RayPupil(plans[0].system)
+        self.pupil, self._lens = RayPupil(plans[0].system), plans[0].system.lens
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
@@ -126,7 +136,7 @@ class Draws:
         # Other points of the cell see other points of the pupil.
         cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
-        return self.pupil.reach + cell + lens
+        return self._lens.reach + cell + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
@@ -144,7 +154,7 @@ class Draws:
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
         camera = self._camera
-        return radius * camera.detector_distance / self.pupil.distance_from(camera.detector_distance)
+        return radius * camera.detector_distance / self._lens.pupil_distance_from(camera.detector_distance)
 
     def aims(self, cells: Cells) -> Aims:
         """Return the centres of cells and of the lenses through which they are lit."""
@@ -158,7 +168,7 @@ class Draws:
             for axis, index, low in ((0, cells.index - row * columns, left), (1, row, top))
         )
         z = camera.detector_distance + self.kinds.height(x, y)
-        i, j = lattice.cell(*(self.pupil.chief_point(p, z) for p in (x, y)))
+        i, j = lattice.cell(*(self._lens.chief_point(p, z) for p in (x, y)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
         centre, height = self.kinds.place(i, j)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
@@ -187,7 +197,7 @@ class Draws:
         else:
             inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
             point, weight = self._points.draw(inner, chance, random[:2])
-        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.radius**2
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.system.camera.pupil_radius**2
         place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, weight, chance, is_open)
@@ -237,3 +247,67 @@ def _chance(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
 def _tent(value: Any) -> Any:
     """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
     return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
+
+
+class LensPoints:
+    """Sampler of points around lenses, for rays with the coefficients of a plan's table."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self._lattice = plan.lattice
+        self._nodes = TableNodes(plan)
+        rows, columns = _edges(plan)
+        first = np.cumsum([0] + [len(part) for part in plan.table])[:-1]
+        self._first = mi.UInt32(first.astype(np.uint32))
+        self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]
+        self._rows, self._columns = mi.Float(rows), mi.Float(columns)
+
+    def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
+        """Return points, and the reciprocals of their density over the aperture, for rays to points of the pupil."""
+        lattice = self._lattice
+        Pu, Pv = lattice.to_frame(*pupil)
+        _, radial = self._nodes.along(Pu, Pv, chance[0])
+        part = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
+        places, weight = [], mi.Float(1 / float(lattice.lens_area))
+        for axis, edges in ((1, self._rows), (0, self._columns)):
+            number = mi.UInt32(random[axis] * _CELLS)
+            low, high = (dr.gather(mi.Float, edges, part * (_CELLS + 1) + number + end) for end in (0, 1))
+            side = dr.gather(mi.Float, self._sides[axis], radial)
+            places.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
+            weight *= (high - low) * side * _CELLS
+            part = part * _CELLS + number
+        v, u = (dr.select(P < 0, -place, place) for P, place in zip((Pv, Pu), places, strict=True))
+        return lattice.from_frame(u, v), weight
+
+
+@functools.lru_cache(maxsize=8)
+def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+    """Return the edges of the strips of all nodes and of their cells, in sides of the windows, as flat arrays."""
+    parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
+    return [np.ravel(each).astype(np.float32) - np.float32(0.5) for each in zip(*parts, strict=True)]
+
+
+def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the sampling density for samples of a coefficient, which may be negative."""
+    square = values.astype(np.float64) ** 2
+    # Between samples a ray takes one of the nearest ones.
+    for axis in (0, 1):
+        square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
+    root = np.sqrt(square)
+    return np.asarray(root + _LEAST * root.mean())
+
+
+def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Divide a window into parts over which a density, constant within each sample, has equal integrals.
+
+    Returns the edges of the strips, (n + 1,), and those of their cells, (n, n + 1).
+    """
+    rows, columns = density.shape
+    upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])
+    parts = np.linspace(0, 1, _CELLS + 1)
+    total = upto.sum(1)
+    edges = np.interp(parts * total[-1], total, np.arange(rows + 1))
+    low = np.minimum(edges.astype(int), rows - 1)
+    strips = np.diff(upto[low] + (edges - low)[:, None] * density[low], axis=0)
+    sums = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(strips, axis=1)], axis=1)
+    cells = [np.interp(parts * each[-1], each, np.arange(columns + 1)) for each in sums]
+    return edges / rows, np.stack(cells) / columns

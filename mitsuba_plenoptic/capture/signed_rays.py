@@ -27,16 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..lenses.base import Pair
 from ..optics.rays import angular_response
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
-from ..system.phase_space import PhaseSpace
-from ..system.ray_coefficients import Polynomials, RayCoefficients, coefficients_of
-from ..system.ray_pupil import RayPupil
+from ..system.optical_system import RayPupil
+from ..system.phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pair
+from .signed_draws import ORDER, Cells, Drawn, Draws, Lot
 
 _BLOCK_BYTES = 2**29
 """Bytes of the images of one block of the detector."""

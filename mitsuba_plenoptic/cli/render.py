@@ -9,8 +9,7 @@ from typing import Annotated
 
 import typer
 
-from ..capture.estimate import estimate_capture
-from ..capture.render import is_wave_capture, render_capture
+from ..capture.render import estimate_capture, is_wave_capture, render_capture
 from ..detector import MOSAICS, Detector
 from ..detector import expose as record
 from ..errors import InputError, refuse_if

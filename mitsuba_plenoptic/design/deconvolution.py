@@ -33,7 +33,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import require_number
 from ..objective import Objective
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..thin_lens import image_distance
 from .focus import pixel_footprint
 

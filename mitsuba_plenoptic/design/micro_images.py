@@ -10,7 +10,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.factory import main_lens
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""

@@ -13,7 +13,7 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..objective import Objective
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 
 
 def objective_of(camera: PlenopticCamera) -> Objective:

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_known_to
+from ..camera.checks import require_known_to, require_no_glass
 from ..camera.entry import Captures
 from ..camera.vector import CameraVector
 from ..errors import refuse_if, short_repr
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens
-from ..lenses.wave_cameras import require_no_glass
 from ..operator.derivatives import NUMBERS, WAVELENGTH, check_names, light_slopes
 from ..operator.operator import CaptureOperator
 from ..operator.pupil_weights import PupilWeights

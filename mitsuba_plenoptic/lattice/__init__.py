@@ -4,18 +4,11 @@
 ``mla_lattice`` takes; `apertures` holds the shapes of the lenses. To add a lattice, write its file and import it here.
 """
 
-from typing import Any
-
 # Importing a lattice's file registers it.
 from . import hexagonal as hexagonal
 from . import square as square
 from .apertures import APERTURES
-from .base import LATTICES, Lattice, register
+from .base import LATTICES, Lattice, make_lattice, register
 from .generic import turn
 
 __all__ = ["APERTURES", "LATTICES", "Lattice", "make_lattice", "register", "turn"]
-
-
-def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
-    """Build the lattice of a name in `LATTICES`; see `Lattice` for the parameters."""
-    return LATTICES[name](pitches, **numbers)

@@ -377,6 +377,19 @@ def register(cls: type[Lattice]) -> type[Lattice]:
     return cls
 
 
+def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
+    """Build a lattice.
+
+    Parameters
+    ----------
+    name : str
+        Its name in `LATTICES`.
+    pitches, numbers
+        Parameters of `Lattice`.
+    """
+    return LATTICES[name](pitches, **numbers)
+
+
 def regular_corners(sides: int) -> tuple[tuple[float, float], ...]:
     """Return the corners of a regular polygon whose opposite sides are 1 apart, the first of them along +x."""
     radius = 1 / (2 * math.cos(math.pi / sides))

@@ -6,7 +6,7 @@ scene. Waves are followed in the opposite direction: the field of a scene point 
 from the point in waves and by its amplitude, propagates from there to the MLA.
 
 A new kind of main lens is a module with a class that has the methods of `MainLens` and a function, marked by
-`builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
+`factory.builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
 gradients that these carry.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,56 +22,13 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 
 if TYPE_CHECKING:
-    from .round_pupil import RoundMap
+    from .real_lens import RoundMap
 
 Pair = tuple[Any, Any]
-"""x and y in the camera frame, of positions or of slopes."""
+"""x and y in the camera frame, of positions, slopes or direction cosines."""
 
 Traced = tuple[tuple[Any, Any, Any], Pair, Any]
 """Start point of a ray towards the scene, its slopes there, and whether it passes the main lens."""
-
-
-@dataclass(frozen=True)
-class LensNumbers:
-    """Parameters from which a main lens is built.
-
-    Attributes
-    ----------
-    camera : PlenopticCamera
-        The camera, for all parameters without gradients.
-    wavelength : float, optional
-        Wavelength in nanometres. None selects the wavelength for which the main lens is specified.
-    focal_length, aperture_radius, mla_distance : float or Dr.Jit array
-        Values of the camera, possibly with gradients.
-    wavefront : floats or Dr.Jit arrays
-        Coefficients of the aberrations.
-    model : {"ideal", "parabolic"}
-        Refraction model of rays, see `PlenopticCamera`.
-    """
-
-    camera: PlenopticCamera
-    wavelength: float | None
-    focal_length: Any
-    aperture_radius: Any
-    mla_distance: Any
-    wavefront: Any
-    model: str
-
-
-Builder = TypeVar("Builder", bound=Callable[[LensNumbers], Any])
-
-BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
-"""Functions that make a main lens, by the type of the camera's `main_lens`."""
-
-
-def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that builds main lenses from a `main_lens` of some type; `type(None)` selects the thin lens."""
-
-    def mark(function: Builder) -> Builder:
-        BUILDERS[description] = function
-        return function
-
-    return mark
 
 
 class MainLens(Protocol):
@@ -177,9 +134,7 @@ class MainLens(Protocol):
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene.
 
         Parameters
@@ -202,7 +157,7 @@ class MainLens(Protocol):
     def convergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
 
-    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, in the form that `trace` returns."""
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:
@@ -219,11 +174,11 @@ class MainLens(Protocol):
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil."""
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `nearness`."""
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
         """Return the positions (2, ...) where rays from points of the pupil with given direction cosines meet the MLA.
@@ -268,7 +223,7 @@ class MainLens(Protocol):
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
         """Return the lens with plain parameters made opaque by a function, if kernels depend on them."""
 
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
+    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions on the MLA of chief rays from object points that reconstruction bins assign to x, y.
 
         Parameters
@@ -287,7 +242,7 @@ class MainLens(Protocol):
     def cone(self, distances: Any) -> float:
         """Return half the range of direction cosines of one point's light at the MLA, the largest over `distances`."""
 
-    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
+    def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
         """Follow plane waves back from a position on the MLA, as in the Debye integral.
 
         Parameters
@@ -332,13 +287,13 @@ class MainLens(Protocol):
         """
 
 
-class Light(Protocol):
-    """Light of scene points on the exit pupil. Lengths are in millimetres, wavelengths in nanometres.
+class LightOnPupil(Protocol):
+    """Path, amplitude and edge of scene points' light on the exit pupil. Lengths are in mm, wavelengths in nm.
 
     The points passed to its methods must be those to which it is bound.
     """
 
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
 
         Parameters
@@ -351,46 +306,31 @@ class Light(Protocol):
             Wavelength in nanometres.
         """
 
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         """Return the modulus of a scene point's field on the exit pupil, in units common to the whole field."""
 
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the exit pupil, positive inside and negative outside."""
 
-    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+
+class Light(LightOnPupil, Protocol):
+    """Light of scene points on the exit pupil, with its directions and the rays to the MLA."""
+
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the exit pupil or, up to rounding, on its edge."""
 
-    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the direction cosines of a scene point's light at the exit pupil: the gradient of `path`."""
 
-    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point; `ray` traces it back."""
 
 
-class PointLight(Protocol):
-    """The path, amplitude and edge of `Light` for one point, as `MainLens.waves_of_one` returns them."""
+class PointLight(LightOnPupil, Protocol):
+    """The light of one point, as `MainLens.waves_of_one` returns it."""
 
     pupil_radius: Any
     pupil_distance: Any
-
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path as `Light.path` does.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
-        """
-
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
-        """Return the amplitude as `Light.amplitude` does."""
-
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
-        """Return the distance from the edge as `Light.inside` does."""
 
 
 @dataclass(frozen=True)

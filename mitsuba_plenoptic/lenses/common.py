@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import rays
-from .base import Entrance
+from .base import Entrance, Pair
 
 
 class UniformLens:
@@ -67,7 +67,7 @@ class UniformLens:
         """Return the lens itself."""
         return self
 
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
+    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions unchanged."""
         return x, y
 
@@ -116,7 +116,7 @@ class FinitePupil(FiniteDistance, ABC):
         powers = np.abs(self.convergence(distances))
         return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
 
-    def from_array(self, cosine: tuple[Any, Any], image: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any, Any]:
+    def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
         r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R less that of the chief ray."""
         (sx, sy), (x, y), b = cosine, image, self.pupil_distance
         R = b / _sqrt(1 - sx * sx - sy * sy)

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..optics import guards
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from . import sequential
+from .base import Pair
 from .lens_system import LensSystem
 
 _ACROSS = 45
@@ -39,8 +40,6 @@ _FARTHEST_IMAGE = 1e12
 """Distance in millimetres that represents an image at infinity."""
 
 _POWERS = [(i, degree - i) for degree in range(_DEGREE + 1) for i in range(degree + 1)]
-
-_Place = tuple[Any, Any]
 
 
 class ExitPupil:
@@ -83,7 +82,7 @@ class ExitPupil:
         left = (aberration - basis @ self._aberration)[~some & is_open]
         error = float(np.sqrt(np.mean((left - left.mean()) ** 2))) / in_millimetres(wavelength)
         self.error = error
-        guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
+        guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
         # A surface that lets all traced rays through does not vignette.
         ends = [stop for stop in stops if stop.max() > 1]
         fitted = _fit(basis, np.array([*E, *ends]).T).T
@@ -156,7 +155,7 @@ class ExitPupil:
         square = (E[0] - X) ** 2 + (E[1] - Y) ** 2 + distance**2
         return distance / square * np.sqrt(np.abs(ax * by - ay * bx))
 
-    def _polynomial(self, coefficients: NDArray, pupil: _Place) -> Any:
+    def _polynomial(self, coefficients: NDArray, pupil: Pair) -> Any:
         """Evaluate a polynomial by Horner's rule, along x for each power of y."""
         x, y = ((P - float(m)) * (1 / self._radius) for P, m in zip(pupil, self._middle, strict=True))
         terms = {power: float(value) for power, value in zip(_POWERS, coefficients, strict=True)}
@@ -168,7 +167,7 @@ class ExitPupil:
             total = total * y + row
         return total
 
-    def path(self, pupil: _Place, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path to a pupil point, as `Light.path` does.
 
         Parameters
@@ -183,7 +182,7 @@ class ExitPupil:
         waves = _sphere_path(pupil, self._sphere) + self._polynomial(self._aberration, pupil)
         return waves * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: _Place, point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         """Return the amplitude at a pupil point, as `Light.amplitude` does.
 
         Parameters
@@ -195,7 +194,7 @@ class ExitPupil:
         """
         return self._polynomial(self._amplitude, pupil)
 
-    def inside(self, pupil: _Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the nearest surface's edge, positive inside; accurate near the edges."""
         x, y = (P - float(m) for P, m in zip(pupil, self._middle, strict=True))
         least = self._radius - _sqrt(x * x + y * y)

@@ -2,13 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from . import real_lens, telecentric, thin  # noqa: F401 (each registers what it builds)
-from .base import BUILDERS, LensNumbers
+from .base import MainLens
+
+
+@dataclass(frozen=True)
+class LensNumbers:
+    """Parameters from which a main lens is built.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, for all parameters without gradients.
+    wavelength : float, optional
+        Wavelength in nanometres. None selects the wavelength for which the main lens is specified.
+    focal_length, aperture_radius, mla_distance : float or Dr.Jit array
+        Values of the camera, possibly with gradients.
+    wavefront : floats or Dr.Jit arrays
+        Coefficients of the aberrations.
+    model : {"ideal", "parabolic"}
+        Refraction model of rays, see `PlenopticCamera`.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float | None
+    focal_length: Any
+    aperture_radius: Any
+    mla_distance: Any
+    wavefront: Any
+    model: str
+
+
+Builder = TypeVar("Builder", bound=Callable[[LensNumbers], Any])
+
+BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
+"""Functions that make a main lens, by the type of the camera's `main_lens`."""
+
+
+def builds(description: type) -> Callable[[Builder], Builder]:
+    """Mark the function that builds main lenses from a `main_lens` of some type; `type(None)` selects the thin lens."""
+
+    def mark(function: Builder) -> Builder:
+        BUILDERS[description] = function
+        return function
+
+    return mark
 
 
 def main_lens(

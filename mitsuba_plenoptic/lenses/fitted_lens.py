@@ -1,4 +1,4 @@
-r"""A real main lens for waves from many points: its exit pupil as polynomials of pupil position, field and distance.
+"""A real main lens for waves from many points: its exit pupil as polynomials of pupil position, field and distance.
 
 `ExitPupil` traces and fits the light of one point. This module fits rays of points over the whole field and range of
 distances together, so that the number of rays does not depend on the number of points. One polynomial is the difference
@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Container, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
-from ..optics.phase import in_millimetres
+from ..errors import refuse_if
+from ..optics.waves import in_millimetres
+from .base import Pair, Traced
 from .common import FinitePupil
-from .open_pupil import open_area
 from .pupil_fit import PupilFit
-from .pupil_polynomials import LensLight, Place, Polynomial
+from .pupil_polynomials import LensLight, Polynomial
 
 FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
@@ -97,11 +97,11 @@ class FittedLens(FinitePupil):
         """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
-    def trace(self, place: Place, slope: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(place, slope)
 
-    def ray(self, pupil: Place, place: Place) -> tuple[tuple[Any, Any, Any], Place, Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, as `MainLens.ray` does."""
         return self.system.ray(pupil, place)
 
@@ -113,7 +113,7 @@ class FittedLens(FinitePupil):
     def bind(self, points: NDArray[np.float64], which: Any = None) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does."""
         fitted, pupils = self.fitted, self.fitted.pupils
-        field, nearness = pupils.field(points)
+        field, inverse_distance = pupils.field(points)
 
         def lanes(column: NDArray[np.float64]) -> Any:
             if which is None:
@@ -124,13 +124,13 @@ class FittedLens(FinitePupil):
         places = lanes(field[:, 0]), lanes(field[:, 1])
 
         def over_pupil(polynomial: Polynomial) -> Any:
-            return polynomial.over_pupil([lanes(column) for column in polynomial.at(field, nearness).T], places)
+            return polynomial.over_pupil([lanes(column) for column in polynomial.at(field, inverse_distance).T], places)
 
         slope = pupils.slope(field)
         return LensLight(
             self.pupil_distance,
             (lanes(slope[:, 0]), lanes(slope[:, 1])),
-            lanes(pupils.convergence(nearness)),
+            lanes(pupils.convergence(inverse_distance)),
             over_pupil(fitted.aberration),
             over_pupil(fitted.brightness),
             [over_pupil(stop) for stop in fitted.stops],
@@ -157,7 +157,7 @@ class FittedLens(FinitePupil):
         """Return the lens itself, because its parameters are stored in arrays."""
         return self
 
-    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> tuple[Any, Any]:
+    def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions of chief rays from object points, as `MainLens.stretch` does."""
         found = self.image_stretch(camera, distance)
         ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
@@ -166,15 +166,17 @@ class FittedLens(FinitePupil):
     def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
         """Return the stretch of the image of an object plane, up to the corners of the bins."""
         g = min(distance, FAR)
-        near = float(self.nearness(np.array([[0.0, 0.0, g]]))[0])
+        near = float(self.inverse_distance(np.array([[0.0, 0.0, g]]))[0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
         corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
         places = np.linspace(0, corner, _STRETCHED)[1:]
         points = np.column_stack([0 * places, -places * g / camera.mla_distance, np.full(len(places), g)])
         images = self.images(points)[:, 1]
         growth = np.gradient(np.append(0, images), np.append(0, places))[1:]
-        if images.min() <= 0 or growth.min() <= 0:
-            raise InputError(f"distance = {distance:g}: the main_lens distorts so that the image of this plane folds")
+        refuse_if(
+            images.min() <= 0 or growth.min() <= 0,
+            f"distance = {distance:g}: the main_lens distorts so that the image of this plane folds",
+        )
         ratio = images / places
         return ImageStretch(places, ratio, ratio * growth)
 
@@ -183,7 +185,7 @@ class FittedLens(FinitePupil):
         zero = np.zeros((len(points), 1))
         return np.concatenate(self.bind(points).land((zero, zero), None), axis=1)
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reciprocals (n,) of the distances of points from the entrance pupil."""
         return self.fitted.pupils.field(points)[1]
 
@@ -192,9 +194,9 @@ class FittedLens(FinitePupil):
         """The same as `pupil_radius`."""
         return self.pupil_radius
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these images and nearnesses."""
-        pupils, distance = self.fitted.pupils, 1 / nearness
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these images and inverse distances."""
+        pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil_distance)
         found = field
@@ -243,8 +245,8 @@ class FittedLens(FinitePupil):
         x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
         heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
         places, paths, edges = np.zeros((3, _HEIGHTS))
-        for nearness in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
-            distance = 1 / (nearness or 1e-12)
+        for inverse_distance in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
+            distance = 1 / (inverse_distance or 1e-12)
             points = np.column_stack([0 * heights, heights * distance, np.full(_HEIGHTS, distance)])
             points[:, 2] += self.fitted.pupils.entrance
             images, here = self.images(points), self.bind(points)
@@ -259,3 +261,60 @@ class FittedLens(FinitePupil):
                 moved = np.where(np.abs(edge) < _NEAR_EDGE * self.pupil_radius, there.inside((x, y)) - edge, 0)
                 edges = np.maximum(edges, np.abs(moved).max(1) / step)
         return places, paths, edges
+
+
+_ACROSS, _EDGE = 192, 4.0
+"""Samples across the pupil's bounding circle for its open area, and the width of softened edges in samples."""
+
+_FIELDS, _DEPTHS = 17, 3
+"""Fields and inverse distances of the table from which the open areas of many points are interpolated."""
+
+_TOGETHER = 16
+"""Points that are computed together."""
+
+
+def open_area(lens: FittedLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unvignetted area of the exit pupil for points (n, 3), in square millimetres, (n,)."""
+
+    def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:
+        step, edge, pupil = places(lens)
+        _, least = edges(lens.bind(some), pupil)
+        return np.asarray(np.clip(least / edge + 0.5, 0, 1).sum(1) * step**2)
+
+    return at_all(lens, points, measured)
+
+
+def places(lens: FittedLens) -> tuple[float, float, Pair]:
+    """Return the sampling step on the exit pupil, the width of softened edges, and the sample positions."""
+    step, beyond = 2 * lens.pupil_radius / _ACROSS, round(_EDGE)
+    axis = (np.arange(-beyond, _ACROSS + beyond) + 0.5) * step - lens.pupil_radius
+    x, y = (part.reshape(1, -1) for part in np.meshgrid(axis, axis))
+    return step, _EDGE * step, (x, y)
+
+
+def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the index of the edge nearest to each position, and the position's distance from it, positive inside."""
+    away = np.stack([replace(light, stops=[stop]).inside(pupil) for stop in light.stops])
+    return away.argmin(0), away.min(0)
+
+
+def at_all(
+    lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return a measure of points; for many it is interpolated over field and inverse distance, as lenses are round."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    if len(points) <= _FIELDS * _DEPTHS:
+        parts = [measured(points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
+        return np.concatenate([np.empty(0), *parts])
+    field, inverse_distance = lens.fitted.pupils.field(points)
+    heights, scales = np.hypot(*field.T), lens.fitted.aberration.scales
+    # The ranges are widened so that they are never empty.
+    axes = (
+        np.linspace(0, heights.max() + 1e-9 * scales.field, _FIELDS),
+        np.linspace(inverse_distance.min(), inverse_distance.max() + 1e-9 * scales.half, _DEPTHS),
+    )
+    u, near = (part.ravel() for part in np.meshgrid(*axes, indexing="ij"))
+    nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
+    table = at_all(lens, nodes, measured).reshape(_FIELDS, _DEPTHS)
+    return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
+from .base import Pair
 from .common import FinitePupil
-from .fitted_lens import FittedLens
+from .fitted_lens import FittedLens, at_all, edges, places
 from .lens_system import LensSystem
-from .open_pupil import at_all, edges, places
 from .pupil_fit import PupilRays, entrance_place, nodes, trace_all
-from .pupil_polynomials import LensLight, Place, Polynomial, PupilPolynomial, fit
+from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
 LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
 """Parameters that change the light on the exit pupil."""
@@ -63,8 +63,8 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
     for side in moved:
         kept &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
     rays, (more, less) = rays.take(kept), [side.take(kept) for side in moved]
-    # All refer to the field and nearness of the point with respect to the unchanged lens.
-    more, less = (replace(side, field=rays.field, nearness=rays.nearness) for side in (more, less))
+    # All refer to the field and inverse distance of the point with respect to the unchanged lens.
+    more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
     shift = (more.place - less.place) / (2 * step)
 
     def values(side: PupilRays) -> list[NDArray[np.float64]]:
@@ -72,7 +72,7 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
         return [path, side.amplitude, *side.stops[list(fitted.cutting)]]
 
     def changed(polynomial: Polynomial, high: NDArray[np.float64], low: NDArray[np.float64]) -> NDArray[np.float64]:
-        along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.nearness).T
+        along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.inverse_distance).T
         _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.place[0], rays.place[1]))
         return np.asarray((high - low) / (2 * step) - x * shift[0] - y * shift[1])
 
@@ -83,15 +83,17 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
         for some in (slice(0, 2), slice(2, None)):
             if changes[some]:
                 degrees, found = polynomials[some][0].degrees, np.stack(changes[some])
-                made += fit(scales, degrees, rays.place, rays.field, rays.nearness, found)
+                made += fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, found)
     high, low = (float(side.pupil_distance) for side in sides)
     return LensChange((high - low) / (2 * step), made[0], made[1], tuple(made[2:]))
 
 
-def _seen_from(lens: LensSystem, other: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
-    """Trace rays through another lens, from the points that have the given fields and nearnesses for the first lens."""
-    nearer = 1 / (1 - nearness * (entrance_place(other) - entrance_place(lens)))
-    return trace_all(other, field * nearer, nearness * nearer, entrance)[0]
+def _seen_from(
+    lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
+) -> PupilRays:
+    """Trace rays through another lens, from points with the given fields and inverse distances for the first lens."""
+    nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
+    return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
 
 
 def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -107,10 +109,10 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
         _, edge, pupil = places(lens)
         light = lens.bind(some)
         stop, least = edges(light, pupil)
-        fields, nearness = lens.fitted.pupils.field(some)
+        fields, inverse_distance = lens.fitted.pupils.field(some)
         moved = np.zeros_like(least)
         for number, change in enumerate(changes):
-            lanes = [column[:, None] for column in change.at(fields, nearness).T]
+            lanes = [column[:, None] for column in change.at(fields, inverse_distance).T]
             _, x, y = light.stops[number].gradient(pupil)
             # An edge is where the squared height is 1; it moves by the change of that square over its slope.
             value = change.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
@@ -163,12 +165,13 @@ class VaryingLens(FinitePupil):
     def bind(self, points: NDArray[np.float64], which: Any) -> VaryingLight:
         """Return the light of some points, as `MainLens.bind` does for Dr.Jit."""
         light = self.base.bind(points, which)
-        fields, nearness = self.base.fitted.pupils.field(points)
+        fields, inverse_distance = self.base.fitted.pupils.field(points)
         Float64 = dr.float64_array_t(type(which))
 
         def bound(polynomial: Any) -> PupilPolynomial:
             lanes = [
-                dr.gather(Float64, Float64(np.ascontiguousarray(c)), which) for c in polynomial.at(fields, nearness).T
+                dr.gather(Float64, Float64(np.ascontiguousarray(c)), which)
+                for c in polynomial.at(fields, inverse_distance).T
             ]
             return polynomial.over_pupil(lanes, light.aberration.field)
 
@@ -213,21 +216,21 @@ class VaryingLight:
     base: LensLight
     changes: list[Shown]
 
-    def path(self, pupil: Place, point: Any, wavelength: Any) -> Any:
+    def path(self, pupil: Pair, point: Any, wavelength: Any) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
         length, held = self.base.length(pupil), dr.detach(pupil)
         for change in self.changes:
             length += change.amount * change.aberration.value(held)
         return length * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: Place, point: Any) -> Any:
+    def amplitude(self, pupil: Pair, point: Any) -> Any:
         """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
         result, held = self.base.amplitude(pupil, point), dr.detach(pupil)
         for change in self.changes:
             result += change.amount * change.brightness.value(held)
         return result
 
-    def inside(self, pupil: Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
         least, held = None, dr.detach(pupil)
         for number, stop in enumerate(self.base.stops):

@@ -20,11 +20,12 @@ import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.data import height
 from ..thin_lens import vergence
 from . import sequential
+from .base import Pair, Traced
 from .common import FiniteDistance
 
 _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
@@ -150,8 +151,7 @@ class LensSystem(FiniteDistance):
         axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
         y, Px, Py = np.meshgrid(np.linspace(0, field, _FIELDS), axis[_ACROSS // 2 :], axis, indexing="ij")
         _, _, is_open = self.trace((np.zeros_like(y), y), (Px / distance, (Py - y) / distance))
-        if not np.any(is_open[0]):
-            raise InputError("main_lens: no ray gets through it to the middle of the array")
+        refuse_if(not np.any(is_open[0]), "main_lens: no ray gets through it to the middle of the array")
         return float(np.max(np.hypot(Px, Py)[is_open])) + (axis[1] - axis[0])
 
     def vergence(self, distance: Any) -> Any:
@@ -173,26 +173,22 @@ class LensSystem(FiniteDistance):
         own = vergence(self.scale * here.focal_length, distance + front)
         return own / (1 + rear * own)
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
         point, direction, is_open, _ = self._follow(place, slope)
         return *self._in_camera(point, direction), is_open
 
-    def _in_camera(self, point: Any, direction: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
+    def _in_camera(self, point: Any, direction: Any) -> tuple[tuple[Any, Any, Any], Pair]:
         x, y, z = (self.scale * value for value in point)
         L, M, N = direction
         return (x, y, self.front + z), (L / N, M / N)
 
-    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return self.trace(place, (tx, ty))
 
-    def beside(
-        self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], change: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
+    def beside(self, point: tuple[Any, Any, Any], slope: Pair, change: Pair) -> tuple[tuple[Any, Any, Any], Pair]:
         """Return the ray that leaves the MLA from the same position with slightly different slopes.
 
         The optics are paraxial: the height is the same on both principal planes. Ray differentials need no more.
@@ -236,7 +232,7 @@ class LensSystem(FiniteDistance):
             slope, other = slope - step, slope
         return slope
 
-    def _follow(self, place: tuple[Any, Any], slope: tuple[Any, Any], squares: list[Any] | None = None) -> Any:
+    def _follow(self, place: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
         """Return the result of `sequential.follow` for rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
         N = _rsqrt(1 + tx * tx + ty * ty)
@@ -260,9 +256,7 @@ class LensSystem(FiniteDistance):
         """The surfaces in the order in which light from the scene meets them, stopped down, before scaling."""
         return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius)
 
-    def through(
-        self, point: tuple[Any, Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any], tuple[Any, Any], Any, Any]:
+    def through(self, point: tuple[Any, Any, Any], slope: Pair) -> tuple[Pair, Pair, Any, Any]:
         """Follow a ray from a scene point, which may lie anywhere along it, to the MLA.
 
         Parameters

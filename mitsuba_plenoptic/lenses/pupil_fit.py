@@ -1,7 +1,8 @@
 """Rays from scene points through a real main lens to the plane of its exit pupil, to which polynomials are fitted.
 
-A scene point is described by its field, X and Y over its distance from the entrance pupil, and by its nearness, the
-reciprocal of that distance. Both are smooth through infinity, up to light that converges to a point behind the lens.
+A scene point is described by its field, X and Y over its distance from the entrance pupil, and by its inverse
+distance, the reciprocal of that distance. Both are smooth through infinity, up to light that converges to a point
+behind the lens.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..optics.phase import in_millimetres
+from ..errors import refuse_if
+from ..optics.waves import in_millimetres
 from . import sequential
 from .lens_system import LensSystem
 from .pupil_polynomials import Degrees, Polynomial, Scales, fit
@@ -34,9 +35,9 @@ _STEEPEST = 10.0
 class PupilRays:
     """Rays from points whose fields lie along y; all arrays have shape (n,) or (2, n)."""
 
-    # Field, and nearness in 1/mm, of the point from which each ray comes, (n,).
+    # Field, and inverse distance in 1/mm, of the point from which each ray comes, (n,).
     field: NDArray[np.float64]
-    nearness: NDArray[np.float64]
+    inverse_distance: NDArray[np.float64]
     # Positions in the planes of the exit and of the entrance pupil, in millimetres, (2, n).
     place: NDArray[np.float64]
     entrance: NDArray[np.float64]
@@ -62,51 +63,54 @@ def entrance_place(lens: LensSystem) -> float:
     return float(lens.scale * (lens.numbers.front_principal - lens.numbers.entrance_pupil))
 
 
-def trace(lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray) -> PupilRays:
+def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
     """Trace rays as `trace_all` does, and drop those that miss a surface or pass one far beyond its edge."""
-    rays, kept = trace_all(lens, field, nearness, entrance)
+    rays, kept = trace_all(lens, field, inverse_distance, entrance)
     return rays.take(kept)
 
 
 def trace_all(
-    lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
+    lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> tuple[PupilRays, NDArray[np.bool_]]:
     r"""Trace rays, and return a mask of those that neither miss a surface nor pass one far beyond its edge.
 
-    The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the nearness, E the
+    The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the inverse distance, E the
     position on the entrance pupil and P that on the exit pupil: the amplitude that a thin lens in the entrance pupil
     receives (see `ThinLens.amplitude`), transported along the rays.
 
-    `field` and `nearness` have the shape (n,), `entrance` (2, n), the mask (n,).
+    `field` and `inverse_distance` have the shape (n,), `entrance` (2, n), the mask (n,).
     """
-    place, path, stops, slope = _follow(lens, field, nearness, entrance)
-    middle = _follow(lens, field, nearness, np.zeros_like(entrance))[1]
+    place, path, stops, slope = _follow(lens, field, inverse_distance, entrance)
+    middle = _follow(lens, field, inverse_distance, np.zeros_like(entrance))[1]
     step = _STEP * float(lens.aperture_radius)
     (ax, ay), (bx, by) = (
-        (_follow(lens, field, nearness, entrance + shift)[0] - _follow(lens, field, nearness, entrance - shift)[0])
+        (
+            _follow(lens, field, inverse_distance, entrance + shift)[0]
+            - _follow(lens, field, inverse_distance, entrance - shift)[0]
+        )
         / (2 * step)
         for shift in (np.array([[step], [0]]), np.array([[0], [step]]))
     )
     with np.errstate(all="ignore"):
-        away = (entrance[0] * nearness) ** 2 + (entrance[1] * nearness - field) ** 2 + 1
+        away = (entrance[0] * inverse_distance) ** 2 + (entrance[1] * inverse_distance - field) ** 2 + 1
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
-        told = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
-        kept = told & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
-    return PupilRays(field, nearness, place, entrance, path - middle, amplitude, stops), kept
+        finite = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
+        kept = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
+    return PupilRays(field, inverse_distance, place, entrance, path - middle, amplitude, stops), kept
 
 
 def _follow(
-    lens: LensSystem, field: NDArray, nearness: NDArray, entrance: NDArray
+    lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return exit pupil positions, paths, squared heights over squared semi-apertures, and slopes behind the lens.
 
     All except the slopes are NaN where a ray misses a surface.
     """
     scale, numbers = float(lens.scale), lens.numbers
-    x, y = entrance[0] * nearness, entrance[1] * nearness - field
+    x, y = entrance[0] * inverse_distance, entrance[1] * inverse_distance - field
     length = np.sqrt(x * x + y * y + 1)
     square = (entrance**2).sum(0)
-    before = (square * nearness - 2 * entrance[1] * field) / (length + np.sqrt(field * field + 1))
+    before = (square * inverse_distance - 2 * entrance[1] * field) / (length + np.sqrt(field * field + 1))
     start = (*(entrance / scale), np.full_like(field, numbers.entrance_pupil))
     heights: list[Any] = []
     # Edges are ignored: only rays that miss a surface or are totally reflected are lost.
@@ -135,7 +139,7 @@ _ACROSS, _WIDER = 21, 1.4
 """Rays across the entrance pupil, and the radius up to which they are traced, in radii of the pupil."""
 
 _FIELDS, _DEPTHS = 11, 7
-"""Points whose rays are fitted, along the field and along the nearness."""
+"""Points whose rays are fitted, along the field and along the inverse distance."""
 
 _JUDGES, _JUDGING, _LEAST = 40, 300, 20
 """Points that check a fit, rays traced from each of them, and the fewest open rays with which a point counts."""
@@ -144,7 +148,7 @@ _COVERED = 64
 """Fields, up to the largest one, that are tested for light."""
 
 Tracer = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], PupilRays]
-"""Function from fields, nearnesses and positions on the entrance pupil to rays, see `trace`."""
+"""Function from fields, inverse distances and positions on the entrance pupil to rays, see `trace`."""
 
 
 @dataclass(frozen=True)
@@ -169,21 +173,21 @@ class Pupils:
         return cls(entrance_place(lens), float(math.copysign(size, near.place[0, 0])), 1 / image)
 
     def field(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the fields (n, 2) and nearnesses (n,) of scene points (n, 3)."""
-        nearness = 1 / (points[:, 2] - self.entrance)
-        return points[:, :2] * nearness[:, None], nearness
+        """Return the fields (n, 2) and inverse distances (n,) of scene points (n, 3)."""
+        inverse_distance = 1 / (points[:, 2] - self.entrance)
+        return points[:, :2] * inverse_distance[:, None], inverse_distance
 
     def slope(self, field: Any) -> Any:
         """Return the slope from the centre of the exit pupil to the image."""
         return -field / self.magnification
 
-    def convergence(self, nearness: Any) -> Any:
+    def convergence(self, inverse_distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to the image."""
-        return self.at_infinity - nearness / self.magnification**2
+        return self.at_infinity - inverse_distance / self.magnification**2
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
         """Return the path to the exit pupil of a perfect wave towards the image, less that to its centre, (n,)."""
-        (x, y), w, s = rays.place, self.convergence(rays.nearness), self.slope(rays.field)
+        (x, y), w, s = rays.place, self.convergence(rays.inverse_distance), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
 
@@ -205,11 +209,11 @@ class PupilFit:
     error: float
 
 
-def covered(tracer: Tracer, radius: float, field: float, nearness: tuple[float, float]) -> float:
-    """Return the largest field, up to `field`, from which light passes the lens at both limits of `nearness`."""
+def covered(tracer: Tracer, radius: float, field: float, inverse_distance: tuple[float, float]) -> float:
+    """Return the largest field, up to `field`, from which light passes the lens at both inverse distances."""
     fields, across = np.linspace(0, field, _COVERED), np.linspace(-_WIDER, _WIDER, 2 * _ACROSS) * radius
     least = field
-    for near in nearness:
+    for near in inverse_distance:
         F, Y = (values.ravel() for values in np.meshgrid(fields, across))
         rays = tracer(F, np.full_like(F, near), np.stack([0 * Y, Y]))
         lit = rays.field[rays.open]
@@ -222,21 +226,20 @@ def fit_pupil(
     pupils: Pupils,
     radius: float,
     field: float,
-    nearness: tuple[float, float],
+    inverse_distance: tuple[float, float],
     wavelength: float,
     good: float = GOOD,
 ) -> PupilFit:
     """Trace rays, and fit polynomials of rising degree until the path's error is at most `good` waves."""
-    rays, judges = tracer(*nodes(radius, field, nearness)), tracer(*_random(radius, field, nearness))
+    rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
     is_open = rays.open
-    if not is_open.any():
-        raise InputError("main_lens: no ray gets through it from where the scene points lie")
+    refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
     judges = judges.take(judges.open)
-    low, high = nearness
+    low, high = inverse_distance
     scales = Scales(float(np.hypot(*rays.place[:, is_open]).max()), field, (low + high) / 2, (high - low) / 2)
 
     def fitted(degrees: Degrees, *values: NDArray[np.float64]) -> list[Polynomial]:
-        return fit(scales, degrees, rays.place, rays.field, rays.nearness, np.stack(values))
+        return fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, np.stack(values))
 
     path = rays.path - pupils.sphere_path(rays)
     left = judges.path - pupils.sphere_path(judges)
@@ -251,8 +254,8 @@ def fit_pupil(
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
-def nodes(radius: float, field: float, nearness: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, nearnesses and positions of rays to fit, at Chebyshev nodes that include both ends.
+def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
+    """Return fields, inverse distances and positions of rays to fit, at Chebyshev nodes that include both ends.
 
     Only one side of the plane through axis and point is sampled, since the other side is its mirror image.
     """
@@ -262,16 +265,16 @@ def nodes(radius: float, field: float, nearness: tuple[float, float]) -> tuple[N
 
     axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
     fields = np.sqrt(between(0, field**2, _FIELDS))
-    F, D, X, Y = np.meshgrid(fields, between(*nearness, _DEPTHS), axis[axis >= 0], axis, indexing="ij")
+    F, D, X, Y = np.meshgrid(fields, between(*inverse_distance, _DEPTHS), axis[axis >= 0], axis, indexing="ij")
     within = np.hypot(X, Y) <= _WIDER * radius
     return F[within], D[within], np.stack([X[within], Y[within]])
 
 
-def _random(radius: float, field: float, nearness: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, nearnesses and positions of rays that check a fit, with those of each point adjacent."""
+def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
+    """Return fields, inverse distances and positions of rays that check a fit, with those of each point adjacent."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
-    D = np.repeat(nearness[0] + (nearness[1] - nearness[0]) * random.random(_JUDGES), _JUDGING)
+    D = np.repeat(inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(_JUDGES), _JUDGING)
     away, angle = _WIDER * radius * np.sqrt(random.random(len(F))), 2 * math.pi * random.random(len(F))
     return F, D, np.stack([away * np.cos(angle), away * np.sin(angle)])
 
@@ -283,7 +286,7 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
         some = rays.field == field
         if np.count_nonzero(some) < _LEAST:
             continue
-        one, near = np.array([[0.0, field]]), rays.nearness[some][:1]
+        one, near = np.array([[0.0, field]]), rays.inverse_distance[some][:1]
         coefficients = [np.array(number) for number in aberration.at(one, near)[0]]
         x, y = rays.place[:, some]
         found = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))

@@ -2,7 +2,7 @@ r"""Polynomials over pupil, field and distance for a lens that is rotationally s
 
 A scalar of such a lens depends on the position P on the pupil and on the field u of a scene point only through the
 invariants :math:`P^2`, :math:`P \cdot u` and :math:`u^2` (Welford, "Aberrations of Optical Systems", section 7.1), and
-on the point's nearness v.
+on the point's inverse distance v.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics.phase import in_millimetres
-
-Place = tuple[Any, Any]
+from ..optics.waves import in_millimetres
+from .base import Pair
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Scales:
     # Radius of the pupil, in millimetres, and largest field.
     radius: float
     field: float
-    # Centre of the range of nearnesses and half its width, in 1/mm.
+    # Centre of the range of inverse distances and half its width, in 1/mm.
     middle: float
     half: float
 
@@ -35,9 +34,9 @@ class Scales:
         """Return the invariant of the pupil alone from the squared distance of a position from the axis."""
         return square * (2 / self.radius**2) - 1
 
-    def of_points(self, square: Any, nearness: Any) -> tuple[Any, Any]:
-        """Return the invariant of the field alone and the scaled nearness, both from -1 to 1."""
-        return square * (2 / self.field**2) - 1, (nearness - self.middle) * (1 / self.half)
+    def of_points(self, square: Any, inverse_distance: Any) -> tuple[Any, Any]:
+        """Return the invariant of the field alone and the scaled inverse distance, both from -1 to 1."""
+        return square * (2 / self.field**2) - 1, (inverse_distance - self.middle) * (1 / self.half)
 
     @property
     def mixed(self) -> float:
@@ -47,7 +46,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Degrees:
-    """Largest powers of the pupil coordinates, of the field coordinates, and of the nearness."""
+    """Largest powers of the pupil coordinates, of the field coordinates, and of the inverse distance."""
 
     pupil: int
     field: int
@@ -62,21 +61,21 @@ class Degrees:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial in the nearness and the invariants of field and pupil."""
+    """A polynomial in the inverse distance and the invariants of field and pupil."""
 
     scales: Scales
     degrees: Degrees
     # Coefficients of the powers, (depth + 1, field / 2 + 1, pairs).
     coefficients: NDArray[np.float64]
 
-    def at(self, field: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the coefficients (n, pairs) over the pupil for points with fields (n, 2) and nearnesses (n,)."""
-        f, d = self.scales.of_points((field**2).sum(1), nearness)
+    def at(self, field: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the coefficients (n, pairs) over the pupil for fields (n, 2) and inverse distances (n,) of points."""
+        f, d = self.scales.of_points((field**2).sum(1), inverse_distance)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
         return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
 
-    def over_pupil(self, coefficients: list[Any], field: Place) -> PupilPolynomial:
+    def over_pupil(self, coefficients: list[Any], field: Pair) -> PupilPolynomial:
         """Return the polynomial over the pupil from coefficients as `at` returns them and the fields of the points."""
         return PupilPolynomial(self.scales, self.degrees, coefficients, field)
 
@@ -86,7 +85,7 @@ def fit(
     degrees: Degrees,
     place: NDArray[np.float64],
     field: NDArray[np.float64],
-    nearness: NDArray[np.float64],
+    inverse_distance: NDArray[np.float64],
     values: NDArray[np.float64],
 ) -> list[Polynomial]:
     """Fit polynomials by least squares.
@@ -99,8 +98,8 @@ def fit(
         Largest powers.
     place : float64 array (2, n)
         Positions on the pupil, for points whose fields lie along y.
-    field, nearness : float64 array (n,)
-        Fields and nearnesses of these points.
+    field, inverse distance : float64 array (n,)
+        Fields and inverse distances of these points.
     values : float64 array (k, n)
         Values of k functions.
 
@@ -108,7 +107,7 @@ def fit(
     -------
     list of k Polynomial
     """
-    f, d = scales.of_points(field**2, nearness)
+    f, d = scales.of_points(field**2, inverse_distance)
     s, t = scales.of_pupil((place**2).sum(0)), place[1] * field * scales.mixed
     own = [(b, c, a) for b, c in degrees.pairs for a in range((degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)
@@ -133,9 +132,9 @@ class PupilPolynomial:
     degrees: Degrees
     # The arguments of `Polynomial.over_pupil`.
     coefficients: list[Any]
-    field: Place
+    field: Pair
 
-    def value(self, pupil: Place) -> Any:
+    def value(self, pupil: Pair) -> Any:
         """Return the values at positions on the pupil, (x, y) in millimetres."""
         s, t = self._invariants(pupil)
         total: Any = 0.0
@@ -150,7 +149,7 @@ class PupilPolynomial:
             total = total * t + row
         return total
 
-    def gradient(self, pupil: Place) -> tuple[Any, Any, Any]:
+    def gradient(self, pupil: Pair) -> tuple[Any, Any, Any]:
         """Return the values and their derivatives along x and y."""
         s, t = self._invariants(pupil)
         value, along_s, along_t = self._sum(s, t)
@@ -158,7 +157,7 @@ class PupilPolynomial:
         x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
         return value, x, y
 
-    def _invariants(self, pupil: Place) -> tuple[Any, Any]:
+    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
         (x, y), (u, v) = pupil, self.field
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
@@ -185,7 +184,7 @@ class LensLight:
     # Distance from the exit pupil to the MLA in millimetres.
     pupil_distance: float
     # Slopes of the ray from the centre of the exit pupil to the paraxial image, (array, array).
-    slope: Place
+    slope: Pair
     # Reciprocal of that image's distance from the exit pupil.
     convergence: Any
     # Path beyond that of a sphere around the paraxial image, in millimetres, and amplitude.
@@ -194,21 +193,21 @@ class LensLight:
     # Squared distance from the axis over the squared semi-aperture, for each vignetting surface.
     stops: list[PupilPolynomial]
 
-    def length(self, pupil: Place) -> Any:
+    def length(self, pupil: Pair) -> Any:
         """Return the path to a position on the exit pupil, less a constant of the point, in millimetres."""
         (x, y), (sx, sy), w = pupil, self.slope, self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
         return sphere / (self._secant(pupil) + _sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
 
-    def path(self, pupil: Place, point: Any, wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: Any, wavelength: float) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
         return self.length(pupil) * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: Place, point: Any) -> Any:
+    def amplitude(self, pupil: Pair, point: Any) -> Any:
         """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
         return self.brightness.value(pupil)
 
-    def inside(self, pupil: Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a position from the nearest edge, positive inside; accurate near the edges."""
         least: Any = None
         for stop in self.stops:
@@ -219,14 +218,14 @@ class LensLight:
             least = away if least is None else _minimum(least, away)
         return least
 
-    def is_open(self, pupil: Place) -> Any:
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether light passes a position, as `Light.is_open` does."""
         result: Any = True
         for stop in self.stops:
             result = (stop.value(pupil) <= 1) & result
         return result
 
-    def cosines(self, pupil: Place, point: Any) -> Place:
+    def cosines(self, pupil: Pair, point: Any) -> Pair:
         """Return the direction cosines of the light at the exit pupil, as `Light.cosines` does."""
         secant = self._secant(pupil)
         _, *change = self.aberration.gradient(pupil)
@@ -235,14 +234,14 @@ class LensLight:
         )
         return cx, cy
 
-    def land(self, pupil: Place, point: Any) -> Place:
+    def land(self, pupil: Pair, point: Any) -> Pair:
         """Return the positions on the MLA of rays through positions of the exit pupil, as `Light.land` does."""
         cosines = self.cosines(pupil, point)
         along = self.pupil_distance / _sqrt(1 - cosines[0] * cosines[0] - cosines[1] * cosines[1])
         x, y = (P + along * c for P, c in zip(pupil, cosines, strict=True))
         return x, y
 
-    def _secant(self, pupil: Place) -> Any:
+    def _secant(self, pupil: Pair) -> Any:
         x, y = (P * self.convergence - s for P, s in zip(pupil, self.slope, strict=True))
         return _sqrt(x * x + y * y + 1)
 

@@ -1,4 +1,9 @@
-"""A real main lens before a detector, for rays and for waves; the wave model uses fits to the rays of points."""
+"""A real main lens before a detector, for rays and for waves; the wave model uses fits to the rays of points.
+
+The spread of a ray by the pupil depends on the distance and the direction of the nearest edge. A pupil that is
+vignetted or displaced off the axis is therefore described by a map to the round pupil near the axis, to points at the
+same distance from its edge in the same direction.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +16,89 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
-from .base import Entrance, LensNumbers, builds
+from .base import Entrance
 from .exit_pupil import ExitPupil
+from .factory import LensNumbers, builds
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
 from .pupil_fit import Pupils, covered, fit_pupil, trace
-from .round_pupil import RoundMap, round_map
 
-_FIELD_STEP, _NEARNESS_STEP = 1.1, 0.02
-"""Steps of the fitted range, so that fits are reused: a factor of fields; nearnesses over the power of the lens."""
+_FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
+"""Distances from the axis, directions in which edges are searched and interpolated, and map nodes across the pupil."""
+
+_MAP_WIDER, _BISECTIONS, _TRIED = 1.1, 24, 65
+"""Extent of the map over that of the pupil and of the detector's corner; bisections that find an edge; rays across the
+pupil that find its centre."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoundMap:
+    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
+
+    # Distance of the last field from the axis, on the array; the first is 0.
+    field: float
+    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
+    half: float
+    # Corresponding point of each node, (fields, rows, columns, 2).
+    points: NDArray[np.float32]
+
+
+def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
+    """Return the map of a lens."""
+    from scipy.spatial import cKDTree
+
+    radius, half, last = float(lens.pupil_radius), _MAP_WIDER * reach, _MAP_WIDER * corner
+    heights = np.linspace(0, last, _FIELDS)
+    axis = np.linspace(-half, half, _MAP_NODES)
+    nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    # The initial value is a point outside the round pupil.
+    result = np.full((_FIELDS, len(nodes), 2), 2 * radius, np.float32)
+    for number, height in enumerate(heights):
+        edge = _edge(lens, height, half)
+        if edge is None:
+            continue
+        along = np.roll(edge, -1, 0) - np.roll(edge, 1, 0)
+        normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
+        _, nearest = cKDTree(edge).query(nodes)
+        outward = normals[nearest]
+        inside = ((edge[nearest] - nodes) * outward).sum(1)
+        result[number] = outward * (radius - inside)[:, None]
+        # The round pupil has no points farther from its edge than its centre.
+        result[number][inside > radius] = 0
+    refuse_if(
+        not (np.hypot(*result[0].T) <= radius).any(), "main_lens: no ray gets through it to the middle of the array"
+    )
+    return RoundMap(last, half, result.reshape(_FIELDS, _MAP_NODES, _MAP_NODES, 2))
+
+
+def _edge(lens: LensSystem, height: float, reach: float) -> NDArray[np.float64] | None:
+    """Return points of the pupil's edge, seen from a position on the array's x axis; None if nothing is open."""
+
+    def is_open(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
+
+    x, y = np.meshgrid(*[np.linspace(-reach, reach, _TRIED)] * 2)
+    passed = is_open(x, y)
+    if not passed.any():
+        return None
+    middle = float(x[passed].mean()), float(y[passed].mean())
+    angle = 2 * math.pi * np.arange(_ANGLES) / _ANGLES
+    low, high = np.zeros(_ANGLES), np.full(_ANGLES, 2 * reach)
+    for _ in range(_BISECTIONS):
+        between = (low + high) / 2
+        within = is_open(middle[0] + between * np.cos(angle), middle[1] + between * np.sin(angle))
+        low, high = np.where(within, between, low), np.where(within, high, between)
+    dense = 2 * math.pi * np.arange(_DENSE) / _DENSE
+    distance = np.interp(dense, angle, low, period=2 * math.pi)
+    return np.stack([middle[0] + distance * np.cos(dense), middle[1] + distance * np.sin(dense)], -1)
+
+
+_FIELD_STEP, _INVERSE_DISTANCE_STEP = 1.1, 0.02
+"""Steps of the fitted range, so that fits are reused: a factor of fields; inverse distances over the lens's power."""
 
 _NARROWEST = 0.1
 """Smallest range of fields that is fitted, over that of the detector."""
@@ -108,9 +183,9 @@ class RealLens(LensSystem):
             raise InputError(
                 f"position: g = {points[within][0, 2]:g}: it must lie before the main_lens, beyond {front:.6g}"
             )
-        field, nearness = Pupils.of(self).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
+        field, inverse_distance = Pupils.of(self).field(points) if len(points) else (np.zeros((1, 2)), np.zeros(1))
         largest = np.hypot(*field.T)
-        lens = self._over_field(float(largest.max()), (float(nearness.min()), float(nearness.max())))
+        lens = self._over_field(float(largest.max()), (float(inverse_distance.min()), float(inverse_distance.max())))
         beyond = largest > lens.fitted.aberration.scales.field
         if beyond.any():
             place = ", ".join(f"{c:g}" for c in points[beyond][0])
@@ -126,9 +201,9 @@ class RealLens(LensSystem):
             self._lights[x, y, g] = ExitPupil(self, (x, y, g))
         return self._lights[x, y, g]
 
-    def over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
-        """Return the lens for waves, fitted for nearnesses (low, high) up to a field, or to its own largest field."""
-        return _checked(self._over_field(field, nearness))
+    def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
+        """Return the lens for waves, fitted for inverse distances (low, high) up to a field, by default its largest."""
+        return _checked(self._over_field(field, inverse_distance))
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
         """Return points (n, 3), one at each distance, at the largest field that a detector sees through the lens."""
@@ -139,31 +214,30 @@ class RealLens(LensSystem):
         field = np.minimum(field, WITHIN * lens.fitted.aberration.scales.field)
         return np.column_stack([0 * depths, field / near, depths])
 
-    def _over_field(self, field: float, nearness: tuple[float, float]) -> FittedLens:
-        """Return a lens fitted for a field and nearnesses; ranges grow in steps, so that fits can be reused."""
+    def _over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
+        """Return a lens fitted for a field and inverse distances; ranges grow in steps, so that fits can be reused."""
         least = _NARROWEST * self.corner / self.mla_distance
         steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
-        power = _NEARNESS_STEP / self.focal_length
-        low, high = math.floor(nearness[0] / power), math.ceil(nearness[1] / power)
+        power = _INVERSE_DISTANCE_STEP / self.focal_length
+        low, high = math.floor(inverse_distance[0] / power), math.ceil(inverse_distance[1] / power)
         key = least * _FIELD_STEP**steps, low * power, max(high, low + 1) * power
         if key not in self._fits:
             self._fits[key] = self._fit(*key)
         return self._fits[key]
 
     def _fit(self, field: float, low: float, high: float) -> FittedLens:
-        """Fit the lens for a range of nearnesses, up to a field or to the edge of its own field."""
-        tracer, radius, nearness = functools.partial(trace, self), self.aperture_radius, (low, high)
-        field = covered(tracer, radius, field, nearness)
-        if not field > 0:
-            raise InputError("main_lens: no light of the scene points passes it")
+        """Fit the lens for a range of inverse distances, up to a field or to the edge of its own field."""
+        tracer, radius, inverse_distance = functools.partial(trace, self), self.aperture_radius, (low, high)
+        field = covered(tracer, radius, field, inverse_distance)
+        refuse_if(not field > 0, "main_lens: no light of the scene points passes it")
         with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
-            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, nearness, self._light)
+            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self._light)
         return FittedLens(self, self.reach, fitted)
 
 
 def _checked(lens: FittedLens) -> FittedLens:
     """Return a lens after a check of the error of its fitted path."""
-    guards.judge(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
+    guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 
 

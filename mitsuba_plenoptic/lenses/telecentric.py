@@ -29,11 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..objective import Objective
-from ..optics.phase import in_millimetres
-from .base import LensNumbers, builds
+from ..optics.waves import in_millimetres
+from .base import Pair, Traced
 from .common import UniformLens
-
-_Pair = tuple[Any, Any]
+from .factory import LensNumbers, builds
 
 _ROUNDING = 1e-9
 """Distance outside the stop, over its radius, up to which a point counts as on its edge."""
@@ -71,11 +70,11 @@ class TelecentricLens(UniformLens):
         """Focal length of the tube lens: a position on the stop over it is a direction in the native image plane."""
         return self.objective.tube_focal_length
 
-    def _sines(self, pupil: _Pair) -> _Pair:
+    def _sines(self, pupil: Pair) -> Pair:
         """Return the index n times the sines of the angles at which light to a point of the stop leaves the object."""
         return pupil[0] * (1 / self.objective.focal_length), pupil[1] * (1 / self.objective.focal_length)
 
-    def _cosine(self, pupil: _Pair) -> Any:
+    def _cosine(self, pupil: Pair) -> Any:
         """Return the cosine of that angle, continued by a small constant where the sine would exceed 1."""
         x, y = self._sines(pupil)
         square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
@@ -128,13 +127,13 @@ class TelecentricLens(UniformLens):
         """Return the positions (n, 2) of the chief rays of points in the native image plane."""
         return -self.objective.magnification * points[:, :2]
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the depths (n,) of scene points, in which wavefronts change uniformly."""
         return points[:, 2]
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `nearness`."""
-        return np.column_stack([images * (-1 / self.objective.magnification), nearness])
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return 0: wavefronts of all points of an object plane differ by their tilts alone.
@@ -148,7 +147,7 @@ class TelecentricLens(UniformLens):
         """
         return 0 * radius
 
-    def path(self, pupil: _Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         """Return the path from a scene point to a point of the stop, less that to its centre, in waves.
 
         Parameters
@@ -165,7 +164,7 @@ class TelecentricLens(UniformLens):
         drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))
         return (d * drop - (X * x + Y * y)) * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`\cos^{-1/2}\theta`, the same for all points of the object."""
         cosine = self._cosine(pupil)
         return dr.rsqrt(cosine) if dr.is_array_v(cosine) else 1 / np.sqrt(cosine)
@@ -175,7 +174,7 @@ class TelecentricLens(UniformLens):
         """Coordinate z in the camera frame of the plane where rays start: the objective's front principal plane."""
         return -self.objective.immersion * self.objective.focal_length
 
-    def trace(self, place: _Pair, slope: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the array to the scene; the image side is paraxial."""
         if self.objective.images_stop:
             f = self.objective.last_focal_length
@@ -183,13 +182,13 @@ class TelecentricLens(UniformLens):
         pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
         return self.ray(pupil, place)
 
-    def ray(self, pupil: _Pair, place: _Pair) -> tuple[tuple[Any, Any, Any], _Pair, Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position in the native image plane through a point of the stop."""
         behind = self.aim(pupil, place)
         x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
         return (x, y, self.front), behind, self.is_open(pupil)
 
-    def aim(self, pupil: _Pair, place: _Pair) -> _Pair:
+    def aim(self, pupil: Pair, place: Pair) -> Pair:
         """Return the slopes in the scene of the ray through a point of the stop, the same for all image positions."""
         x, y = self._sines(pupil)
         scale = -1 / (self.objective.immersion * self._cosine(pupil))
@@ -201,12 +200,12 @@ class TelecentricLens(UniformLens):
         lens = self.objective
         return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
 
-    def inside(self, pupil: _Pair) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the stop, positive inside."""
         square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
         return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
 
-    def is_open(self, pupil: _Pair) -> Any:
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the stop or, up to rounding, on its edge."""
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
@@ -214,7 +213,7 @@ class TelecentricLens(UniformLens):
         """Return NA / M, whatever the depth."""
         return self.objective.image_aperture
 
-    def from_array(self, cosine: _Pair, image: _Pair) -> tuple[_Pair, Any, Any]:
+    def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
         """Return points of the stop (the same for all positions), the tube lens's focal length, and the tilt."""
         (sx, sy), (x, y), f = cosine, image, self.pupil_distance
         return (-f * sx, -f * sy), f + 0 * sx, sx * x + sy * y
@@ -231,14 +230,14 @@ class TelecentricLens(UniformLens):
         """Return 0: light of one point of the stop is a plane wave at the array."""
         return 0 * square
 
-    def cosines(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
+    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the direction cosines at the array of light that has passed a point of the stop."""
         if self.objective.images_stop:
             x, y = self._image(pupil, point)
             return -x / self.objective.last_focal_length, -y / self.objective.last_focal_length
         return -pupil[0] / self.pupil_distance, -pupil[1] / self.pupil_distance
 
-    def land(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
+    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the array of the light from a scene point through a point of the stop."""
         if self.objective.images_stop:
             growth = -self.objective.last_focal_length / self.pupil_distance
@@ -246,7 +245,7 @@ class TelecentricLens(UniformLens):
             return pupil[0] * growth + 0 * point[0], pupil[1] * growth + 0 * point[0]
         return self._image(pupil, point)
 
-    def _image(self, pupil: _Pair, point: tuple[Any, Any, Any]) -> _Pair:
+    def _image(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         r"""Return the position in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
         scale = 1 / (self.objective.immersion * self._cosine(pupil))
         x, y = self._sines(pupil)

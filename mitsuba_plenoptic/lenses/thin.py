@@ -1,7 +1,14 @@
-"""A thin main lens with aberrations and, in the ray model, with distortion; `MainLens` documents its methods."""
+"""A thin main lens with aberrations and, in the ray model, with distortion; `MainLens` documents its methods.
+
+Aberrations are Zernike polynomials over the pupil. The polynomials are in Noll's order, each with root mean square 1
+over the pupil (R. J. Noll, "Zernike polynomials and atmospheric turbulence", 1976). They are evaluated as polynomials
+of x and y, whose derivatives are again polynomials.
+"""
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,13 +17,82 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bounds import WAVEFRONT_UNIT
 from ..optics import rays
-from ..optics.phase import in_millimetres, parabola
+from ..optics.waves import in_millimetres, parabola
 from ..thin_lens import vergence
-from .base import LensNumbers, builds
+from .base import Pair, Traced
 from .common import FinitePupil, UniformLens
 from .distortion import undistort
-from .wavefront import Wavefront
+from .factory import LensNumbers, builds
+
+
+def noll(j: int) -> tuple[int, int]:
+    """Return radial order n and azimuthal order m, negative for sines, of the Zernike polynomial with Noll index j."""
+    n = (math.isqrt(8 * j - 7) - 1) // 2
+    place = j - n * (n + 1) // 2 - 1
+    m = (-1) ** j * (n % 2 + 2 * ((place + (n + 1) % 2) // 2))
+    return n, m
+
+
+@functools.cache
+def zernike(j: int) -> NDArray[np.float64]:
+    """Return the coefficients of a Zernike polynomial; element [a, b] belongs to x^a y^b."""
+    n, m = noll(j)
+    order = abs(m)
+    result = np.zeros((n + 1, n + 1))
+    for k in range((n - order) // 2 + 1):
+        radial = (-1) ** k * math.comb(n - k, k) * math.comb(n - 2 * k, (n - order) // 2 - k)
+        half = (n - order) // 2 - k  # (x^2 + y^2)^half times the real or imaginary part of (x + i y)^order
+        for i in range(half + 1):
+            for p in range(order + 1):
+                if p % 2 == (m < 0):
+                    sign = (-1) ** (p // 2)
+                    result[2 * i + order - p, 2 * (half - i) + p] += (
+                        radial * math.comb(half, i) * math.comb(order, p) * sign
+                    )
+    return result * math.sqrt((n + 1) * (1 if m == 0 else 2))
+
+
+class Wavefront:
+    """A sum of Zernike polynomials."""
+
+    def __init__(
+        self,
+        # In waves of 633 nm, from Noll index 1 on.
+        coefficients: Any,
+        # Radius of the pupil, in millimetres.
+        radius: Any,
+    ) -> None:
+        self._radius = radius
+        size = max((len(zernike(j)) for j in range(1, len(coefficients) + 1)), default=0)
+        self._terms: list[list[Any]] = [[0.0] * (size - a) for a in range(size)]
+        for j, coefficient in enumerate(coefficients, 1):
+            for (a, b), factor in np.ndenumerate(zernike(j)):
+                if factor:
+                    self._terms[a][b] = self._terms[a][b] + coefficient * float(factor)
+
+    def path(self, x: Any, y: Any) -> Any:
+        """Return the path difference at a point of the pupil, in millimetres."""
+        u, v = x / self._radius, y / self._radius
+        return _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
+
+    def slope(self, x: Any, y: Any) -> Pair:
+        """Return the derivatives of `path` along x and y, which are the changes of direction."""
+        u, v = x / self._radius, y / self._radius
+        scale = in_millimetres(WAVEFRONT_UNIT) / self._radius
+        along_x = _sum([_sum([a * term for term in row], v) for a, row in enumerate(self._terms)][1:], u)
+        along_y = _sum([_sum([b * term for b, term in enumerate(row)][1:], v) for row in self._terms], u)
+        return along_x * scale, along_y * scale
+
+
+def _sum(terms: list[Any], x: Any) -> Any:
+    """Return the value of a polynomial, by Horner's rule."""
+    total: Any = 0.0
+    for term in reversed(terms):
+        total = total * x + term
+    return total
+
 
 _ROUNDING = 1e-9
 """Distance outside a round pupil, over its radius, up to which a point counts as on its edge."""
@@ -66,9 +142,7 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
         return vergence(self.focal_length, distance)
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
         if self.model == "ideal":
@@ -77,7 +151,7 @@ class ThinLens(UniformLens, FinitePupil):
             behind = rays.cosines_to_slopes(*self.refract(rays.slopes_to_cosines(*slope), (Px, Py)))
         return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
 
-    def refract(self, direction: tuple[Any, Any], pupil: tuple[Any, Any]) -> tuple[Any, Any]:
+    def refract(self, direction: Pair, pupil: Pair) -> Pair:
         """Return the direction before the lens, as slopes or cosines, from that between lens and MLA."""
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
         if not self.is_round:
@@ -89,7 +163,7 @@ class ThinLens(UniformLens, FinitePupil):
         """Return `vergence`: the lens is its own pupil."""
         return self.vergence(distance)
 
-    def ray(self, pupil: tuple[Any, Any], place: tuple[Any, Any]) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def ray(self, pupil: Pair, place: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point; the pupil's edge is not applied."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
         return (*pupil, 0.0), self.refract((tx, ty), pupil), True
@@ -113,16 +187,16 @@ class ThinLens(UniformLens, FinitePupil):
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
         return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil_distance))
 
-    def nearness(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reciprocals (n,) of the distances of scene points."""
         return np.asarray(1 / points[:, 2])
 
-    def points(self, images: NDArray[np.float64], nearness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `nearness`."""
-        distance = 1 / nearness[:, None]
+    def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        distance = 1 / inverse_distance[:, None]
         return np.hstack([images * (-distance / self.pupil_distance), distance])
 
-    def land(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         b, f1, g = self.pupil_distance, self.focal_length, point[2]
         x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
@@ -131,7 +205,7 @@ class ThinLens(UniformLens, FinitePupil):
             x, y = x + b * sx, y + b * sy
         return x, y
 
-    def path(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any], wavelength: float) -> Any:
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
         r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
 
         The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
@@ -153,27 +227,24 @@ class ThinLens(UniformLens, FinitePupil):
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
-    def amplitude(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+    def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
-    def inside(self, pupil: tuple[Any, Any]) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the pupil, positive inside."""
         return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
-    def is_open(self, pupil: tuple[Any, Any]) -> Any:
+    def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
-    def cosines(self, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations."""
         length = _distance(pupil, point)
-        sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
-        if not self.is_round:
-            x, y = self._wavefront.slope(*pupil)
-            sx, sy = sx + x, sy + y
-        return sx, sy
+        sx, sy = ((P - X) / length for P, X in zip(pupil, point[:2], strict=True))
+        return self.refract((sx, sy), pupil)
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
@@ -191,7 +262,7 @@ class ThinLens(UniformLens, FinitePupil):
         return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
 
 
-def _distance(pupil: tuple[Any, Any], point: tuple[Any, Any, Any]) -> Any:
+def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
     """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
     dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
     return _signed(_sqrt(dx * dx + dy * dy + g * g), g)
@@ -217,9 +288,7 @@ class DistortedLens(ThinLens):
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
-    def trace(
-        self, place: tuple[Any, Any], slope: tuple[Any, Any]
-    ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any], Any]:
+    def trace(self, place: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA through the same pupil point to the scene."""
         source = undistort(*place, self.distortion)
         moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))

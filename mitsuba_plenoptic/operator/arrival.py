@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import refuse_if
 from ..lenses.exit_pupil import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
-from ..optics.free_space import advance
-from ..optics.phase import in_millimetres, phasor, soft_edge
-from ..optics.power import band_edge_fraction, fraction, power, rim
+from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, pack, resting_drjit, rows_and_columns
 from ..system.microlenses import diffraction, scattering
@@ -171,11 +169,10 @@ def pupil_field(
         density *= types.Float64(passed)
         cover *= amplitude
     power = dr.sum(density)[0] * pitch**2
-    if not 0 < power < math.inf:
-        raise InputError(
-            f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples "
-            f"{pitch:g} apart"
-        )
+    refuse_if(
+        not 0 < power < math.inf,
+        f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart",
+    )
     field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(power))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
@@ -184,7 +181,7 @@ def at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil:
     """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
     with resting_drjit():
         spectrum = fft2(pupil.samples.copy())
-    guards.judge(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
+    guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength)
     return onto_window(spectrum, grids)
 
@@ -205,7 +202,7 @@ def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
         for block in blocks(rows):
             wide = interpolate(partial[block], grids.wide_mla, axis=1)
             samples[block] = wide[:, left : left + columns]
-    guards.judge_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
+    guards.check_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
     origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
     return SampledField(samples, origin, grids.pitch)
 
@@ -273,7 +270,7 @@ def _at_native_image(
     scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
     shape = count, count
     packed = as_field(pack(spectrum * types.Float(scale)), shape)
-    guards.judge(guards.UNDERSAMPLED, band_edge_fraction(packed))
+    guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
     mla = onto_window(packed, grids)
     stop = backend().arrays.fft.fftshift(as_field(pack(field), shape))[::-1, ::-1]
     half = (count - 1) // 2

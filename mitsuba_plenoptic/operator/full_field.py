@@ -29,9 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
-from ..optics.free_space import advance
-from ..optics.phase import in_millimetres
-from ..optics.power import power
+from ..optics.waves import advance, in_millimetres, power
 from ..runtime.backend import backend
 from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
@@ -115,7 +113,7 @@ def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field,
         before = _passed_power(system, grids, samples)
         _apply(system.microlenses.factors(grids.bend), grids, samples)
         if before > 0:
-            guards.judge(guards.MICROLENS, 1 - power(samples) / before)
+            guards.check(guards.MICROLENS, 1 - power(samples) / before)
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, system.camera.detector_distance, system.wavelength)

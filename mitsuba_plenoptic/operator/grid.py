@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..lenses.base import MainLens
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..system.microlens_orders import MicrolensArray
 from ..system.microlenses import diffraction, scattering, upright
 from ..system.optical_system import OpticalSystem

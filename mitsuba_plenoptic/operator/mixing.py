@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from ..system.optical_system import OpticalSystem
@@ -99,10 +99,10 @@ class WeightChannels:
         except (TypeError, ValueError, OverflowError):
             raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
         rows, columns = shape
-        if pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all():
-            raise InputError(
-                f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns"
-            )
+        refuse_if(
+            pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all(),
+            f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns",
+        )
         channels = pixels.reshape(rows, columns, -1)
         if self.spectrum is not None and channels.shape[2] != self.spectrum.channels:
             raise InputError(f"image of shape {pixels.shape}: the spectrum has {self.spectrum.channels} channels")
@@ -114,10 +114,11 @@ class WeightChannels:
             factors = np.asarray(weights, np.float64)
         except (TypeError, ValueError, OverflowError):
             raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
-        if factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0):
-            raise InputError(f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)")
-        if not np.isfinite(factors).all():
-            raise InputError("weights: they must be finite")
+        refuse_if(
+            factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0),
+            f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)",
+        )
+        refuse_if(not np.isfinite(factors).all(), "weights: they must be finite")
         wavelengths = 1 if self.spectrum is None else len(self.spectrum.wavelengths)
         if factors.ndim == 1:
             return np.repeat(factors[:, None], wavelengths, axis=1)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_flag, suggest_keywords
+from ..camera.checks import require_ideal, require_no_glass
+from ..errors import InputError, refuse_if, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
-from ..lenses.wave_cameras import require_ideal, require_no_glass
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
@@ -102,8 +102,10 @@ class CaptureOperator:
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
         require_choice("method", method, METHODS)
-        if method == "patch" and camera.lens_data.images_stop:
-            raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
+        refuse_if(
+            method == "patch" and camera.lens_data.images_stop,
+            "method = patch: arrangement = fourier lights all of the stop's image; use full_field",
+        )
         self._method, self._accuracy = method, check_accuracy(accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if system is not None:
@@ -240,8 +242,7 @@ class CaptureOperator:
             As for `derivative`, or if there is no direction.
         """
         factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
-        if not checked:
-            raise InputError("directions: give at least one")
+        refuse_if(not checked, "directions: give at least one")
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
         made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
@@ -289,8 +290,7 @@ class CaptureOperator:
 
     def _for_derivatives(self) -> Differentials:
         """Return the derivatives of the sums, or refuse methods that do not support them."""
-        if self._method != "patch":
-            raise InputError(f"method = {self._method}: it has no derivatives; use patch")
+        refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
@@ -389,5 +389,7 @@ class CaptureOperator:
 def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:
     """Refuse a system of another camera or wavelength."""
     bound = system.wavelength
-    if bound != wavelength or system.camera != camera.at_wavelength(bound):
-        raise InputError(f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}")
+    refuse_if(
+        bound != wavelength or system.camera != camera.at_wavelength(bound),
+        f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}",
+    )

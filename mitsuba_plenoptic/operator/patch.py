@@ -21,14 +21,22 @@ the same.
 The tilt of the chief ray is rounded to an integer number of frequency samples and omitted: it shifts the spectrum,
 without an effect on the intensity. The pitch must therefore represent only the cone of the pupil and the microlens, and
 some of the light that the edges of the microlenses scatter.
+
+`PatchBatch` computes the fields of many points as fast as possible, `FieldChain` that of one point with all
+intermediate results, for derivatives: a field is multiplied by the pupil, by the factors on the microlens array, and by
+the transfer function of free space; in between there are Fourier transforms. Where all factors on the array are along
+one axis, the field passes it in two stages, axis by axis, else in one. A Jacobian-vector product (jvp) is the same
+chain for changes of the factors, and a vector-Jacobian product (vjp) goes back through it.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +66,8 @@ class PatchWorkspace:
     def __init__(self, batch: PatchBatch) -> None:
         arrays, count, m = batch.libraries.arrays, batch.together, batch.mla_samples
         self.rows = arrays.empty((count, batch.pupil.shape[1], m), np.complex64)
-        longest = max(_largest(_blocks(size, m, batch.sizes.block)) for size in (batch.samples, m))
+        blocks = (block for size in (batch.samples, m) for block in _blocks(size, m, batch.sizes.block))
+        longest = max(block.stop - block.start for block in blocks)
         self.columns = arrays.empty((count, longest, m), np.complex64)
         self.plane = arrays.empty((0 if batch.is_separable else count, m, batch.samples), np.complex64)
         self.field = arrays.empty((count, batch.samples, batch.samples), np.complex64)
@@ -161,10 +170,6 @@ def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
     return (slice(*pair) for pair in itertools.pairwise(edges))
 
 
-def _largest(blocks: Iterator[slice]) -> int:
-    return max(block.stop - block.start for block in blocks)
-
-
 def forward_along(field: Field, axis: int) -> Field:
     """Transform unscaled, on this thread alone."""
     return fft(field, axis=axis, workers=1)
@@ -173,3 +178,218 @@ def forward_along(field: Field, axis: int) -> Field:
 def inverse_along(field: Field, axis: int) -> Field:
     """Transform back unscaled, on this thread alone."""
     return fft(field, axis=axis, inverse=True, norm="forward", workers=1)
+
+
+class Memory:
+    """Memory for the fields of one point after another, by their shapes.
+
+    Fields of some MiB that are made and dropped go back to the system each time, and clearing them anew for the next
+    point takes longer than their transforms.
+    """
+
+    def __init__(self, arrays: Any = np) -> None:
+        self.arrays = arrays
+        self._fields: dict[tuple[int, ...], list[Field]] = {}
+        self._used: Counter[tuple[int, ...]] = Counter()
+
+    def restart(self) -> None:
+        """Make all of the memory available to the next point."""
+        self._used.clear()
+
+    @contextmanager
+    def lent(self) -> Iterator[None]:
+        """Release the memory taken in the context at its end: few reused fields stay in the processor's cache."""
+        used = self._used.copy()
+        yield
+        self._used = used
+
+    def take(self, shape: tuple[int, ...]) -> Field:
+        """Return an uninitialised complex64 array."""
+        fields, used = self._fields.setdefault(shape, []), self._used[shape]
+        if used == len(fields):
+            fields.append(self.arrays.empty(shape, np.complex64))
+        self._used[shape] += 1
+        return fields[used]
+
+    def product(self, one: Field, other: Field) -> Field:
+        """Return the product of two arrays."""
+        return self.arrays.multiply(one, other, out=self.take(np.broadcast_shapes(one.shape, other.shape)))
+
+    def conjugate_product(self, factor: Field, field: Field) -> Field:
+        """Return the product of the conjugate of an array and a field of the same shape."""
+        conjugate = self.arrays.conj(factor, out=self.take(factor.shape))
+        return self.arrays.multiply(conjugate, field, out=conjugate)
+
+    def widened(self, field: Field, length: int, axis: int) -> Field:
+        """Return a field with zeros behind it along an axis."""
+        shape = list(field.shape)
+        shape[axis] = length
+        wide = self.take(tuple(shape))
+        rows, columns = field.shape
+        wide[:rows, :columns] = field
+        wide[(slice(rows, None), slice(None)) if axis == 0 else (slice(None), slice(columns, None))] = 0
+        return wide
+
+
+_BLOCK = 2**16
+"""Number of detector samples that are multiplied and transformed together: they fit into the cache of a core."""
+
+Parts = Sequence[Field | None]
+"""A change or a cotangent for each factor of a field, or None."""
+
+_Factor = tuple[tuple[int, ...], Field]
+"""Axes of the camera, and the factor as fields are multiplied by it."""
+
+
+class FieldChain:
+    """A field from the pupil to the detector, with its intermediate results.
+
+    `factors` are those of `PatchFactors` for one point, `axes` the axes of those of the array. The `field` on the
+    detector has `finer` (1 or 2) times the samples of the patch along each axis. All of it lies in `memory`, and is
+    lost when this restarts. `returning` is the conjugate of the transfer function, which vector-Jacobian products take.
+    """
+
+    def __init__(
+        self,
+        factors: Sequence[Field],
+        axes: Sequence[tuple[int, ...]],
+        finer: int,
+        memory: Memory,
+        returning: Field | None = None,
+    ) -> None:
+        pupil, *lenses, self._transfer = factors
+        self._finer, self._returning, self._memory, self._arrays = finer, returning, memory, memory.arrays
+        self._directions, self._samples = len(pupil), len(self._transfer)
+        # Fields have x along the last axis.
+        upright = [lens[:, None] if own == (1,) else lens for own, lens in zip(axes, lenses, strict=True)]
+        named: list[_Factor] = list(zip(axes, upright, strict=True))
+        self._stages = [((1, 0), named)] if len(named) > 2 else [((1,), named[:1]), ((0,), named[1:])]
+        self._size, self._spectrum = len(lenses[0]), pupil
+        self._before: list[Field] = []
+        for along, stage in self._stages:
+            self._before.append(self._inverse(self._spectrum, self._size, along))
+            self._spectrum = _forward(self._product(self._before[-1], stage), self._samples, along)
+        self.field = self._to_detector(memory.product(self._spectrum, self._transfer))
+
+    @property
+    def intensity(self) -> Any:
+        """The square of the field, float32."""
+        return self.field.real**2 + self.field.imag**2
+
+    def jvp(self, changes: Parts) -> Any:
+        """Return the change of the intensity with changes of the factors, None where it does not change."""
+        moved, product = self._moved(changes), self._memory.product
+        spectrum = _total(
+            None if moved is None else product(moved, self._transfer),
+            None if changes[-1] is None else product(self._spectrum, changes[-1]),
+        )
+        return None if spectrum is None else self._intensity_change(spectrum)
+
+    def spectrum_jvp(self, changes: Parts) -> Field:
+        """Return the change of the spectrum that goes to the detector with changes of all factors before free space."""
+        result = self._memory.take(self._transfer.shape)
+        with self._memory.lent():
+            moved = self._moved(changes)
+            result[...] = 0 if moved is None else moved
+        return result
+
+    def jvp_of_spectrum(self, change: Field) -> Any:
+        """Return the change of the intensity with one of the spectrum that goes to the detector."""
+        with self._memory.lent():
+            return self._intensity_change(self._memory.product(change, self._transfer))
+
+    def vjp(self, gradient: Any, varies: Sequence[bool]) -> Parts:
+        """Return the cotangents of the factors that vary, from half the gradient with respect to the intensity.
+
+        The fields in between are used up.
+        """
+        memory, arrays, spectrum = self._memory, self._arrays, self._from_detector(gradient)
+        parts: list[Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
+        field, wanted = self._before_space(spectrum), list(varies[1:-1])
+        for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
+            field = self._inverse(field, self._size, axes)
+            product = arrays.multiply(arrays.conj(before, out=before), field, out=before)
+            for which in reversed(range(len(factors))):
+                parts.append(self._cotangent(product, factors, which) if wanted.pop() else None)
+            for _, factor in factors:
+                field *= arrays.conj(factor, out=memory.take(factor.shape))
+            field = _forward(field, self._directions, axes)
+        return [field if varies[0] else None, *parts[::-1]]
+
+    def products(self, gradient: Any, changes: list[Field]) -> list[float]:
+        """Multiply half the gradient with respect to the intensity with changes of the spectrum."""
+        spectrum = self._before_space(self._from_detector(gradient))
+        return [float(self._arrays.vdot(spectrum, change).real) for change in changes]
+
+    def _moved(self, changes: Parts) -> Field | None:
+        """Return the change of the spectrum with changes of all factors before free space."""
+        moved, own = changes[0], list(changes[1:-1])
+        for (axes, factors), before in zip(self._stages, self._before, strict=True):
+            total = None if moved is None else self._product(self._inverse(moved, self._size, axes), factors)
+            for which, (_, factor) in enumerate(factors):
+                if (change := own.pop(0)) is not None:
+                    others = factors[:which] + factors[which + 1 :]
+                    part = self._product(self._memory.product(before, change.reshape(factor.shape)), others)
+                    total = _total(total, part)
+            moved = None if total is None else _forward(total, self._samples, axes)
+        return moved
+
+    def _product(self, field: Field, factors: list[_Factor]) -> Field:
+        """Multiply a field on the array by factors."""
+        for _, factor in factors:
+            field = self._memory.product(field, factor)
+        return field
+
+    def _cotangent(self, product: Field, factors: list[_Factor], which: int) -> Field:
+        """Return the cotangent of one factor of a stage from that of the product of all."""
+        for _, factor in factors[:which] + factors[which + 1 :]:
+            product = self._memory.product(product, self._arrays.conj(factor))
+        # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
+        axes, _ = factors[which]
+        return product.sum(axes[0]) if len(axes) == 1 else product
+
+    def _intensity_change(self, spectrum: Field) -> Any:
+        """Return the change of the intensity with one of the spectrum on the detector, whose memory is used."""
+        change = self._to_detector(spectrum)
+        return 2 * (self.field.real * change.real + self.field.imag * change.imag)
+
+    def _before_space(self, spectrum: Field) -> Field:
+        """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the array."""
+        assert self._returning is not None
+        return self._arrays.multiply(spectrum, self._returning, out=spectrum)
+
+    def _to_detector(self, spectrum: Field) -> Field:
+        """Take a spectrum, whose memory is used, to the detector."""
+        if self._finer == 1:
+            return inverse_along(inverse_along(spectrum, 0), 1)
+        return self._inverse(spectrum, self._finer * self._samples, (0, 1))
+
+    def _from_detector(self, gradient: Any) -> Field:
+        """Apply the adjoint of `_to_detector` to the field times a gradient."""
+        (size, _), n, arrays = self.field.shape, self._samples, self._arrays
+        columns, rows = self._memory.take((size, n)), max(1, _BLOCK // size)
+        for block in (slice(first, first + rows) for first in range(0, size, rows)):
+            columns[block] = _forward(self.field[block] * gradient[block], n, (1,))
+        return arrays.ascontiguousarray(_forward(columns, n, (0,)))
+
+    def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
+        """Return the inverse transform of a field with zeros behind it, of some size along each of some axes."""
+        for axis in axes:
+            field = inverse_along(self._memory.widened(field, size, axis), axis)
+        return field
+
+
+def _total(one: Field | None, other: Field | None) -> Field | None:
+    """Add two changes, in the memory of the first."""
+    if one is None or other is None:
+        return other if one is None else one
+    one += other
+    return one
+
+
+def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
+    """Transform unscaled, in the field's memory and on this thread alone, and take the first samples along the axes."""
+    for axis in axes[::-1]:
+        field = forward_along(field, axis)
+        field = field[:count] if axis == 0 else field[:, :count]
+    return field

@@ -6,6 +6,7 @@ the factors may be floats or Dr.Jit arrays with gradients, while grids and posit
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,8 +19,7 @@ from numpy.typing import NDArray
 from ..lattice import turn
 from ..lenses.base import Light, MainLens
 from ..lenses.lens_changes import VaryingLens, VaryingLight
-from ..optics.free_space import transfer
-from ..optics.phase import in_millimetres, phasor, smooth_edge, soft_edge
+from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime.backend import array_module
 from ..runtime.fft import split
 from ..system.microlens_orders import ArrayFactor, VaryingArrayFactor
@@ -32,11 +32,13 @@ from .pupil_weights import PupilWeights
 class Elements:
     """The optical elements that a field passes, with float parameters or Dr.Jit arrays, which may carry gradients.
 
-    A Dr.Jit array has one entry for each parameter, or one for each lane of the factor that depends on it.
+    A Dr.Jit array has one entry for each parameter, or one for each lane of the factor that depends on it. The lens and
+    the array are functions, since not every factor depends on them.
     """
 
-    lens: MainLens | VaryingLens
-    array: Sequence[ArrayFactor | VaryingArrayFactor]  # in the frame of the lattice
+    lens: Callable[[], MainLens | VaryingLens]
+    array: Callable[[float], Sequence[ArrayFactor | VaryingArrayFactor]]
+    """From the largest direction cosine of the microlenses to their factors, in the frame of the lattice."""
     wavelength: Any  # in nanometres
     detector_distance: Any  # in millimetres
     turned: Any = 0.0  # counter-clockwise rotation of the lattice relative to its frame, in degrees
@@ -73,19 +75,20 @@ class PatchFactors:
         self,
         fields: Fields,
         amplitudes: NDArray[np.float64],
-        elements: Callable[[float, int], Elements] | None = None,
+        elements: Callable[[int], Elements] | None = None,
         types: Any = None,
     ) -> None:
         """Prepare the factors of fields with some amplitudes.
 
-        `elements` is a function from the largest direction cosine of the microlenses and the number of lanes to the
-        elements; the default is those of the grid's camera. `types` is the module of Dr.Jit's arrays, by default
-        without gradients.
+        `elements` is a function from the number of lanes to the elements; the default is those of the grid's camera.
+        `types` is the module of Dr.Jit's arrays, by default without gradients.
         """
         self._grid, self._placement, self._positions = fields.grid, fields.placement, fields.positions
         self._amplitudes, self._weights = amplitudes, fields.pupil_weights
         self._types = types or array_module()
-        grid, placement, self._elements_of = fields.grid, fields.placement, elements or self._of_camera
+        grid, placement = fields.grid, fields.placement
+        own = Elements(lambda: grid.lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
+        self._elements_of = functools.cache(elements or (lambda lanes: own))
         self.samples = int(placement.samples[0])
         finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
         half = 2 * grid.cosine / finest
@@ -124,15 +127,9 @@ class PatchFactors:
             yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
         yield self._transfer(self._elements(self.shapes[-1]))
 
-    def _of_camera(self, cosine: float, lanes: int) -> Elements:
-        """Return the elements of the grid's camera."""
-        grid = self._grid
-        array = grid.microlenses.factors(cosine)
-        return Elements(grid.lens, array, grid.wavelength, grid.camera.detector_distance)
-
     def _elements(self, shape: tuple[int, ...]) -> Elements:
         """Return the elements for a factor of the given shape."""
-        return self._elements_of(self._highest, math.prod(shape))
+        return self._elements_of(math.prod(shape))
 
     @property
     def _steps(self) -> list[float]:
@@ -151,7 +148,7 @@ class PatchFactors:
 
     def _pupil(self, elements: Elements) -> tuple[Any, Any]:
         """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
-        types, lens, grid, placement = self._types, elements.lens, self._grid, self._placement
+        types, lens, grid, placement = self._types, elements.lens(), self._grid, self._placement
         _, size, _ = self.shapes[0]
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
         number, row, column = split(types, index, size, size)
@@ -169,7 +166,7 @@ class PatchFactors:
         pupil, R, length = lens.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
         point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, number)
-        waves = self._path(elements, light, pupil, point)
+        waves = self._path(elements, lens.is_round, light, pupil, point)
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
         waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / self._constant(self.samples * grid.pitch[0])
@@ -188,13 +185,18 @@ class PatchFactors:
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
 
     def _path(
-        self, elements: Elements, light: Light | VaryingLight, pupil: tuple[Any, Any], point: tuple[Any, Any, Any]
+        self,
+        elements: Elements,
+        is_round: bool,
+        light: Light | VaryingLight,
+        pupil: tuple[Any, Any],
+        point: tuple[Any, Any, Any],
     ) -> Any:
         """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
-        if elements.lens.is_round and elements.aberration is None:
+        if is_round and elements.aberration is None:
             return light.path(pupil, point, elements.wavelength)
         in_camera = self._in_camera(elements, *pupil)
-        if elements.lens.is_round:
+        if is_round:
             waves = light.path(pupil, point, elements.wavelength)
         else:
             X, Y = self._in_camera(elements, *point[:2])
@@ -234,21 +236,22 @@ class PatchFactors:
         image, growth = self._each(placement.image[:, axis], number), elements.growth
         mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, where the part along the other axis is negligible
-        b = self._constant(elements.lens.pupil_distance)
+        lens = elements.lens()
+        b = self._constant(lens.pupil_distance)
         square = self._each((placement.image**2).sum(1), number) * growth * growth + b * b
         own = image * image * growth * growth
         spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
-        curvature = spread * elements.lens.curvature(square)
+        curvature = spread * lens.curvature(square)
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
         product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, number))
-        for factor in elements.array:
+        for factor in elements.array(self._highest):
             if factor.axes == (axis,):
                 product *= factor.at(m * growth)
         return product * types.Float(self._each(scale, number)) if axis else product
 
     def _on_plane(self, elements: Elements) -> Any:
         """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
-        types, size, (factor,) = self._types, self.mla_samples, elements.array
+        types, size, (factor,) = self._types, self.mla_samples, elements.array(self._highest)
         number, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
         x, y = (self._position(number, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
         return factor.at(x, y)

@@ -20,12 +20,11 @@ from ..runtime.fft import resting_drjit
 from ..runtime.jobs import Job
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .accuracy import band_for, wavefront_step
+from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .grid import Band, Grid, place
 from .patch_factors import Fields
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
-from .sharing import ZONES, find_patterns
 from .tile import Copies, Gather, Scatter, aperture_power, reached
 
 _CHUNK = 64
@@ -352,5 +351,5 @@ class PatchSum:
         """Check the fraction of light that has arrived, and integrate the sum over the recorded pixels."""
         loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
         if loss is not None:
-            guards.judge(guards.PATCH, loss)
+            guards.check(guards.PATCH, loss)
         return self._plan._recorder.record(total.sums)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, suggest_keywords
+from ..errors import refuse_if, suggest_keywords
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Threads
@@ -69,6 +69,5 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
     require_camera(camera)
     point = np.asarray(position, object)
-    if point.shape != (3,):
-        raise InputError(f"position = {position!r}: it must be three numbers (X, Y, g)")
+    refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")
     return check_positions(point[None], camera)[0]

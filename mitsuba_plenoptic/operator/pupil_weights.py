@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import refuse_if
 
 
 def spline_parts(place: Any) -> tuple[Any, Any, Any, Any]:
@@ -51,13 +51,17 @@ class PupilWeights:
             shape: tuple[int, ...] = (len(weights.index), *weights.table.shape[1:])
         else:
             shape = np.shape(weights)
-        if len(shape) != 3 or shape != (count, shape[1], shape[1]) or shape[1] == 0:
-            raise InputError(f"pupil_weights of shape {shape}: it must be ({count}, m, m)")
+        refuse_if(
+            len(shape) != 3 or shape != (count, shape[1], shape[1]) or shape[1] == 0,
+            f"pupil_weights of shape {shape}: it must be ({count}, m, m)",
+        )
         if isinstance(weights, PupilWeights):
             return weights
         values = np.asarray(weights)
-        if values.dtype.kind not in "biuf" or not np.isfinite(values).all() or (values < 0).any():
-            raise InputError("pupil_weights: they must be finite and not negative")
+        refuse_if(
+            values.dtype.kind not in "biuf" or not np.isfinite(values).all() or (values < 0).any(),
+            "pupil_weights: they must be finite and not negative",
+        )
         if values.dtype == np.bool_:
             return cls.from_bits(np.packbits(values.reshape(count, -1), axis=1), shape[1])
         table, index = np.unique(values.astype(np.float32).reshape(count, -1), axis=0, return_inverse=True)

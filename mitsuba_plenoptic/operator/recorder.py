@@ -13,8 +13,7 @@ from ..lattice import turn
 from ..runtime.backend import backend
 from ..runtime.batches import Box
 from .grid import Grid
-from .pixels import PixelIntegrals
-from .turned_samples import TurnedSamples
+from .pixels import PixelIntegrals, TurnedSamples
 
 STEPS = ("x", "y")
 """Moves of all pixels by a millimetre along x, and along y."""

@@ -10,14 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module, backend
 from ..runtime.batches import Box, Part
 from ..runtime.fft import fft2, resting_drjit
@@ -200,13 +199,13 @@ class PatchTile:
         self._scratch = self._arrays.empty((2, self._block), np.float32)
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
-    def sum(self) -> NDArray[np.float32]:
-        """Return the sum of the weighted intensities of all copies, (channels, rows, columns)."""
+    def sum(self) -> Part:
+        """Return the sum of the weighted intensities of all copies."""
         size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
         sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
         for point, along_x, along_y, intensity, weighted in self._intensities():
             sums.add(point, (along_x, along_y), intensity, weighted)
-        return sums.total().transpose(0, 2, 1)
+        return Part(self.box, sums.total().transpose(0, 2, 1))
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Multiply each copy's intensity with the samples of the tile, and sum the products, (copies, channels)."""
@@ -245,48 +244,41 @@ def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], f
 
 
 @dataclass(frozen=True)
-class Scatter:
-    """Point spreads to be added, with factors on the field and on the copies of each."""
+class FieldBatch:
+    """Fields of points that are computed together, with the interface of `runtime.batches.Batch`."""
 
     fields: Fields
-    amplitudes: NDArray[np.float64]
-    copies: list[Copies]
 
     @property
     def samples(self) -> int:
         """Total number of samples of all patches."""
         return self.fields.samples
-
-    def prepare(self) -> Callable[[], Part]:
-        """Compute the factors of the fields, and return the function that adds the intensities."""
-        return partial(_sum, PatchBatch(self.fields, self.amplitudes), self.copies)
-
-
-def _sum(batch: PatchBatch, copies: list[Copies]) -> Part:
-    tile = PatchTile(batch, copies)
-    return Part(tile.box, tile.sum())
 
 
 @dataclass(frozen=True)
-class Gather:
+class Scatter(FieldBatch):
+    """Point spreads to be added, with factors on the field and on the copies of each."""
+
+    amplitudes: NDArray[np.float64]
+    copies: list[Copies]
+
+    def prepare(self) -> Callable[[], Part]:
+        """Compute the factors of the fields, and return the function that adds the intensities."""
+        batch = PatchBatch(self.fields, self.amplitudes)
+        return lambda: PatchTile(batch, self.copies).sum()
+
+
+@dataclass(frozen=True)
+class Gather(FieldBatch):
     """Point spreads to be multiplied with the samples of the tile that they cover."""
 
-    fields: Fields
     copies: list[Copies]
     tile: NDArray[np.float32]
 
-    @property
-    def samples(self) -> int:
-        """Total number of samples of all patches."""
-        return self.fields.samples
-
     def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
         """Compute the factors of the fields, and return the function that multiplies the intensities with the tile."""
-        return partial(_products, PatchBatch(self.fields, np.ones(len(self.copies))), self.copies, self.tile)
-
-
-def _products(batch: PatchBatch, copies: list[Copies], tile: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-    return PatchTile(batch, copies).products(tile)
+        batch = PatchBatch(self.fields, np.ones(len(self.copies)))
+        return lambda: PatchTile(batch, self.copies).products(self.tile)
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, short_repr, suggest_keywords
+from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 
 
 @suggest_keywords
@@ -41,13 +41,15 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
         raise InputError(f"values = {short_repr(values)}: they must be numbers, (planes, rows, columns)") from None
     if isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]
-    if grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all():
-        raise InputError(f"values of shape {grid.shape}: it must be finite and (planes, rows, columns), of one channel")
+    refuse_if(
+        grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all(),
+        f"values of shape {grid.shape}: it must be finite and (planes, rows, columns), of one channel",
+    )
     (low, high) = (_corner(name, corner) for name, corner in (("lower", lower), ("upper", upper)))
-    if not (low < high).all():
-        raise InputError(
-            f"upper = {short_repr(upper)}: it must be greater than lower = {short_repr(lower)} along each axis"
-        )
+    refuse_if(
+        not (low < high).all(),
+        f"upper = {short_repr(upper)}: it must be greater than lower = {short_repr(lower)} along each axis",
+    )
     size = (high - low) / np.array(grid.shape[::-1])
     lit = np.argwhere(grid != 0)
     return low + (lit[:, ::-1] + 0.5) * size, grid[tuple(lit.T)] * size.prod()
@@ -58,6 +60,8 @@ def _corner(name: str, value: Any) -> NDArray[np.float64]:
         corner = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         corner = np.empty(0)
-    if corner.shape != (3,) or not np.isfinite(corner).all():
-        raise InputError(f"{name} = {short_repr(value)}: it must be three numbers (x, y, z)")
+    refuse_if(
+        corner.shape != (3,) or not np.isfinite(corner).all(),
+        f"{name} = {short_repr(value)}: it must be three numbers (x, y, z)",
+    )
     return corner

@@ -179,11 +179,11 @@ def watch() -> Iterator[dict[str, float]]:
     finally:
         _findings.reset(token)
     for guard, fraction in findings.items():
-        fractions[guard.name] = _rounded(fraction)
+        fractions[guard.name] = float(f"{fraction:.{_DIGITS}g}")
         _warn(guard, fraction)
 
 
-def judge(guard: Guard, fraction: float) -> None:
+def check(guard: Guard, fraction: float) -> None:
     """Record a fraction of the power, and raise an error if it exceeds the guard's bound.
 
     Parameters
@@ -226,7 +226,7 @@ def require(guard: Guard, fraction: float) -> None:
         raise PhysicsError(_sentence(guard, fraction))
 
 
-def judge_window(in_rim: float, before: float = 0.0) -> None:
+def check_window(in_rim: float, before: float = 0.0) -> None:
     """Record the fraction of a field's power in the rim of its window, after and before propagation.
 
     Parameters
@@ -241,12 +241,8 @@ def judge_window(in_rim: float, before: float = 0.0) -> None:
     PhysicsError
         If light has wrapped around the window.
     """
-    judge(WINDOW, in_rim)
-    judge(WRAPPED, in_rim - before)
-
-
-def _rounded(number: float) -> float:
-    return float(f"{number:.{_DIGITS}g}")
+    check(WINDOW, in_rim)
+    check(WRAPPED, in_rim - before)
 
 
 def _sentence(guard: Guard, fraction: float) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
-from ..errors import InputError, require_count, require_number, suggest_keywords
+from ..errors import InputError, refuse_if, require_count, require_number, suggest_keywords
 from ..io.files import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -80,21 +80,19 @@ class Spectrum:
     nodes: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.wavelengths:
-            raise InputError("spectrum: it must have a wavelength")
+        refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
         object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
         try:
             matrix = np.array(self.responses, np.float64)
         except (TypeError, ValueError):
             raise InputError("spectrum: responses must be numbers, as many for every channel") from None
-        if matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all():
-            raise InputError(
-                f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
-                f"{len(self.wavelengths)} wavelengths"
-            )
+        refuse_if(
+            matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
+            f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
+            f"{len(self.wavelengths)} wavelengths",
+        )
         object.__setattr__(self, "nodes", tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
-        if len(set(self.nodes)) < len(self.nodes):
-            raise InputError(f"spectrum: nodes = {self.nodes}: they must be different")
+        refuse_if(len(set(self.nodes)) < len(self.nodes), f"spectrum: nodes = {self.nodes}: they must be different")
 
     @classmethod
     def lines(cls, *wavelengths: float) -> Spectrum:
@@ -282,8 +280,10 @@ class Spectrum:
 def read_responses(path: str | Path) -> NDArray[np.float64]:
     """Read a detector's table, whose rows are a wavelength in nanometres and the response of every channel."""
     table = read_table(path)
-    if table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0):
-        raise InputError(f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength")
+    refuse_if(
+        table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0),
+        f"{path}: it must have two rows or more, of a wavelength and responses, by rising wavelength",
+    )
     for wavelength in table[[0, -1], 0].tolist():
         require_wavelength(wavelength, f"{path}: wavelength")
     return table
@@ -342,11 +342,11 @@ def _nodes(
         parts |= {part: errors(*part) for part in ((first, between), (between, last))}
     rules = [rule(edges[first], edges[last]) for first, last in sorted(parts)]
     found = np.concatenate([places for places, _ in rules]), np.concatenate([weights for _, weights in rules])
-    if len(found[0]) > MOST_WAVELENGTHS:
-        raise InputError(
-            f"spectrum: the spectra of the scene and the responses need more than {MOST_WAVELENGTHS} wavelengths: "
-            "sample them more coarsely"
-        )
+    refuse_if(
+        len(found[0]) > MOST_WAVELENGTHS,
+        f"spectrum: the spectra of the scene and the responses need more than {MOST_WAVELENGTHS} wavelengths: "
+        "sample them more coarsely",
+    )
     return found
 
 

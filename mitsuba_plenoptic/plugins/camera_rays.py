@@ -14,7 +14,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..lattice import Lattice, make_lattice
-from ..lenses.base import MainLens
+from ..lenses.base import MainLens, Pair, Traced
 from ..lenses.factory import main_lens
 from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
@@ -112,13 +112,6 @@ class Dispersion:
 
         indices = None if self.indices is None else [of(index) for index in self.indices]
         return RayColours(of(self.ratio), of(self.mla_ratio), indices), sample, share
-
-
-Pair = tuple[Any, Any]
-"""x and y in the camera frame."""
-
-Traced = tuple[tuple[Any, Any, Any], Pair, Any]
-"""The point from which a ray starts towards the scene, its slopes there, and whether the main lens transmits it."""
 
 
 class Passage(NamedTuple):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..capture import colour
 from ..capture.signed_colours import SignedColours
-from ..errors import InputError, require_number, short_repr
+from ..errors import InputError, refuse_if, require_number, short_repr
 from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Responses, Spectrum, Table, read_responses
 from .properties import read_count, read_number, read_plain
 
@@ -94,11 +94,10 @@ class Colours:
         if self.table is not None:
             columns = self.table.shape[1] - 1
             # A luminance film accepts three channels, too, but would add them up as if they were colours.
-            if columns not in (1, channels):
-                raise InputError(
-                    f"responses = {self.responses}: {columns} channels, and the film has {channels}: "
-                    "use pixel_format rgb"
-                )
+            refuse_if(
+                columns not in (1, channels),
+                f"responses = {self.responses}: {columns} channels, and the film has {channels}: use pixel_format rgb",
+            )
             return Spectrum.sensor(self.table, self.count, tables)
         if self.bandwidth is not None:
             count, width = count or self.nodes or BAND_NODES, self.bandwidth
@@ -184,8 +183,7 @@ def read_colours(props: Any) -> Colours:
         if not isinstance(responses, str):
             raise InputError(f"{NAME}: responses = {short_repr(responses)}: it must be srgb or the name of a file")
         for name in ("wavelength", "bandwidth"):
-            if name in props:
-                raise InputError(f"{NAME}: responses, {name}: give one of the two")
+            refuse_if(name in props, f"{NAME}: responses, {name}: give one of the two")
         if responses != SRGB:
             responses = str(mi.file_resolver().resolve(responses))
             table = read_responses(responses)

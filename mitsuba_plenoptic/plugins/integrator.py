@@ -10,17 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_known_to
+from ..camera.checks import require_ideal, require_known_to
 from ..camera.entry import Captures
 from ..capture import colour
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
 from ..capture.signed_camera import require_parameters
-from ..capture.signed_capture import SignedCapture
-from ..capture.signed_gradients import SignedGradients
-from ..errors import InputError
-from ..lenses.wave_cameras import require_ideal
+from ..capture.signed_capture import SignedCapture, SignedGradients
+from ..errors import InputError, refuse_if
 from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
 from ..operator.derivatives import NUMBERS
 from ..operator.patch_plan import Cost
@@ -44,8 +42,7 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         if isinstance(node, mi.Shape) or name == "to_world":
             raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
         if isinstance(node, (mi.Sensor, mi.Film)):
-            if name not in NUMBERS:
-                raise InputError(f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            refuse_if(name not in NUMBERS, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
             if node is sensor:
                 names.append(name)
         else:
@@ -178,15 +175,14 @@ def make_class() -> type:
             self.colours = read_colours(props)
             self.wavelengths = self.colours.wavelengths
             for name in GONE_PARAMETERS:
-                if name in props:
-                    raise InputError(
-                        f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel"
-                    )
+                refuse_if(
+                    name in props,
+                    f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel",
+                )
             self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
             self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             nested = [value for _, value in props.objects()]
-            if len(nested) > 1:
-                raise InputError(f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
+            refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
@@ -233,8 +229,9 @@ def make_class() -> type:
             self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
         ) -> tuple[tuple[str, ...], SignedGradients]:
             """Return the camera parameters with gradients, and the capture's derivatives; refuse what has none."""
-            if self.method != SIGNED_RAYS:
-                raise InputError(f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}")
+            refuse_if(
+                self.method != SIGNED_RAYS, f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}"
+            )
             names, others = numbers_and_others(params, sensor)
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()

@@ -13,7 +13,7 @@ import mitsuba as mi
 from ..camera import PlenopticCamera
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number
 from ..io.lens_file import read_lens
 from ..lens_data import LensData
 
@@ -56,11 +56,11 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
         camera = PlenopticCamera(**given, **film_numbers(film))
     except InputError as error:
         raise InputError(f"{plugin}: {error}") from None
-    if camera.lens_data.images_stop:
-        raise InputError(
-            f"{plugin}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
-            "CaptureOperator with method full_field"
-        )
+    refuse_if(
+        camera.lens_data.images_stop,
+        f"{plugin}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
+        "CaptureOperator with method full_field",
+    )
     return camera
 
 

@@ -14,11 +14,12 @@ from ..camera import PlenopticCamera
 from ..camera.documentation import with_sensor_parameters
 from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError
+from ..errors import InputError, refuse_if
+from ..lenses.base import Pair, Traced
 from ..lenses.factory import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
-from .camera_rays import CameraRays, Pair, Traced
+from .camera_rays import CameraRays
 from .properties import film_numbers, read_camera
 
 NAME = "plenoptic"
@@ -144,10 +145,14 @@ def make_class() -> type:
             self._update()
 
         def _update(self) -> None:
-            if not np.isfinite(self.world_transform().matrix.numpy()).all():
-                raise InputError(f"{NAME}: to_world: its numbers must be finite")
-            if dr.any(self.world_transform().has_scale()):
-                raise InputError(f"{NAME}: to_world: it must not scale; give lengths in scene units instead")
+            refuse_if(
+                not np.isfinite(self.world_transform().matrix.numpy()).all(),
+                f"{NAME}: to_world: its numbers must be finite",
+            )
+            refuse_if(
+                dr.any(self.world_transform().has_scale()),
+                f"{NAME}: to_world: it must not scale; give lengths in scene units instead",
+            )
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())

@@ -194,17 +194,17 @@ class Prescription(LensData):
         """Refuse other aberrations than its own, a stop wider than it opens, and an array within it."""
         require_alone(camera)
         numbers, widest = self.paraxial, self.own_numbers(camera.focal_length)[1]
-        if camera.aperture_radius > widest * (1 + SINGLE):
-            raise InputError(
-                f"aperture_radius = {camera.aperture_radius:g}: the main_lens opens to {widest:.6g} at most"
-            )
+        refuse_if(
+            camera.aperture_radius > widest * (1 + SINGLE),
+            f"aperture_radius = {camera.aperture_radius:g}: the main_lens opens to {widest:.6g} at most",
+        )
         scale = camera.focal_length / numbers.focal_length
         nearest = -scale * min(numbers.rear_principal, numbers.rear_principal - numbers.exit_pupil)
-        if camera.mla_distance <= nearest:
-            raise InputError(
-                f"mla_distance = {camera.mla_distance:g}: the array would stand within the main_lens or its exit "
-                f"pupil; it must be more than {nearest:.4g}"
-            )
+        refuse_if(
+            camera.mla_distance <= nearest,
+            f"mla_distance = {camera.mla_distance:g}: the array would stand within the main_lens or its exit "
+            f"pupil; it must be more than {nearest:.4g}",
+        )
 
     def image_blur(self, camera: Any, distance: float) -> float:
         """Return the diameter on the array of the cone from the exit pupil to the image of a point."""

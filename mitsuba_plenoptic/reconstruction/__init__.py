@@ -6,7 +6,7 @@ A new method is a new module with a function that `methods.method` registers, im
 # in the order in which help and messages name them
 from . import ray, waves, incoherent, deconvolved  # noqa: F401, I001
 from .api import reconstruct
-from .arguments import FOOTPRINTS, RESPONSES
+from .methods import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
 from .methods import METHODS

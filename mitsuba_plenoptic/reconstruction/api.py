@@ -10,10 +10,12 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.checks import require_ideal
 from ..detector import require_demosaiced
 from ..errors import (
     InputError,
     argument,
+    refuse_if,
     require_choice,
     require_count,
     require_flag,
@@ -23,23 +25,25 @@ from ..errors import (
 )
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.checkpoints import Checkpoint
-from ..lenses.wave_cameras import require_ideal
 from ..lightfield.white import scaled_white
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
-from .arguments import (
+from .deconvolution.variation import MOST as _MOST
+from .methods import (
     FOOTPRINTS,
+    METHODS,
+    Found,
+    Task,
     as_capture,
     require_distances,
     require_image_memory,
     require_interleave,
     require_response,
+    require_taken,
     require_upright,
     require_wavelengths,
 )
-from .deconvolution.variation import MOST as _MOST
-from .methods import METHODS, Found, Task, require_taken
 from .radiance import is_known
 from .ray import white_pixels
 from .results import Reconstruction
@@ -63,16 +67,18 @@ def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
 
 def _require_same_light(white: Capture, capture: Capture, channels: int) -> None:
     """Refuse a white wave capture that lost a different part of the light at the edges of its micro-images."""
-    if white.model == "wave" and capture.model != "wave":
-        raise InputError("white: it was captured by waves, and the capture by rays, which lose no light at edges")
+    refuse_if(
+        white.model == "wave" and capture.model != "wave",
+        "white: it was captured by waves, and the capture by rays, which lose no light at edges",
+    )
     if white.wavelength is None or capture.wavelength is None:
         return
     theirs, own = (np.broadcast_to(light, channels) for light in (white.wavelength, capture.wavelength))
-    if not np.array_equal(theirs, own):
-        raise InputError(
-            f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
-            "it must be of the same wavelengths"
-        )
+    refuse_if(
+        not np.array_equal(theirs, own),
+        f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
+        "it must be of the same wavelengths",
+    )
 
 
 _PROGRESS_STEPS = 100
@@ -283,8 +289,10 @@ def reconstruct(
         "volume": volume is not None and require_flag("volume", volume),
         "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
     }
-    if not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray":
-        raise InputError(f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave")
+    refuse_if(
+        not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray",
+        f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave",
+    )
     options: dict[str, Any] = {name: given[name] for name in chosen.options}
     oversample = require_count("oversample", oversample)
     distances = require_distances(distance, camera)

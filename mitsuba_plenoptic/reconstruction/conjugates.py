@@ -23,11 +23,11 @@ from scipy import ndimage
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, argument
-from ..lenses.base import Light
+from ..lenses.base import Light, Pair
 from ..lenses.fitted_lens import FAR, FittedLens
 from ..lenses.pupil_fit import Pupils
 from ..lenses.real_lens import RealLens
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module
 from ..system.optical_system import OpticalSystem
 
@@ -40,8 +40,6 @@ _MOST_ZONES = 8
 _ZONE_BLUR = 0.2
 """Part of a bin by which the path of the middle of a zone may lead a ray from the pupil's rim astray at its corners."""
 
-Place = tuple[Any, Any]
-
 
 @dataclass(frozen=True)
 class Conjugate:
@@ -52,14 +50,14 @@ class Conjugate:
     wavelength: float
     tilt: tuple[float, float] = (0.0, 0.0)
 
-    def path(self, pupil: Place) -> Any:
+    def path(self, pupil: Pair) -> Any:
         """Return the path from the object plane in waves, less a tilt."""
         waves = self.light.path(pupil, self.point, self.wavelength)
         if not any(self.tilt):
             return waves
         return waves - (pupil[0] * self.tilt[0] + pupil[1] * self.tilt[1]) * (1 / in_millimetres(self.wavelength))
 
-    def inside(self, pupil: Place) -> Any:
+    def inside(self, pupil: Pair) -> Any:
         """Return the distance in millimetres by which a point lies inside the pupil's edge."""
         return self.light.inside(pupil)
 
@@ -135,10 +133,10 @@ class RealConjugates:
                 )
         b, behind = camera.mla_distance, float(real.pupil_distance)
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
-        nearness = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
+        inverse_distance = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
         fields = [abs(pupils.magnification) / behind]
-        fields += [min(g, FAR) * near / b for g, near in zip(distances, nearness, strict=True)]
-        lens = real.over_field(corner * max(fields), (min(nearness), max(nearness)))
+        fields += [min(g, FAR) * near / b for g, near in zip(distances, inverse_distance, strict=True)]
+        lens = real.over_field(corner * max(fields), (min(inverse_distance), max(inverse_distance)))
         seen = behind_thin_lens(system)
         wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
         more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
@@ -149,12 +147,12 @@ class RealConjugates:
         pupils = self.lens.fitted.pupils
         return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
 
-    def _nearness(self, distance: float) -> float:
+    def _inverse_distance(self, distance: float) -> float:
         return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
 
     def _bound(self, places: NDArray[np.float64], distance: float, which: Any = None) -> Light:
         """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
-        points = self.lens.points(self.lens.within(places), np.full(len(places), self._nearness(distance)))
+        points = self.lens.points(self.lens.within(places), np.full(len(places), self._inverse_distance(distance)))
         return self.lens.bind(points, which)
 
     def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:

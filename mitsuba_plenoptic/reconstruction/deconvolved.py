@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..design import resolution_limit
-from ..errors import InputError, argument
+from ..errors import InputError, argument, refuse_if
 from ..io.checkpoints import digest
 from ..runtime.jobs import Job
 from .deconvolution.fourier import FourierResponse
@@ -50,8 +50,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     channels, planes = task.image.shape[2], len(task.distances)
     kept = SolverCheckpoint(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
     work, done = channels * planes, len(kept.solved)
-    if done > work or done % len(groups[0]):
-        raise InputError(f"checkpoint: it is damaged: {done} planes are no part of {work}")
+    refuse_if(done > work or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {work}")
     for number in range(done // len(groups[0]), channels * len(groups)):
         channel, group = divmod(number, len(groups))
         report = portion(task.progress, number, channels * len(groups))
@@ -131,19 +130,22 @@ def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
 def _require_different(distances: Sequence[float]) -> None:
     """Refuse a volume with coinciding planes, between which the light is undetermined."""
     for number, distance in enumerate(distances):
-        if distance in distances[:number]:
-            raise InputError(f"distance = {distance:g}: it is given twice; the planes of a volume are different ones")
+        refuse_if(
+            distance in distances[:number],
+            f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
+        )
 
 
 def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
     """Refuse a capture that no light can have produced."""
-    if not (image > 0).any():
-        raise InputError("capture: none of its pixels is lit: there is nothing to deconvolve")
+    refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
     negative = int(np.count_nonzero(image < 0))
     if negative and noise is None:
         raise InputError(
             f"capture: {negative} of its pixels are below 0, the least of them {float(image.min()):.3g}: no light "
             f"makes these; their noise is known from {argument('photons')} or from what 'expose' keeps with a capture"
         )
-    if float(image.sum(dtype=np.float64)) <= 0:
-        raise InputError("capture: the sum of its pixels is not above 0: there is no light to deconvolve")
+    refuse_if(
+        float(image.sum(dtype=np.float64)) <= 0,
+        "capture: the sum of its pixels is not above 0: there is no light to deconvolve",
+    )

@@ -10,24 +10,23 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_count, require_number
+from ..camera.checks import require_ideal
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number
 from ..io.captures import as_array, require_pixels
-from ..lenses.wave_cameras import require_ideal
 from ..optics import guards
 from ..runtime.backend import backend, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
 from ..thin_lens import image_distance
-from .arguments import FOOTPRINTS
-from .bins import BinSums
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields, squared
 from .lens_tiles import fine_bins
+from .methods import FOOTPRINTS
+from .passages import BinSums
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale
 from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
-from .waves import signed_parts
-from .white import white_light
+from .waves import signed_parts, white_light
 
 
 class RayRefocus:
@@ -63,8 +62,7 @@ class RayRefocus:
         self._numbers = numbers[1:]
         white = white_sums(*numbers)
         reached = is_reached(white)
-        if not reached.any():
-            raise InputError(f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
+        refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
 
     def forward(self, capture: Any) -> np.ndarray:
@@ -271,7 +269,7 @@ class _BinnedPower:
         self._at, passed = self._fields(amplitude)
         sent = float(image.sum(dtype=np.float64))
         if checked and sent:
-            guards.judge(guards.PUPIL, 1 - passed / sent)
+            guards.check(guards.PUPIL, 1 - passed / sent)
         power: Any = sum(squared((slice(None), field))[1] for field in self._at)
         bins = backend().to_host(self._sums.forward([(slice(None), power)]))
         spread = bins if refocus._spread is None else refocus._spread.forward(bins)

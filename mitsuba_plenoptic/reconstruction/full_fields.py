@@ -16,18 +16,25 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
-from ..optics.phase import parabola, phasor, soft_edge
-from ..optics.power import fraction, power
+from ..optics.waves import fraction, parabola, phasor, power, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
 from ..system.microlenses import is_separable, transmission
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .bins import BinSums
 from .conjugates import Conjugates, ThinConjugates, Zone
 from .methods import Progress
-from .passages import FieldWorkspace, Rows, ThinElement, propagate, propagate_vjp, to_directions, to_directions_vjp
+from .passages import (
+    BinSums,
+    FieldWorkspace,
+    Rows,
+    ThinElement,
+    propagate,
+    propagate_vjp,
+    to_directions,
+    to_directions_vjp,
+)
 from .planning import Directions, FieldPlan, Step, Strip, Window, field_memory, object_extent, plan, require_feasible
 
 
@@ -75,11 +82,11 @@ def reconstruct_subsets(
                     total[part] += found[part]
             progress((done + 1) / interleave**2)
     if checked:
-        guards.judge(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+        guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
         for total, distance in zip(totals, distances, strict=True):
             # Where the detector's edge cuts the light nothing is known.
             if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
-                guards.judge(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+                guards.check(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
     return totals
 
 

@@ -24,8 +24,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
-from ..optics.phase import in_millimetres, parabola, phasor, soft_edge
-from ..optics.power import fraction
+from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..system.optical_system import OpticalSystem
@@ -234,9 +233,9 @@ def reconstruct_lens_by_lens(
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
         progress((place + len(batch.bin)) / len(lit))
     if checked and len(lit):
-        guards.judge(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
+        guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
         for total, rim in zip(totals, in_rim, strict=True):
-            guards.judge(guards.OBJECT, fraction(rim, float(total.sum())))
+            guards.check(guards.OBJECT, fraction(rim, float(total.sum())))
     return [on_bins(total, lenses) for total in totals]
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..optics.free_space import advance
-from ..optics.phase import in_millimetres, phasor
+from ..optics.waves import advance, in_millimetres, phasor
 from ..runtime.backend import backend
 from ..runtime.fft import Field
 from ..system.optical_system import OpticalSystem

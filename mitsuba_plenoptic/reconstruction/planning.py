@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import refuse_if
 from ..optics import rays
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import memory_limit, require_memory
 from ..system.microlenses import bend
 from ..system.sampling import fast_length
@@ -264,10 +264,10 @@ def require_feasible(made: FieldPlan) -> None:
     """Refuse a plan that needs more memory than is allowed, or one of too much work."""
     what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
     require_memory(made.memory, what, limit=field_memory())
-    if made.transformed > _MOST_TRANSFORMED:
-        raise InputError(
-            f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are"
-        )
+    refuse_if(
+        made.transformed > _MOST_TRANSFORMED,
+        f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are",
+    )
 
 
 def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:

@@ -40,9 +40,9 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
-from ..errors import InputError
+from ..errors import refuse_if
 from ..optics import rays
-from ..optics.phase import in_millimetres, soft_edge
+from ..optics.waves import in_millimetres, soft_edge
 from ..runtime.fft import blur, convolve
 from ..runtime.limits import require_memory
 from .methods import Progress, Task, portion
@@ -281,8 +281,7 @@ def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: 
     """Return by what the sums over bins of a plane are divided, and which bins are."""
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
-    if not reached.any():
-        raise InputError(f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
+    refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
     if computed:
         # Both sums are of all bins, since light that misses one of them is in another.
         usual = white.sum() / (float(rays.sum()) * white.shape[2])

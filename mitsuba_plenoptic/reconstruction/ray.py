@@ -23,7 +23,7 @@ from scipy.sparse import csr_matrix
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
-from ..errors import InputError
+from ..errors import refuse_if
 from ..lightfield.white import white_image
 from ..optics import rays
 from ..runtime.backend import array_module
@@ -92,10 +92,10 @@ def ray_sums(
     x, y = axes
     columns, rows = x.weights.shape[0], y.weights.shape[0]
     values = image.shape[2] * columns * max(rows, image.shape[0])
-    if values > _MOST_VALUES:
-        raise InputError(
-            f"images of {columns} x {rows} bins: {values} values are summed at once, at most {_MOST_VALUES} can be"
-        )
+    refuse_if(
+        values > _MOST_VALUES,
+        f"images of {columns} x {rows} bins: {values} values are summed at once, at most {_MOST_VALUES} can be",
+    )
     return bin_image(image, x, y, radius)
 
 

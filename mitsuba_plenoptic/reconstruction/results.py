@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice
+from ..errors import InputError, refuse_if, require_choice
 from ..io.exr import write_exr
 from ..io.files import atomic_output, require_writable
 from ..lightfield.exchange.files import require_zarr
@@ -140,16 +140,17 @@ class Volume:
         InputError
             If the sequence is empty, a distance is infinite or given twice, or images differ in their channels.
         """
-        if not results:
-            raise InputError("results = []: a volume needs one plane at least")
+        refuse_if(not results, "results = []: a volume needs one plane at least")
         planes = sorted(results, key=lambda result: result.distance)
         distances = tuple(plane.distance for plane in planes)
         for nearer, distance in zip((None, *distances), distances, strict=False):
             if math.isinf(distance) or distance == nearer:
                 rule = "a volume needs finite distances" if math.isinf(distance) else "it is given twice"
                 raise InputError(f"distance = {distance:g}: {rule}")
-        if len({plane.image.shape[2:] for plane in planes}) > 1:
-            raise InputError("results: their images differ in the number of channels")
+        refuse_if(
+            len({plane.image.shape[2:] for plane in planes}) > 1,
+            "results: their images differ in the number of channels",
+        )
         size = min(plane.bin_size for plane in planes)
         rows, columns = (
             max(math.ceil(plane.image.shape[axis] * plane.bin_size / size - 1e-6) for plane in planes)

@@ -18,7 +18,7 @@ from ..capture.scene import load_scene
 from ..errors import refuse_if
 from ..io.captures import Capture
 from ..reconstruction import Reconstruction, reconstruct
-from ..reconstruction.arguments import require_distances
+from ..reconstruction.methods import require_distances
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..optics.phase import in_millimetres
+from ..lenses.base import Pair
+from ..optics.waves import in_millimetres
 
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
@@ -71,8 +72,6 @@ def _mix_int(word: int) -> int:
     """Return `_mix` of one integer."""
     return int(_mix(np.array([word], np.uint32))[0])
 
-
-Pair = tuple[Any, Any]
 
 _STEP = 0.4
 """Largest phase difference in radians, at a lens's edge, between adjacent kinds; a lens differs by half of it."""

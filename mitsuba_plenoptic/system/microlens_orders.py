@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import Lattice, turn
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module, backend_of
 from ..runtime.fft import Field, array_types, as_field, pack, split, unpack, worker_count
 from .microlenses import from_centre, is_separable, transmission

@@ -14,7 +14,7 @@ import drjit as dr
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
-from ..optics.phase import in_millimetres, parabola, phasor
+from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
 
 _HARD_EDGES = 1.4

@@ -7,25 +7,18 @@ point P keeps P, and meets the array at m + x instead of m, with the signed dens
 .. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int O_P(\eta)\, e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta, \qquad
           O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
 
-Behind the *array*, of transmission T in units of the lens that the ray meets, it lands on the detector at an offset p
-from the position of the ray model, with the signed density
-
-.. math:: K_a(m, p) = \frac{1}{(\lambda z)^2}
-          \int T(m + \xi/2)\, T^*(m - \xi/2)\, e^{-2 \pi i \xi \cdot p / \lambda z}\, d^2\xi.
-
-Pairs of points in two neighbouring lenses are included: they describe the interference of the neighbours' fields.
-Projected on polynomials :math:`P_n` of m that are orthonormal over the aperture, :math:`K_a(m, p) \approx \sum_n a_n(m)
-\varphi_n(p)`, a capture becomes a ray capture of a few values per ray, followed by one convolution for each value:
+Behind the *array* it lands on the detector at an offset p from the position of the ray model, with a signed density
+:math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`, where :math:`a_n` combines polynomials of m over a lens: see
+`array_kernels`. A capture becomes a ray capture of a few values per ray, followed by one convolution for each value:
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, A_n, \qquad A_n(m, P) = \int K_p(P, x)\, a_n(m + x)\, d^2x .
 
 All of this depends on the camera and the wavelength, and not on the scene. Coordinates of microlens points are relative
-to the centre of the lens.
+to the centre of the lens. The coefficients are tabulated here, and interpolated with Dr.Jit on the active device.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,25 +26,16 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, short_repr
-from ..lattice import Lattice
-from ..optics.phase import in_millimetres
+from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
-from .lens_kinds import Kind, LensKinds
+from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem
-
-_TRANSFER_SAMPLES = 64
-"""Samples across a lens for its transfer functions: the phase between neighbours changes by a fifth of a period."""
-
-_KEPT = 2.0
-"""Samples per cycle of the highest frequency of a lens's diffraction; two samples represent it completely."""
-
-_SPECTRUM_SAMPLES = 256
-"""Samples across a lens for the Fourier coefficients of its polynomials."""
 
 _SPREADS = 2.0
 """Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
@@ -62,13 +46,11 @@ _LEAST_WINDOW, _NARROW = 3, 0.2
 _OVERSAMPLING, _FINEST = 1.4, 64
 """Samples of the table over those that its highest frequency requires, and the largest number per lens."""
 
-MOST_PHASE, MOST_SHIFT = 8.0, 0.3
-"""Largest defocus in radians at a lens's edge for which polynomials describe where rays land, and, beyond it, largest
-displacement in pixels by the pupil's diffraction."""
+MOST_SHIFT = 0.3
+"""Largest displacement in pixels by the pupil's diffraction where the defocus exceeds `MOST_PHASE`."""
 
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
-
 
 _TABLES = 8
 """Number of tables, of some 35 MiB each, that are cached for further plans."""
@@ -88,21 +70,14 @@ class TableNode(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PhaseSpace:
+class PhaseSpace(ArrayKernels):
     """Diffraction of one camera at one wavelength, as coefficients of rays and kernels of images."""
 
-    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
-    camera: PlenopticCamera
-    wavelength: float
-    # Total degree of the polynomials over a lens, of which there are (degree + 1) (degree + 2) / 2.
-    degree: int = 4
     # Lenses across the window at the pupil's rim, where the spread of a ray is largest. Light outside is folded back by
     # whole windows, which conserves the energy.
     window: int = 9
     # Nodes of the table along the pupil's radius, denser towards its rim.
     radial: int = 12
-    # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
-    shortest: float | None = None
 
     def __post_init__(self) -> None:
         camera = self.camera
@@ -118,22 +93,6 @@ class PhaseSpace:
         ):
             if refused:
                 raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
-
-    @property
-    def defocus(self) -> float:
-        """Largest defocus of the microlenses' waves on the detector, in radians at the edge of a lens."""
-        square = float(self.lattice.aperture_reach) ** 2
-        most = max(abs(self.convergence(kind)) for kind in self.kinds)
-        return math.pi * most * square / in_millimetres(self.wavelength)
-
-    @property
-    def by_points(self) -> bool:
-        """Whether each ray lands by its own point of the lens, and not by the lens's centre.
-
-        Far from the microlenses' focus polynomials do not describe the difference. The spread by the pupil is then
-        taken as that of the whole pupil for all of its points.
-        """
-        return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
 
     @property
     def _shift(self) -> float:
@@ -160,23 +119,6 @@ class PhaseSpace:
         """The camera, bound to the wavelength."""
         return OpticalSystem(self.camera, self.wavelength)
 
-    # -- sizes ---------------------------------------------------------------------------------------
-
-    @property
-    def lattice(self) -> Lattice:
-        """The microlens lattice."""
-        return self.camera.lattice
-
-    @cached_property
-    def kinds(self) -> list[Kind]:
-        """The kinds of microlenses."""
-        return LensKinds(self.camera).every
-
-    @cached_property
-    def exponents(self) -> list[tuple[int, int]]:
-        """Powers of u and v of the monomial that each polynomial adds to the previous ones."""
-        return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
-
     @cached_property
     def nodes(self) -> list[TableNode]:
         """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
@@ -195,43 +137,6 @@ class PhaseSpace:
             angular = math.ceil(math.pi / 2 * max(sides) / pitch)
             made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
-
-    # -- polynomials over a lens -------------------------------------------------------------------
-
-    def _aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
-        reach = float(self.lattice.cell_reach)
-        count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
-        step = self.lattice.pitches[0] / samples
-        along = (np.arange(count) + 0.5 - count / 2) * step
-        v, u = np.meshgrid(along, along, indexing="ij")
-        return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
-
-    @cached_property
-    def triangle(self) -> NDArray[np.float64]:
-        """Coefficients of the orthonormal polynomials in monomials of u and v over the pitch, by Gram-Schmidt."""
-        u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
-        monomials = self._monomials(u[inside], v[inside])
-        gram = monomials.T @ monomials / len(monomials)
-        return np.linalg.inv(np.linalg.cholesky(gram)).T
-
-    def _monomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        pitch = self.lattice.pitches[0]
-        return np.stack([(u / pitch) ** i * (v / pitch) ** j for i, j in self.exponents], axis=-1)
-
-    def polynomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of the polynomials, which are orthonormal over the aperture."""
-        return self._monomials(u, v) @ self.triangle
-
-    def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
-        """Return the values of polynomials at positions mirrored along u, along v, or both."""
-        signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
-        return [
-            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
-            for (i, j), value in zip(self.exponents, values, strict=False)
-        ]
-
-    # -- the pupil: coefficients of rays -------------------------------------------------------------
 
     @cached_property
     def table(self) -> list[NDArray[np.float32]]:
@@ -254,7 +159,7 @@ class PhaseSpace:
     def _tabulated(self) -> list[NDArray[np.float32]]:
         """Compute the table that `table` caches."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
-        u, v, inside = self._aperture_grid(_SPECTRUM_SAMPLES)
+        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
         table = []
         for radial, node in enumerate(self.nodes):
@@ -324,138 +229,117 @@ class PhaseSpace:
         ]
         return plan
 
-    # -- the array: kernels of images ------------------------------------------------------------------
 
-    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
-        """Return the kernels (n, k, k) of a kind of lenses on a grid of some step, times the area of a grid cell.
+def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
+    """Return the object that computes the coefficients of rays for a plan."""
+    return Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table)
 
-        They reach at least to `reach`. Light beyond is folded back, which conserves the energy.
+
+class TableNodes:
+    """The nodes of a plan's table; a ray takes one of those around its pupil point at random."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self._radial, self._radius = plan.radial, plan.camera.pupil_radius
+        self._angular = mi.Float([node.angular for node in plan.nodes])
+
+    def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
+        """Return distances from the pupil's centre, over its radius, and a random neighbouring node of the radius."""
+        distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
+        place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
+        return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))
+
+    def around(self, Pu: Any, Pv: Any, radial: Any, chance: Any) -> Any:
+        """Return a random neighbouring node of the angle, at a node of the radius."""
+        turn = dr.atan2(dr.abs(Pv), dr.abs(Pu)) * (2 / math.pi) * dr.gather(mi.Float, self._angular, radial)
+        return mi.UInt(dr.floor(turn + chance))
+
+
+class RayCoefficients:
+    """The table of a `PhaseSpace`, or one of the same layout, on the device of the active variant."""
+
+    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
+        self.plan = plan
+        count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
+        # Coefficients are gathered four at a time.
+        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
+        self._table = mi.Float(np.concatenate(parts))
+        first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
+        self._first = mi.Int(first.astype(np.int32))
+        sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
+        self._sides = [mi.Float(column) for column in sides.T]
+        self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
+        self._nodes = TableNodes(plan)
+
+    def __call__(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> list[Any]:
+        """Return the coefficients of rays from points of a lens through points of the pupil.
+
+        Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
+        sixteen nodes around it.
         """
-        key = step, reach, kind
-        if key not in self._kept:
-            if self.by_points:
-                self._kept[key] = self._cell_kernels(step, reach, self.kinds[kind])
-            else:
-                self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach, kind), kind)
-        return self._kept[key]
+        plan = self.plan
+        lattice = plan.lattice
+        (u, v), (Pu, Pv) = lattice.to_frame(*point), lattice.to_frame(*pupil)
+        distance, radial = self._nodes.along(Pu, Pv, jitter[0])
+        active = active & (distance <= 1)
+        # The table covers a quarter of the pupil; the symmetry of the lenses gives the others.
+        mirrored = Pu < 0, Pv < 0
+        u, v = (dr.select(turned, -place, place) for turned, place in zip(mirrored, (u, v), strict=True))
+        index = dr.gather(mi.Int, self._first, radial)
+        sizes = [dr.gather(mi.Int, each, radial) for each in self._counts]
+        index += mi.Int(self._nodes.around(Pu, Pv, radial, jitter[1])) * (sizes[0] * sizes[1])
+        for axis, place, chance, row in ((1, v, jitter[2], sizes[0]), (0, u, jitter[3], 1)):
+            side, size = dr.gather(mi.Float, self._sides[axis], radial), sizes[axis]
+            active &= dr.abs(place) <= side / 2
+            count = mi.Float(size)
+            node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
+            # The window is periodic.
+            index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
+        values = [
+            value
+            for packet in range(self._packets)
+            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
+        ]
+        return plan.mirrored(values, *mirrored)
 
-    @cached_property
-    def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
-        return {}
+    def slopes(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> tuple[list[Any], list[Any]]:
+        """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
+        Pu, Pv = self.plan.lattice.to_frame(*pupil)
+        _, radial = self._nodes.along(Pu, Pv, jitter[0])
+        result = []
+        for axis, P in enumerate((Pu, Pv)):
+            # This is the slope of linear interpolation between nodes.
+            before, after = (
+                self(point, pupil, (*jitter[:2], *(end if i == 1 - axis else jitter[2 + i] for i in range(2))), active)
+                for end in (mi.Float(0), mi.Float(1))
+            )
+            density = mi.Float(dr.gather(mi.Int, self._counts[axis], radial)) / dr.gather(
+                mi.Float, self._sides[axis], radial
+            )
+            density = dr.select(P < 0, -density, density)
+            result.append([(b - a) * density for a, b in zip(before, after, strict=True)])
+        return result[0], result[1]
 
-    def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
-        """Return the sampling of `kernels`: lag step in fine steps, and numbers of lags and samples on either side."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
-        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
-        every = max(1, int(scale / (2 * fine * reach)))
-        # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
-        farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        return every, farthest, math.ceil(scale / (2 * fine * every * step) - 0.5)
 
-    @single_threaded_blas()
-    def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
-        """Return `kernels` with a given sampling, even if another one would suit them better."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
-        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
-        every, farthest, count = samples
-        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, self.kinds[kind])
-        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
-        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
-        return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
+class Polynomials:
+    """The polynomials of a `PhaseSpace`, as coefficients of rays that land by their own points of a lens."""
 
-    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
-        u, v, inside = self._aperture_grid(_TRANSFER_SAMPLES)
-        wavelength = in_millimetres(self.wavelength)
-        made = []
-        for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
-            scale = wavelength * kind.detector_distance
-            waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
-            phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
-            field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
-            made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
-        return np.stack(made)
+    def __init__(self, plan: PhaseSpace) -> None:
+        self.plan = plan
 
-    def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
-        r"""Return kernels between cells over which light is uniform, and which may be larger than the kernels.
-
-        Without neighbours and phase the integral over pairs of points is a sum of products: that of
-        :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is a sum of products of transforms of aperture times
-        power.
-        """
-        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.detector_distance
-        parts = math.ceil(_KEPT * step * float(lattice.aperture_width) / scale)
-        count = math.ceil(reach / step)
-        fine, far = step / parts, (count + 1) * parts - 1
-        x, y, _ = self._aperture_grid(_SPECTRUM_SAMPLES)
-        along, spacing = x[0], x[0, 1] - x[0, 0]
-        inside = lattice.in_aperture(x, y)
-        u, v = (place / lattice.pitches[0] for place in lattice.to_frame(x, y))
-        waves = np.exp(-2j * np.pi * np.outer(np.arange(-far, far + 1) * fine, along) / scale)
-        fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in self.exponents}
-        products = []
-        for i, j in self.exponents:
-            both = np.zeros(fields[0, 0].shape)
-            for a, b in itertools.product(range(i + 1), range(j + 1)):
-                weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
-                both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
-            products.append(both)
-        kernels = np.einsum("mn,myx->nyx", self.triangle, products) * (spacing * fine / scale) ** 2 / inside.sum()
-        tent = np.convolve(np.ones(parts), np.ones(parts)) / parts
-        for axis in (1, 2):
-            kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
-        return kernels[:, ::parts, ::parts]
-
-    def convergence(self, kind: Kind) -> float:
-        """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
-        # Waves from a point of an objective's stop are plane.
-        own = self.camera.lens_data.converges / self.camera.pupil_distance
-        return 1 / kind.detector_distance + own - 1 / kind.focal_length
-
-    def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
-        """Return the integrals of polynomial times T T* over a cell at given lags in steps, the same along x and y."""
-        lattice, camera = self.lattice, self.camera
-        wavelength = in_millimetres(self.wavelength)
-        step = lattice.pitches[0] / _TRANSFER_SAMPLES
-        half = math.ceil(lattice.cell_reach / step)
-        # The grid has half steps: with a lag of whole steps, both points of a pair lie on it.
-        reach = 2 * half + int(lags[-1]) + 1
-        along = np.arange(-reach, reach + 1) * (step / 2)
-        y, x = np.meshgrid(along, along, indexing="ij")
-        # Lens types alternate along a row.
-        centre = lattice.centre(float(kind.lens_type), 0.0)
-        i, j = lattice.cell(x + centre[0], y + centre[1])
-        cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        # Neighbours are assumed to deviate as the lens itself does.
-        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
-        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
-        phase = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
-            2 * wavelength
-        )
-        if not self.by_points:
-            # A quadratic phase shifts the landing point in proportion to the position on the lens.
-            phase += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
-        inside = lattice.in_aperture(x - cx, y - cy)
-        T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        # Polynomials are undefined outside the aperture, where rays have no coefficients.
-        own = np.asarray((i == kind.lens_type) & (j == 0) & inside, np.float32)
-        # Points on a border belong half to either side.
-        weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
-        result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
-        middle = len(lags) // 2
-        for row, b in enumerate(lags[middle:].tolist(), middle):
-            for odd in range(2):
-                (places,) = np.nonzero((lags + odd) % 2 == 0)
-                if not len(places):
-                    continue
-                # Midpoints at whole steps, between samples of T, within the cell including its border.
-                rows, columns = (reach + 1 - each % 2 + 2 * np.arange(-half, half + 1) for each in (b, odd))
-                weight = weights[np.ix_(rows, columns)].reshape(-1, len(self.exponents)).astype(np.float32)
-                index = (columns + lags[places, None])[:, None]
-                product = T[(rows + b)[:, None], index] * T[(rows - b)[:, None], index[::-1]].conj()
-                product = product.reshape(len(places), -1)
-                result[:, row, places] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
-        # The weights are real.
-        result[:, :middle] = result[:, :middle:-1, ::-1].conj()
-        # The normalisation uses the sampled open area, which conserves the energy.
-        return np.asarray(result / result[0, middle, middle].real)
+    def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+        """Return the values of the polynomials at points of a lens."""
+        plan = self.plan
+        u, v = (place / plan.lattice.pitches[0] for place in plan.lattice.to_frame(*point))
+        powers = [[mi.Float(1)], [mi.Float(1)]]
+        for _ in range(plan.degree):
+            for each, place in zip(powers, (u, v), strict=True):
+                each.append(each[-1] * place)
+        monomials = [powers[0][i] * powers[1][j] for i, j in plan.exponents]
+        return [
+            sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
+            for column in plan.triangle.T
+        ]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..bounds import SHORTEST
 from ..camera import PlenopticCamera
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..lenses.base import Light, MainLens
 from ..runtime.limits import memory_limit, require_memory
 
@@ -114,8 +114,7 @@ def fast_length(minimum: float, multiple: int = 1) -> int:
 def check_samples(count: float, where: str) -> None:
     """Refuse a field with more samples along an axis than memory can hold, before conversion to integers."""
     # Written so that NaN is refused.
-    if not count <= _LONGEST:
-        raise InputError(f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
+    refuse_if(not count <= _LONGEST, f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
 def check_positions(
@@ -126,30 +125,27 @@ def check_positions(
         points = np.asarray(positions, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError("position: it must be numbers (X, Y, g)") from None
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g")
-    for bad, rule in ((~np.isfinite(points).all(1), "its coordinates must be finite"),):
-        if bad.any():
-            raise InputError(f"position = {_format(points[bad][0])}: {rule}")
+    refuse_if(
+        points.ndim != 2 or points.shape[1] != 3,
+        f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",
+    )
+    _refuse_any(points, ~np.isfinite(points).all(1), "its coordinates must be finite")
+    far, rule = (np.abs(points) > _FARTHEST).any(1), f"its coordinates must be {_FARTHEST:g} at most, and g"
     nearest = None if camera is None else camera.lens_data.nearest
     if nearest is not None:
-        behind = (np.abs(points) > _FARTHEST).any(1) | (points[:, 2] <= nearest)
-        if behind.any():
-            raise InputError(
-                f"position = {_format(points[behind][0])}: its coordinates must be {_FARTHEST:g} at most, and g more "
-                f"than {nearest:.6g}: before the objective"
-            )
+        _refuse_any(points, far | (points[:, 2] <= nearest), f"{rule} more than {nearest:.6g}: before the objective")
         return points
     g = np.abs(points[:, 2]) if virtual else points[:, 2]
-    beyond = (np.abs(points) > _FARTHEST).any(1) | (g < SHORTEST)
-    if beyond.any():
-        raise InputError(
-            f"position = {_format(points[beyond][0])}: its coordinates must be {_FARTHEST:g} at most, and g at least "
-            f"{SHORTEST:g}: in front of the main lens"
-        )
+    _refuse_any(points, far | (g < SHORTEST), f"{rule} at least {SHORTEST:g}: in front of the main lens")
     if camera is not None and len(points):
         _require_millimetres(points[np.abs(points[:, 2]).argmin()], camera)
     return points
+
+
+def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
+    """Refuse points if any is bad, and name the first."""
+    if bad.any():
+        raise InputError(f"position = {_format(points[bad][0])}: {rule}")
 
 
 def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:

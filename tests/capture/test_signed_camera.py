@@ -23,10 +23,8 @@ from mitsuba_plenoptic.capture.signed_draws import Cells
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, SumTask
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from mitsuba_plenoptic.system.phase_space import PhaseSpace
-from mitsuba_plenoptic.system.ray_coefficients import coefficients_of
-from mitsuba_plenoptic.system.ray_pupil import RayPupil
+from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
+from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
 
 PIXELS = 192
 CAMERA = PlenopticCamera(detector_width=6 * 0.064, resolution=(PIXELS, PIXELS))

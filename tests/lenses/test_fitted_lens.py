@@ -70,7 +70,7 @@ def test_light_lands_where_rays_come_from_and_ends_where_they_are_stopped(camera
 def test_points_are_found_from_their_images(camera):
     points = points_before()
     lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
-    assert np.allclose(lens.points(lens.images(points), lens.nearness(points)), points, atol=1e-9)
+    assert np.allclose(lens.points(lens.images(points), lens.inverse_distance(points)), points, atol=1e-9)
 
 
 def test_points_it_cannot_see_are_refused(camera):

@@ -5,7 +5,7 @@ import pytest
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.lenses.wavefront import Wavefront, noll, zernike
+from mitsuba_plenoptic.lenses.thin import Wavefront, noll, zernike
 
 
 def test_orthonormal_in_nolls_order():

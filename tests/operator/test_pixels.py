@@ -6,8 +6,7 @@ from scipy.special import erf
 from wave_cases import error
 
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.operator.pixels import PixelIntegrals
-from mitsuba_plenoptic.operator.turned_samples import TurnedSamples
+from mitsuba_plenoptic.operator.pixels import PixelIntegrals, TurnedSamples
 
 PITCH = (1.7e-3, 1.6e-3)
 SAMPLES = (120, 130)

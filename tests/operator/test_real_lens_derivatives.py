@@ -8,13 +8,13 @@ from wave_cases import HALF, WAVELENGTH, error, in_every_lens, scattered, small_
 
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
 from mitsuba_plenoptic.lenses.lens_changes import lens_change
-from mitsuba_plenoptic.lenses.wavefront import Wavefront
+from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.operator.arrival import field_grids
 from mitsuba_plenoptic.operator.derivatives import NUMBERS
 from mitsuba_plenoptic.operator.derivatives.plan import DerivativePlan
 from mitsuba_plenoptic.operator.full_field import full_field
 from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.optics.phase import in_millimetres
+from mitsuba_plenoptic.optics.waves import in_millimetres
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 POINT = np.array((0.03, -0.02, 115.0))
@@ -119,8 +119,8 @@ def test_changes_of_the_light_against_refitted_lenses():
     change = lens_change(lens, "wavelength")
     rng = np.random.default_rng(1)
     pupil = tuple(part[None] for part in 0.6 * lens.pupil_radius * rng.uniform(-1, 1, (2, 50)))
-    fields, nearness = lens.fitted.pupils.field(points)
-    lanes = [np.array([[number]]) for number in change.aberration.at(fields, nearness)[0]]
+    fields, inverse_distance = lens.fitted.pupils.field(points)
+    lanes = [np.array([[number]]) for number in change.aberration.at(fields, inverse_distance)[0]]
     field = fields[:, :1], fields[:, 1:]
     found = change.aberration.over_pupil(lanes, field).value(pupil)
     high, low = (

@@ -5,7 +5,7 @@ import pytest
 
 from mitsuba_plenoptic import PhysicsError, PhysicsWarning
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.runtime.fft import fft2
 
 WAVELENGTH = 633.0

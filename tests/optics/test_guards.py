@@ -28,7 +28,7 @@ from mitsuba_plenoptic.operator import patch_plan
 from mitsuba_plenoptic.operator.grid import Band
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics import guards
-from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.reconstruction import write_reconstruction
 
 WAVELENGTH = 633.0

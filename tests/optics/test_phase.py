@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drjit.llvm import Float64
 
-from mitsuba_plenoptic.optics.phase import parabola, phasor, soft_edge
+from mitsuba_plenoptic.optics.waves import parabola, phasor, soft_edge
 
 
 @pytest.mark.parametrize("array", [np.asarray, Float64], ids=["NumPy", "Dr.Jit"])

@@ -12,7 +12,7 @@ from mitsuba_plenoptic.reconstruction import lens_tiles
 from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.reconstruction.radiance import over_lenses
-from mitsuba_plenoptic.reconstruction.white import white_throughput
+from mitsuba_plenoptic.reconstruction.waves import white_throughput
 
 SMALL = small_camera(12, **HALF)
 SCATTERED = scattered(5, distances=(112.5, 127.5), image=0.4)

@@ -15,7 +15,7 @@ from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields
-from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.reconstruction import ray
 from mitsuba_plenoptic.runtime import backend as _backend
 from mitsuba_plenoptic.runtime.jobs import Job

@@ -17,11 +17,10 @@ from ...lattice import turn
 from ...runtime.backend import array_module
 from ...runtime.batches import Box, Part
 from ...runtime.fft import as_field, as_words, pack, unpack
-from ..patch import PatchBatch
+from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
-from ..tile import Copies, CopySum, reached
-from .chain import FieldChain, Memory, Parts
-from .numbers import VaryingNumbers
+from ..tile import Copies, CopySum, FieldBatch, reached
+from .numbers import VaryingParameters
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
 """Parameters that move the lattice against the points, so that A is not zero."""
@@ -103,18 +102,21 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
     return list(result)
 
 
-def varying_factors(fields: Fields, numbers: VaryingNumbers) -> tuple[bool, ...]:
+def varying_factors(fields: Fields, numbers: VaryingParameters) -> tuple[bool, ...]:
     """Return for each factor of fields whether it changes with some parameters."""
-    return tuple(dr.grad_enabled(value) for value in _factors(fields, numbers).values())
+    # Single values serve all lanes where nothing is computed.
+    elements = numbers.elements(fields.grid, 1)
+    made = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, numbers.types)
+    return tuple(dr.grad_enabled(value) for value in made.values())
 
 
-def _factors(fields: Fields, numbers: VaryingNumbers) -> PatchFactors:
+def _factors(fields: Fields, numbers: VaryingParameters) -> PatchFactors:
     """Return the factors of fields by parameters that carry gradients."""
     elements = partial(numbers.elements, fields.grid)
     return PatchFactors(fields, np.ones(len(fields.positions)), elements, numbers.types)
 
 
-def _moved_lattice(fields: Fields, numbers: VaryingNumbers | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
+def _moved_lattice(fields: Fields, numbers: VaryingParameters | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
     """Return the changes of the factors of a batch as the lattice moves along its own x, and along its y."""
     if numbers is None or not any(own.moving for own in copies):
         return []
@@ -125,7 +127,7 @@ def _moved_lattice(fields: Fields, numbers: VaryingNumbers | None, copies: Seque
     return moves
 
 
-def _changed(fields: Fields, numbers: VaryingNumbers) -> Parts:
+def _changed(fields: Fields, numbers: VaryingParameters) -> Parts:
     """Return the changes of the factors of a batch with the tangents of the parameters."""
     made = _factors(fields, numbers)
     values = list(made.values())
@@ -140,21 +142,15 @@ def _changed(fields: Fields, numbers: VaryingNumbers) -> Parts:
 
 
 @dataclass(frozen=True)
-class JvpBatch:
+class JvpBatch(FieldBatch):
     """Changes of point spreads and of their copies, to be added with weights, and the point spreads themselves."""
 
-    fields: Fields
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
-    directions: tuple[VaryingNumbers, ...]  # with the tangents set
+    directions: tuple[VaryingParameters, ...]  # with the tangents set
     slopes: tuple[NDArray[np.float64], ...]  # for each direction (2, 2), A of `copies.copy_slopes`
-    offset: VaryingNumbers | None  # those of which ``mla_offset`` varies; None where no A is needed
+    offset: VaryingParameters | None  # those of which ``mla_offset`` varies; None where no A is needed
     placed: bool  # whether the point spreads are added times the copies' positions along x and y, too
-
-    @property
-    def samples(self) -> int:
-        """Samples of all patches."""
-        return self.fields.samples
 
     def prepare(self) -> Callable[[], Part]:
         """Compute the fields and the changes of their factors, and return the function that adds the results."""
@@ -210,28 +206,22 @@ class VjpResult:
 
 
 @dataclass(frozen=True)
-class VjpBatch:
+class VjpBatch(FieldBatch):
     """Point spreads through which the gradient of an image is taken back to the factors on their fields."""
 
-    fields: Fields
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
-    offset: VaryingNumbers | None  # as in `JvpBatch`
+    offset: VaryingParameters | None  # as in `JvpBatch`
     tile: NDArray[np.float32]  # gradient by the samples that the spreads cover, (channels, rows, columns)
     summed: int  # sums of the point spreads: 0, 1 (with their weights) or 3 (also times the copies' x, and y)
     varies: tuple[bool, ...]  # the factors whose cotangents are asked for
-
-    @property
-    def samples(self) -> int:
-        """Samples of all patches."""
-        return self.fields.samples
 
     def prepare(self) -> Callable[[], VjpResult]:
         """Make the fields, and return the function that goes back."""
         lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_vjp, self, PatchBatch(self.fields, np.ones(len(self.copies))), lattice)
 
-    def gather(self, result: VjpResult, numbers: VaryingNumbers) -> None:
+    def gather(self, result: VjpResult, numbers: VaryingParameters) -> None:
         """Add the gradients that follow to those of the parameters."""
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(_factors(self.fields, numbers).values(), result.factors, strict=True):

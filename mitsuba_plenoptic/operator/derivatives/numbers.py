@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import drjit as dr
@@ -18,8 +18,8 @@ from ...camera.parameters import with_gradient
 from ...camera.vector import change_of, parts_of, size_of
 from ...errors import InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
-from ...lenses.wavefront import Wavefront, zernike
-from ...optics.phase import in_millimetres
+from ...lenses.thin import Wavefront, zernike
+from ...optics.waves import in_millimetres
 from ...runtime.backend import array_module, backend
 from ...system.microlens_orders import VaryingArrayFactor
 from ...system.optical_system import OpticalSystem
@@ -128,7 +128,7 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 
     The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
     """
-    numbers = VaryingNumbers(camera, 1.0, names)
+    numbers = VaryingParameters(camera, 1.0, names)
     value = dr.log(numbers.brightness(camera))
     if dr.grad_enabled(value):
         dr.backward(value)
@@ -147,7 +147,7 @@ def light_slopes(
     return found | system.waves_of(points).open_slopes(found, points)
 
 
-class VaryingNumbers:
+class VaryingParameters:
     """The parameters of a camera, and the wavelength, as Dr.Jit arrays; those in `names` carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
@@ -161,41 +161,40 @@ class VaryingNumbers:
             if name in self._varies:
                 dr.enable_grad(self._numbers[name])
 
-    def elements(self, grid: Grid, cosine: float, lanes: int) -> Elements:
-        """Return the elements of the camera in the frame of a grid, with microlenses up to a direction cosine.
+    def elements(self, grid: Grid, lanes: int) -> Elements:
+        """Return the elements of the camera in the frame of a grid.
 
         Each varying parameter is repeated for each of several lanes, so that one kernel scatters the gradients of all
         of them. Single values would each need a kernel of their own, which would recompute everything.
         """
-        camera = grid.camera
         get = {name: [self._over(name, part, lanes) for part in self._numbers[name]] for name in NUMBERS}
+        (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
+        angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
+        # The array stays where it is in the frame of the grid, and the scene turns.
+        turned = angle - grid.rotation
+
+        def lens() -> Any:
+            held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
+            numbers = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
+            return grid.lens.varying(numbers | {"wavefront": held}, self._varies, turned)
+
+        def array(cosine: float) -> list[VaryingArrayFactor]:
+            x, y = get["mla_offset"]
+            lattice = self._lattice(get, grid.camera, turn(x, y, -angle))
+            factors = grid.microlenses.factors(cosine)
+            return [VaryingArrayFactor(factor, lattice, get["mla_focal_length"], wavelength) for factor in factors]
+
+        growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         aberration = None
         if "wavefront" in self._varies:
-            aberration = partial(varying_path, dr.concat(self._numbers["wavefront"]), camera.pupil_radius)
-        # The array stays where it is in the frame of the grid, and the scene turns.
-        turned: Any = get["mla_rotation"][0] - grid.rotation if "mla_rotation" in self._varies else 0.0
-        lens = self._lens(get, grid, turned)
-        angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
-        lattice = self._lattice(get, camera, turn(get["mla_offset"][0], get["mla_offset"][1], -angle))
-        wavelength = get["wavelength"][0]
-        array = [
-            VaryingArrayFactor(factor, lattice, get["mla_focal_length"], wavelength)
-            for factor in grid.microlenses.factors(cosine)
-        ]
-        growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
-        return Elements(lens, array, wavelength, get["detector_distance"][0], turned, growth, aberration)
+            aberration = partial(varying_path, dr.concat(self._numbers["wavefront"]), grid.camera.pupil_radius)
+        return Elements(cache(lens), cache(array), wavelength, distance, turned, growth, aberration)
 
     def _over(self, name: str, number: Any, lanes: int) -> Any:
         """Return a value for each lane, if it varies."""
         if name not in self._varies or name == "wavefront":
             return number
         return dr.gather(self.types.Float64, number, dr.zeros(self.types.UInt32, lanes))
-
-    def _lens(self, get: dict[str, list[Any]], grid: Grid, turned: Any) -> Any:
-        """Return the main lens, before which the scene may turn."""
-        held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
-        numbers = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
-        return grid.lens.varying(numbers | {"wavefront": held}, self._varies, turned)
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return `units.brightness` for these parameters."""

@@ -37,7 +37,7 @@ from .batches import (
     copy_slopes,
     varying_factors,
 )
-from .numbers import MOVES, VaryingNumbers
+from .numbers import MOVES, VaryingParameters
 
 Direction = dict[str, NDArray[np.float64]]
 """Changes of parameters, by name."""
@@ -92,7 +92,7 @@ class DerivativePlan(PatchPlan):
 
         `done` of the `total` points of a job are already complete.
         """
-        numbers = VaryingNumbers(self._camera, self._wavelength, names)
+        numbers = VaryingParameters(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
         shifted = self._shifted(names)
         summed = 3 if shifted else bool(moves)
@@ -120,32 +120,26 @@ class DerivativePlan(PatchPlan):
         if placed:
             stepped = [self._recorder.spread(image, move) for move in STEPS]
             for axis, part in enumerate(placed):
-                products[1, :, axis] = self._unturned([float((step * part).sum(dtype=np.float64)) for step in stepped])
+                x, y = (float((step * part).sum(dtype=np.float64)) for step in stepped)
+                products[1, :, axis] = turn(x, y, -self._grid.rotation)
         gradients = numbers.gradients()
         for name in copied:
             slopes = copy_slopes(self._camera, self._wavelength, name)
             gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
         for name in moves:
-            gradients[name] = gradients[name] + self._along(plain, image, name)
+            change = self._recorder.record(plain, name)
+            gradients[name] = gradients[name] + float(np.einsum("ijk,ijk->", change, image, dtype=np.float64))
         return gradients
-
-    def _along(self, sums: Any, image: NDArray[np.float32], move: str) -> float:
-        """Return the product of an image with the derivative of the image of sums as the pixels move."""
-        return float(np.einsum("ijk,ijk->", self._recorder.record(sums, move), image, dtype=np.float64))
-
-    def _unturned(self, vector: list[float]) -> NDArray[np.float64]:
-        """Transform a vector from the frame of the camera to that of the lattice."""
-        return np.array(turn(vector[0], vector[1], -self._grid.rotation))
 
     def _shifted(self, names: Iterable[str]) -> bool:
         """Return whether copies shift with some parameters."""
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
-    def offset_for(self, names: Iterable[str]) -> VaryingNumbers | None:
+    def offset_for(self, names: Iterable[str]) -> VaryingParameters | None:
         """Return the parameters with a varying ``mla_offset``, if the changes of copies by `names` depend on it."""
         if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
             return None
-        return VaryingNumbers(self._camera, self._wavelength, ["mla_offset"])
+        return VaryingParameters(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return a mask of the spreads for whose copies the motion of the lattice against their points is included.
@@ -176,7 +170,7 @@ class DerivativePlan(PatchPlan):
         chunk: NDArray[np.int64],
         weights: NDArray[np.float64],
         moving: NDArray[np.bool_],
-        offset: VaryingNumbers | None,
+        offset: VaryingParameters | None,
         samples: Any,
         summed: int,
         varies: tuple[bool, ...],
@@ -232,7 +226,7 @@ class JvpSum:
         offset = plan.offset_for(name for changes in self._directions for name in changes)
         moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
-            numbers = tuple(VaryingNumbers(plan._camera, plan._wavelength, changes) for changes in self._directions)
+            numbers = tuple(VaryingParameters(plan._camera, plan._wavelength, changes) for changes in self._directions)
             for varying, changes in zip(numbers, self._directions, strict=True):
                 varying.set_tangents(changes)
             fields, copies = plan.lit(chunk, self._weights, moving)

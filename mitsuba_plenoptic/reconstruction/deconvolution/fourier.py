@@ -25,7 +25,7 @@ from ...camera import PlenopticCamera
 from ...design.microscope import objective_of
 from ...operator.full_field import FullFieldPlan
 from ...operator.units import radiance_weight
-from ...optics.phase import in_millimetres
+from ...optics.waves import in_millimetres
 from ...runtime.backend import backend
 from ...runtime.fft import fft, irfft, resting_drjit, rfft
 from ...runtime.jobs import Job

@@ -60,13 +60,13 @@ def wave_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> l
     grid = cells.grid
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
-    nearness = float(lens.nearness(np.array([[0.0, 0.0, depth]]))[0])
+    inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
     places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
     weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
     places = lens.within(places)
     batches = []
     for points in places:
-        positions = lens.points(points, np.full(len(points), nearness))
+        positions = lens.points(points, np.full(len(points), inverse_distance))
         placement = place(grid, positions)
         groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))

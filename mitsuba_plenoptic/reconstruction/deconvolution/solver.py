@@ -34,7 +34,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...errors import InputError, refuse_if
 from ...io.checkpoints import Checkpoint
 
 Values = list[NDArray[np.float32]]
@@ -201,8 +201,10 @@ class SolverCheckpoint:
         """Return, only once, the saved state of the unfinished iteration; refuse one with bins of other shapes."""
         state, self._state = self._state, None
         for values in [] if state is None else [state.found, state.last]:
-            if [part.shape for part in values] != list(shapes):
-                raise InputError("checkpoint: it is damaged: its bins are not those of this reconstruction")
+            refuse_if(
+                [part.shape for part in values] != list(shapes),
+                "checkpoint: it is damaged: its bins are not those of this reconstruction",
+            )
         return state
 
     def keep(self, state: State) -> None:

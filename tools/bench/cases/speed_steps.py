@@ -12,7 +12,7 @@ import numpy as np
 import scipy.fft
 
 from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.optics.free_space import propagate
+from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.runtime.backend import Backend, backend
 from mitsuba_plenoptic.runtime.fft import resting_drjit, worker_count
 

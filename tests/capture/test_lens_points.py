@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.system.lens_points import LensPoints
-from mitsuba_plenoptic.system.phase_space import PhaseSpace
-from mitsuba_plenoptic.system.ray_coefficients import coefficients_of
+from mitsuba_plenoptic.capture.signed_draws import LensPoints
+from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
 
 COUNT = 1 << 19
 
