@@ -123,7 +123,8 @@ def fit(
     checkpoint = require_writable(output.with_name(output.name + SUFFIX))
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
-            if afar and not resume:
+            # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
+            if afar and not (resume and checkpoint.exists()):
                 first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,

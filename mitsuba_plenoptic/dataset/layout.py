@@ -123,8 +123,9 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
         before, now = _flat(found), _flat(facts)
         for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
             if before.get(name) != now.get(name) and name != _GROWING:
+                kind = "made by other software" if name.startswith("software.") else "of another recipe"
                 raise InputError(
-                    f"{folder}: it holds samples of another recipe: {name} was {short_repr(before.get(name))}, is "
+                    f"{folder}: it holds samples {kind}: {name} was {short_repr(before.get(name))}, is "
                     f"{short_repr(now.get(name))}; choose another folder"
                 )
         if found["count"] > recipe.count:

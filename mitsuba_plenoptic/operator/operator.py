@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_choice, require_flag, suggest_keywords
+from ..errors import InputError, refuse_if, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
 from ..lenses.wave_cameras import require_ideal, require_no_glass
 from ..optics import guards
@@ -60,10 +60,10 @@ class CaptureOperator:
     method : {"patch", "full_field"}
         Method of computing point spreads: each on the part of the array that its point lights, or on the whole field,
         without shortcuts.
-    accuracy : float
-        Allowed relative error (L2, over the image), below 1. With the method "patch", points of nearly the same
-        wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its own, and
-        most of the diffracted light is retained.
+    accuracy : float, optional
+        Allowed relative error (L2, over the image) of the method "patch", below 1; 0.01 by default. Points of nearly
+        the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
+        own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
@@ -89,7 +89,7 @@ class CaptureOperator:
         wavelength: float | None = None,
         spectrum: Spectrum | None = None,
         method: str = "patch",
-        accuracy: float = DEFAULT_ACCURACY,
+        accuracy: float | None = None,
         pupil_weights: Any = None,
         virtual: bool = False,
         system: OpticalSystem | None = None,
@@ -104,7 +104,7 @@ class CaptureOperator:
         require_choice("method", method, METHODS)
         if method == "patch" and camera.lens_data.images_stop:
             raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
-        self._method, self._accuracy = method, check_accuracy(accuracy)
+        self._method, self._accuracy = method, _accuracy_of(method, accuracy)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if system is not None:
             _require_bound(system, camera, wavelength)
@@ -384,6 +384,18 @@ class CaptureOperator:
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as (n, columns)."""
         return self._channels.check_weights(weights, len(self.points))
+
+
+def _accuracy_of(method: str, accuracy: float | None) -> float:
+    """Return the allowed error of a method, by default its own, and refuse one that it would ignore."""
+    if accuracy is None:
+        return DEFAULT_ACCURACY if method == "patch" else 0.0
+    checked = check_accuracy(accuracy)
+    refuse_if(
+        checked and method != "patch",
+        f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",
+    )
+    return checked
 
 
 def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:

@@ -35,6 +35,24 @@ def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "sweep letters -o {out}.nc --vary aperture_radius=3,4 --workers 2",
+        "render letters -o {out}.exr --workers 2",
+        "render letters --estimate --workers 2",
+    ],
+)
+def test_no_workers_are_started_for_ray_captures(line, tmp_path, complaint, monkeypatch):
+    def started(*_, **__):
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.cluster.Cluster.__enter__", started)
+    assert complaint(*line.format(out=tmp_path / "out").split()) == (
+        "--workers: a ray capture does not take it; it is for --model wave"
+    )
+
+
 def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkeypatch):
     def found(*_, **__):
         raise AssertionError("light was found")
@@ -169,7 +187,7 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
         ("sweep letters -o {out}.nc --vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
         (
             "sweep letters -o {out}.nc --vary aperture_radius=3,4 --resume",
-            "--resume: a ray capture keeps no checkpoint",
+            "--resume: a ray capture does not take it",
         ),
         (
             "sweep letters -o {out}.nc --vary aperture_radius=3,4 --workers 2",
