@@ -15,7 +15,15 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import atomic_output, require_apart, require_writable
 from ..runtime.progress import progress_bar
 from ..runtime.variant import DEFAULT_VARIANT
-from .inputs import CameraFile, Definitions, named_camera, number, output_option, parse_definitions
+from .inputs import (
+    CameraFile,
+    Definitions,
+    named_camera,
+    number,
+    output_option,
+    parse_definitions,
+    require_in_use,
+)
 from .terminal import stopped_by_hand
 
 if TYPE_CHECKING:
@@ -109,6 +117,7 @@ def fit(
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
+        require_in_use(name, parse_definitions(define))
         view = fitting.known_view(
             capture.image,
             scene,

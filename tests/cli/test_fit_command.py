@@ -79,7 +79,11 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
 
 
 def test_a_resumed_fit_from_afar_comes_near_unless_a_checkpoint_has(tmp_path, complaint, monkeypatch):
-    path, raw, checkpoint = write_scene(tmp_path, WALL, sensor=SENSOR), tmp_path / "raw.exr", tmp_path / "camera.json.checkpoint"
+    path, raw, checkpoint = (
+        write_scene(tmp_path, WALL, sensor=SENSOR),
+        tmp_path / "raw.exr",
+        tmp_path / "camera.json.checkpoint",
+    )
     write_capture(raw, render_capture(load_scene(path), model="ray", spp=4))
 
     def coarse(*_, **__):
