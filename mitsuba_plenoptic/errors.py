@@ -77,9 +77,6 @@ def short_repr(value: Any) -> str:
     return printable(" ".join(text.split()), _LONGEST_VALUE)
 
 
-# The former name, for modules that still import it.
-
-
 _options: Mapping[str, str] | None = None
 """Options by the names of the library's arguments that they are for; None in Python."""
 

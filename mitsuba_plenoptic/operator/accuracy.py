@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, require_number
+from ..errors import InputError, refuse_if, require_number
 from ..lenses.base import MainLens
 from .grid import Band
 
@@ -58,6 +58,18 @@ def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
     if not 0 <= number < 1:
         raise InputError(f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
     return number
+
+
+def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
+    """Return the allowed error of a method, by default its own, and refuse one that the method would ignore."""
+    if accuracy is None:
+        return default if method == "patch" else 0.0
+    checked = check_accuracy(accuracy)
+    refuse_if(
+        checked and method != "patch",
+        f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",
+    )
+    return checked
 
 
 def band_for(accuracy: float, count: int) -> Band:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_choice, require_flag, suggest_keywords
+from ..errors import InputError, require_choice, require_flag, suggest_keywords
 from ..io.checkpoints import digest
 from ..lenses.wave_cameras import require_ideal, require_no_glass
 from ..optics import guards
@@ -21,7 +21,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.jobs import Job, LongSum, SumTask
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
-from .accuracy import DEFAULT_ACCURACY, check_accuracy
+from .accuracy import chosen_accuracy
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
 from .full_field import FullFieldPlan
 from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
@@ -104,7 +104,7 @@ class CaptureOperator:
         require_choice("method", method, METHODS)
         if method == "patch" and camera.lens_data.images_stop:
             raise InputError("method = patch: arrangement = fourier lights all of the stop's image; use full_field")
-        self._method, self._accuracy = method, _accuracy_of(method, accuracy)
+        self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if system is not None:
             _require_bound(system, camera, wavelength)
@@ -384,18 +384,6 @@ class CaptureOperator:
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as (n, columns)."""
         return self._channels.check_weights(weights, len(self.points))
-
-
-def _accuracy_of(method: str, accuracy: float | None) -> float:
-    """Return the allowed error of a method, by default its own, and refuse one that it would ignore."""
-    if accuracy is None:
-        return DEFAULT_ACCURACY if method == "patch" else 0.0
-    checked = check_accuracy(accuracy)
-    refuse_if(
-        checked and method != "patch",
-        f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",
-    )
-    return checked
 
 
 def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:
