@@ -75,8 +75,8 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
                 if key.endswith(".temperature") or (key.endswith(".range") and tuple(parameters[key]) == visible):
                     raise InputError(
                         f"wavelength = {wavelength:g}: emitter {(emitter.get_shape() or emitter).id()} has light from "
-                        f"{visible[0]:g} to {visible[1]:g} nm only, as have D65, for which numbers and colours stand, "
-                        'and black bodies: give it a table or <spectrum name="radiance" value="1"/>'
+                        f"{visible[0]:g} to {visible[1]:g} nm only (a number or a colour stands for D65, which ends "
+                        'there, as do black bodies): give it a table or <spectrum name="radiance" value="1"/>'
                     )
     for shape in {shape.bsdf().ptr: shape for shape in scene.shapes() if shape.bsdf() is not None}.values():
         for name, (table, values) in _tables(shape.bsdf()).items():

@@ -167,10 +167,11 @@ def is_wave_capture(scene: Any, model: str | None) -> bool:
 def require_taken(integrator: Any, **given: Any) -> None:
     """Refuse arguments that a ray capture would ignore; None means not given."""
     if not hasattr(integrator, "wavelengths"):
-        _refuse_by_rays(**given)
+        refuse_by_rays(**given)
 
 
-def _refuse_by_rays(**given: Any) -> None:
+def refuse_by_rays(**given: Any) -> None:
+    """Refuse arguments that are for wave captures; None means not given."""
     for name, value in given.items():
         if value is not None:
             raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
@@ -200,10 +201,10 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
     if not is_wave and model != "wave":
-        _refuse_by_rays(**wave)
+        refuse_by_rays(**wave)
         return integrator
     if model == "ray":
-        _refuse_by_rays(**wave)
+        refuse_by_rays(**wave)
         return integrator.child
     if is_wave and not wave:
         return integrator

@@ -41,7 +41,9 @@ def calibrate(
     board: Annotated[
         str | None, typer.Option(metavar="COLUMNSxROWS", help="Inner corners along the board and across it.")
     ] = None,
-    square: Annotated[float | None, numeric("Distance of neighbouring corners.", "none", unit="MM")] = None,
+    square: Annotated[
+        float | None, numeric("Distance of neighbouring corners, the scale of all lengths.", "none", unit="MM")
+    ] = None,
     centres: Annotated[
         Path | None,
         typer.Option(

@@ -137,8 +137,7 @@ def sweep(
       mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
     """
     # Datasets need libraries that take a second to load, which other commands need not wait for.
-    from ..report.sweep import SweepSettings, check_grid, merge_grids, parse_grid, read_grid
-    from ..report.sweep import sweep as compute
+    from ..report.sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
     refuse_if(
@@ -154,8 +153,10 @@ def sweep(
         method=method or "ray",
         variant=variant or DEFAULT_VARIANT,
     )
-    with batches_on(workers, scheduler) as batch_map, stage_lines(resume) as stages:
-        dataset = compute(settings, wanted, output, batch_map=batch_map, stages=stages)
+    with stage_lines(resume) as stages:
+        compute = prepare(settings, wanted, output, stages, workers=workers, scheduler=scheduler)
+        with batches_on(workers, scheduler) as batch_map:
+            dataset = compute(batch_map)
     axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
     typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")
 

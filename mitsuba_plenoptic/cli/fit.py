@@ -18,7 +18,16 @@ from ..io.files import require_apart, require_writable, write_text
 from ..lightfield.exchange import read_picture
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
-from .inputs import CameraFile, Definitions, named_camera, numeric, output_option, parse_definitions, stopped_by_hand
+from .inputs import (
+    CameraFile,
+    Definitions,
+    named_camera,
+    numeric,
+    output_option,
+    parse_definitions,
+    require_in_use,
+    stopped_by_hand,
+)
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -109,6 +118,7 @@ def fit(
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
+        require_in_use(name, parse_definitions(define))
         view = fitting.known_view(
             capture.image,
             scene,
@@ -123,7 +133,8 @@ def fit(
     checkpoint = require_writable(output.with_name(output.name + SUFFIX))
     with Checkpoint(checkpoint, "resume" if resume else "refuse") as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
-            if afar and not resume:
+            # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
+            if afar and not (resume and checkpoint.exists()):
                 first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,

@@ -258,6 +258,7 @@ def open_scene(
     colours = None if variant else _colours_of_film(scene, parameters)
     loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
     if other is not None:
+        require_in_use(scene, parameters)
         loaded = with_camera(loaded, other)
     sensor = plenoptic_sensor(loaded, index)
     seen = PlenopticCamera.from_sensor(sensor)
@@ -278,13 +279,41 @@ def open_scene(
     return loaded
 
 
+def require_in_use(scene: str, parameters: dict[str, str]) -> None:
+    """Refuse scene parameters that only the scene's own camera has, where another camera takes its place.
+
+    The position of the camera and its sampler remain those of the scene.
+    """
+    text = _scene_text(scene, parameters)
+    defaults = re.findall(r"""<default\s+name=["'](\w+)["']\s+value=["']([^"']*)""", text)
+    sensors = "".join(re.findall(r"<sensor\b.*?</sensor>", text, re.DOTALL))
+    rest = re.sub(r"<sensor\b.*?</sensor>|<default\b[^>]*>", "", text, flags=re.DOTALL)
+    rest += "".join(
+        re.findall(r"<(?:sampler|transform|medium)\b.*?</(?:sampler|transform|medium)>", sensors, re.DOTALL)
+    )
+
+    def used(name: str) -> bool:
+        named = re.compile(rf"\${name}\b")
+        others = (other for other, value in defaults if other != name and named.search(value))
+        return named.search(rest) is not None or any(map(used, others))
+
+    for name in parameters:
+        if re.search(rf"\${name}\b", sensors) and not used(name):
+            raise InputError(f"-D {name}: it is of the scene's own camera, which another one replaces; leave it out")
+
+
+def _scene_text(scene: str, parameters: dict[str, str]) -> str:
+    """Return the text of a scene file and of all that it includes, without comments."""
+    path = Path(scene) if Path(scene).exists() else scene_path(scene)
+    return re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
+
+
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     """Return the colours that a scene's film records, None if it records none.
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
-    path = Path(scene) if Path(scene).exists() else scene_path(scene)
-    text = re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
+    text = _scene_text(scene, parameters)
     formats = []
     for film in re.findall(r"<film\b[^>]*/>|<film\b.*?</film>", text, re.DOTALL) or ["hdrfilm"]:
         tags = [tag for tag in re.findall(r"<string\b[^>]*>", film) if re.search(r"""name=["']pixel_format["']""", tag)]

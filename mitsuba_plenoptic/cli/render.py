@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from ..capture.render import estimate_capture, is_wave_capture, render_capture
+from ..capture.render import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
 from ..detector import MOSAICS, Detector
 from ..detector import expose as record
 from ..errors import InputError, refuse_if
@@ -147,9 +147,14 @@ def render(
         refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
-        with batches_on(workers, scheduler) as batch_map, progress_bar("Estimating"):
+        with progress_bar("Estimating"):
             loaded = open_scene(scene, parameters, variant, camera, sensor)
-            cost = estimate_capture(loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave)
+            if not is_wave_capture(loaded, model):
+                refuse_by_rays(workers=workers, scheduler=scheduler)
+            with batches_on(workers, scheduler) as batch_map:
+                cost = estimate_capture(
+                    loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave
+                )
         what = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         return
@@ -169,9 +174,8 @@ def render(
     if resume:
         remove_leftovers(output)
     by_waves = is_wave_capture(loaded, model)
-    given = {"resume": resume, "checkpoint": checkpoint, "workers": workers, "scheduler": scheduler}
-    for name in (name for name, value in given.items() if value and not by_waves):
-        raise InputError(f"--{name}: a ray capture does not take it; it is for --model wave")
+    if not by_waves:
+        refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)
     with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
             start = time.perf_counter()

@@ -13,6 +13,7 @@ import json
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,8 +135,9 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
         before, now = _flat(found), _flat(facts)
         for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
             if before.get(name) != now.get(name) and name != _GROWING:
+                kind = "made by other software" if name.startswith("software.") else "of another recipe"
                 raise InputError(
-                    f"{folder}: it holds samples of another recipe: {name} was {short_repr(before.get(name))}, is "
+                    f"{folder}: it holds samples {kind}: {name} was {short_repr(before.get(name))}, is "
                     f"{short_repr(now.get(name))}; choose another folder"
                 )
         refuse_if(
@@ -223,8 +225,13 @@ def open_shard(path: Path) -> Any:
         raise InputError(f"{path}: it is damaged: {' '.join(str(error).split())}") from None
 
 
-def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None = None) -> Sample:
-    """Read a sample from an open file."""
+def read_sample(
+    file: Any, path: Path, index: int, names: Collection[str] | None = None, *, with_digests: bool = True
+) -> Sample:
+    """Read a sample from an open file; unless `with_digests`, one that has none, and cannot be compared, is read, too.
+
+    Data sets of version 0.2.0 have no digests.
+    """
     h5py = h5py_module("a data set")
     try:
         refuse_if(not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink), f"it has no sample {index}")
@@ -236,10 +243,17 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")
             return np.asarray(stored[()])
 
-        digests, arrays = json.loads(read(_DIGESTS).tobytes()), {}
-        for name in digests if names is None else [*names, _FACTS]:
+        compared = with_digests or _DIGESTS in group
+        digests, arrays = json.loads(read(_DIGESTS).tobytes()) if compared else {}, {}
+        if not compared:
+            warnings.warn(
+                f"{path.parent.parent}: its samples have no digests, as those of version 0.2.0: what is damaged in "
+                f"them is not noticed, other than by DataSet.damaged()",
+                stacklevel=3,
+            )
+        for name in (digests or set(group) - {_DIGESTS}) if names is None else [*names, _FACTS]:
             arrays[name] = read(name)
-            if digest(arrays[name]) != digests[name]:
+            if compared and digest(arrays[name]) != digests[name]:
                 raise ValueError(f"{name} is not what was written")
         facts = json.loads(arrays.pop(_FACTS).tobytes())
     except InputError as error:
@@ -306,7 +320,7 @@ class DataSet:
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)
         number = index // self._layout.samples_per_shard
-        return read_sample(self._open(number), self._layout.shard(number), index, self.fields)
+        return read_sample(self._open(number), self._layout.shard(number), index, self.fields, with_digests=False)
 
     def __iter__(self) -> Iterator[Sample]:
         for index in range(len(self)):

@@ -20,8 +20,8 @@ from ..io.checkpoints import Checkpoint, digest
 from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
 from .light import PixelNoise, Pixels, View, by_model, check_views
-from .model import RayModels, WaveModel, check_numbers, vector_of
-from .result import Fit, doubts, summary
+from .model import RayModel, RayModels, WaveModel, check_numbers, vector_of
+from .result import Fit, doubts, steps_along, summary
 
 _ROUNDS = 2
 """How often the noise is taken from the model anew, where it depends on it."""
@@ -49,7 +49,9 @@ def fit(
     r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
 
     The weighted squares of the residuals are minimised by a trust region method (``scipy.optimize.least_squares``). The
-    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays.
+    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays;
+    its captures have kinks, and its deviations are those of the mean slopes over a deviation, to the side on which the
+    captures change less.
     The light does not change. If the noise is that of counted electrons, its variance is the one that the model
     expects, which is updated after a first fit: variances from the data would give bright pixels the wrong weights and
     bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one; deviations and
@@ -132,17 +134,18 @@ def fit(
         result = least_squares(residuals, x, jacobian, args=(pixels_at(x),), **options)
         x = result.x
     pixels = pixels_at(x)
-    found = summary(
-        vector.at(x),
-        vector.labels,
-        x,
-        unit,
-        limits,
-        jacobian(x, pixels) * unit,
-        residuals(x, pixels),
-        pixels,
-        trial.count,
-    )
+    named = vector.at(x), vector.labels, x, unit, limits
+    found = summary(*named, jacobian(x, pixels) * unit, residuals(x, pixels), pixels, trial.count)
+    last = model_of(found.camera)
+    if isinstance(last, RayModel):
+        # The slopes at one point are not those over which noise moves a fit.
+        slopes = last.slopes(
+            vector,
+            steps_along(found),
+            lambda images: float(np.linalg.norm((images - trial.expected(x)) / pixels.weight)),
+        )
+        rows = (slopes / pixels.weight).reshape(len(start), -1).T * unit
+        found = summary(*named, rows, residuals(x, pixels), pixels, trial.count)
     if result.status == 0:
         warnings.warn(
             f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -300,6 +300,9 @@ _STEP = 1e-4
 Over longer ones dark pixels next to edges of the light seem to change with a parameter that does not light them.
 """
 
+_LENGTHENED = 2
+"""How often the length over which slopes are averaged is corrected."""
+
 
 def check_numbers(vector: CameraVector) -> None:
     """Refuse parameters on which the rays of points do not depend."""
@@ -351,3 +354,24 @@ class RayModel:
             more, less = (self._models.images(own.at(side)) for side in sides)
             rows[number] = (more - less) / (2 * step)
         return rows
+
+    def slopes(
+        self, vector: CameraVector, steps: NDArray[np.float64], distance: Callable[[NDArray[np.float64]], float]
+    ) -> NDArray[np.float64]:
+        """Return mean slopes (parameters, views, rows, columns) over the deviations of some directions.
+
+        Captures have kinks: where the light's edge comes to dark pixels, their slope is large on one side and 0 on the
+        other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are those
+        of the side on which captures change less, over the length at which their `distance` from these is 1.
+        """
+        own, images = vector.of(self._camera), self.images()
+        moved, rows = np.empty_like(steps), np.empty((len(steps), *images.shape))
+        for number, step in enumerate(steps):
+            sides = [(side * step, self._models.images(own.at(own.values + side * step))) for side in (1, -1)]
+            nearest, changed = min(sides, key=lambda side: distance(side[1]))
+            for _ in range(_LENGTHENED):
+                most = 1 / np.linalg.norm(nearest / own.scales)
+                nearest = nearest * min(1 / max(distance(changed), 1e-9), most)
+                changed = self._models.images(own.at(own.values + nearest))
+            moved[number], rows[number] = nearest, changed - images
+        return np.tensordot(np.linalg.inv(moved), rows, 1)

@@ -156,6 +156,13 @@ def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Seq
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))
 
 
+def steps_along(found: Fit) -> NDArray[np.float64]:
+    """Return a step of its deviation along each direction, at most a unit of `Fit.scales`; (directions, parameters)."""
+    lengths = np.fmin([direction.deviation for direction in found.directions], 1.0)
+    parts = np.array([list(direction.parts.values()) for direction in found.directions])
+    return np.asarray(lengths[:, None] * parts * list(found.scales.values()))
+
+
 def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> Iterator[str]:
     """Yield reasons to doubt a fit, one sentence each."""
     if found.at_bounds:

@@ -201,7 +201,7 @@ class Checkpoint:
                 write(temporary)
         except (OSError, InputError) as error:
             if not self._complained:
-                cause = getattr(error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
+                cause = getattr(error.__cause__ or error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
                 warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
                 self._complained = True
         now = time.monotonic()

@@ -72,6 +72,18 @@ def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
     return number
 
 
+def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
+    """Return the allowed error of a method, by default its own, and refuse one that the method would ignore."""
+    if accuracy is None:
+        return default if method == "patch" else 0.0
+    checked = check_accuracy(accuracy)
+    refuse_if(
+        checked and method != "patch",
+        f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",
+    )
+    return checked
+
+
 def band_for(accuracy: float, count: int) -> Band:
     """Choose how much of the diffracted light to retain for an allowed error of the sum of some points."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy

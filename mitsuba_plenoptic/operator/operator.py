@@ -21,7 +21,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.jobs import Job, LongSum, SumTask
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
-from .accuracy import DEFAULT_ACCURACY, check_accuracy
+from .accuracy import chosen_accuracy
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
 from .full_field import FullFieldPlan
 from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
@@ -60,10 +60,10 @@ class CaptureOperator:
     method : {"patch", "full_field"}
         Method of computing point spreads: each on the part of the array that its point lights, or on the whole field,
         without shortcuts.
-    accuracy : float
-        Allowed relative error (L2, over the image), below 1. With the method "patch", points of nearly the same
-        wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its own, and
-        most of the diffracted light is retained.
+    accuracy : float, optional
+        Allowed relative error (L2, over the image) of the method "patch", below 1; 0.01 by default. Points of nearly
+        the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
+        own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
@@ -89,7 +89,7 @@ class CaptureOperator:
         wavelength: float | None = None,
         spectrum: Spectrum | None = None,
         method: str = "patch",
-        accuracy: float = DEFAULT_ACCURACY,
+        accuracy: float | None = None,
         pupil_weights: Any = None,
         virtual: bool = False,
         system: OpticalSystem | None = None,
@@ -106,7 +106,7 @@ class CaptureOperator:
             method == "patch" and camera.lens_data.images_stop,
             "method = patch: arrangement = fourier lights all of the stop's image; use full_field",
         )
-        self._method, self._accuracy = method, check_accuracy(accuracy)
+        self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if system is not None:
             _require_bound(system, camera, wavelength)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, did_you_mean, refuse_if, require_count, require_number
-from ..operator.accuracy import check_accuracy
+from ..operator.accuracy import chosen_accuracy
 from ..operator.operator import CaptureOperator
 from ..reconstruction import RayRefocus
 from ..system.optical_system import OpticalSystem
@@ -27,10 +27,10 @@ Gradient = dict[str, NDArray[np.float64]]
 class Spreads:
     """The point spreads of the points of a figure, each computed by itself."""
 
-    def __init__(self, points: Any, wavelength: float, accuracy: float, method: str) -> None:
+    def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
         self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
-        self._accuracy, self._method = check_accuracy(accuracy), method
+        self._accuracy, self._method = chosen_accuracy(accuracy, method, DESIGN_ACCURACY), method
         self._system: OpticalSystem | None = None
 
     def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
@@ -94,7 +94,7 @@ class RefocusedContrast:
     oversample : int
         Bins per lens along each axis.
     accuracy, method
-        As for `CaptureOperator`.
+        As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class RefocusedContrast:
         *,
         wavelength: float = 633.0,
         oversample: int = 4,
-        accuracy: float = DESIGN_ACCURACY,
+        accuracy: float | None = None,
         method: str = "patch",
     ) -> None:
         self._camera, self._spreads = camera, Spreads(points, wavelength, accuracy, method)
@@ -223,7 +223,7 @@ class DepthInformation:
         Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
         everything.
     wavelength, accuracy, method
-        As for `CaptureOperator`.
+        As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
 
     Raises
     ------
@@ -238,7 +238,7 @@ class DepthInformation:
         *,
         background: float = 1.0,
         wavelength: float = 633.0,
-        accuracy: float = DESIGN_ACCURACY,
+        accuracy: float | None = None,
         method: str = "patch",
     ) -> None:
         self._spreads = Spreads(points, wavelength, accuracy, method)

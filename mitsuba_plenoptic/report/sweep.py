@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import xarray as xr
 
 from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..capture.render import is_wave_capture, render_capture
+from ..capture.render import is_wave_capture, refuse_by_rays, render_capture
 from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
@@ -143,8 +143,11 @@ class Points:
             )
         return {**self.settings.parameters, **varied}
 
-    def check(self) -> None:
-        """Make every camera once, before the work, and see that they record images of one size."""
+    def check(self, **for_waves: Any) -> None:
+        """Make every camera once, before the work, and see that they record images of one size.
+
+        Ray captures take none of the options `for_waves`; None means not given.
+        """
         require_choice("method", self.settings.method, METHODS)
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_wavelength(wavelength)
@@ -154,8 +157,8 @@ class Points:
             if (key := tuple(parameters.items())) in sizes:
                 continue
             scene = load_with_sensor(self.settings.scene, parameters)
-            if self.store.resume and not is_wave_capture(scene, self.settings.model):
-                raise InputError(f"{argument('resume')}: a ray capture keeps no checkpoint; leave it out")
+            if not is_wave_capture(scene, self.settings.model):
+                refuse_by_rays(resume=self.store.resume or None, **for_waves)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
             for distance in self.distances:
@@ -336,21 +339,35 @@ def sweep(
         If the grid has an unknown name, a value that is no number or twice the same, or none at all; if its images
         differ in size; or if the scene, a camera or a distance is refused.
     """
+    return prepare(settings, grid, output, stages, batch_map=batch_map)(batch_map)
+
+
+def prepare(
+    settings: SweepSettings, grid: Grid, output: Path, stages: StageOptions | None, **for_waves: Any
+) -> Callable[[BatchMap | None], xr.Dataset]:
+    """Check a sweep, so that workers need not be started in vain, and return the function that computes it on them.
+
+    `for_waves` are the options, by name, that ray captures do not take; None means not given.
+    """
     h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
     set_variant(settings.variant)
     store = StageStore(output.with_suffix(".points"), stages)
     points = Points(settings, grid, store)
-    points.check()
-    remove_leftovers(output)
-    with atomic_output(output) as temporary, Sink(temporary, "w+") as sink:
-        with h5netcdf.File(sink, "w") as file:
-            for index, (capture, images) in enumerate(points.compute(batch_map)):
-                if not index:
-                    sweep_file = SweepFile(file, settings, grid, capture)
-                sweep_file.put(np.unravel_index(index, sweep_file.shape), capture, images)
-                sink.check(output)
-                store.notify("points", index + 1, math.prod(sweep_file.shape))
-        sink.check(output)
-    return xr.open_dataset(output, engine="h5netcdf")
+    points.check(**for_waves)
+
+    def compute(batch_map: BatchMap | None) -> xr.Dataset:
+        remove_leftovers(output)
+        with atomic_output(output) as temporary, Sink(temporary, "w+") as sink:
+            with h5netcdf.File(sink, "w") as file:
+                for index, (capture, images) in enumerate(points.compute(batch_map)):
+                    if not index:
+                        sweep_file = SweepFile(file, settings, grid, capture)
+                    sweep_file.put(np.unravel_index(index, sweep_file.shape), capture, images)
+                    sink.check(output)
+                    store.notify("points", index + 1, math.prod(sweep_file.shape))
+            sink.check(output)
+        return xr.open_dataset(output, engine="h5netcdf")
+
+    return compute

@@ -236,6 +236,14 @@ def test_boards_of_another_size_are_not_called_mirrored(table, centres, board, w
         calibrate(table, board, START, centres)
 
 
+def test_the_scale_is_that_of_the_squares(table, centres, found):
+    """Squares of another size explain the corners as well, by other lengths."""
+    larger = calibrate(table, Board(6, 4, 1.2 * 6.0), START, centres)
+    assert larger.evaluation.error == pytest.approx(found.evaluation.error, rel=1e-3)
+    assert larger.numbers["detector_distance"] == pytest.approx(found.numbers["detector_distance"] / 1.2, rel=0.01)
+    np.testing.assert_allclose(larger.evaluation.poses[:, 5], 1.2 * found.evaluation.poses[:, 5], rtol=1e-3)
+
+
 def test_rows_of_a_hexagonal_lattice_that_run_along_its_columns_are_refused(table):
     # The same lenses, counted along what was their columns: shifted rows half a pitch apart.
     x, y = (cases.INDEX.unit(table["k"], table["l"]) * [2, 1]).round().astype(int).T

@@ -9,7 +9,7 @@ from PIL import Image
 from scene_cases import write_scene
 from wave_cases import HALF
 
-from mitsuba_plenoptic import load_scene, render_capture, write_capture
+from mitsuba_plenoptic import InputError, fitting, load_scene, render_capture, write_capture
 from mitsuba_plenoptic.cli import main
 
 SENSOR = '<float name="detector_width" value="0.128"/>' + "".join(
@@ -76,6 +76,25 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     # A rendering of 256 samples has more noise than so many photons.
     said = capsys.readouterr().err
     assert "fit: chi-square is " in said and said.count("\n") == 1
+
+
+def test_a_resumed_fit_from_afar_comes_near_unless_a_checkpoint_has(tmp_path, complaint, monkeypatch):
+    path, raw, checkpoint = (
+        write_scene(tmp_path, WALL, sensor=SENSOR),
+        tmp_path / "raw.exr",
+        tmp_path / "camera.json.checkpoint",
+    )
+    write_capture(raw, render_capture(load_scene(path), model="ray", spp=4))
+
+    def coarse(*_, **__):
+        raise InputError("coming near")
+
+    monkeypatch.setattr(fitting, "coarse_fit", coarse)
+    words = ["fit", raw, "--scene", path, "--parameter", "mla_pitch", "--photons", "1e5", "--points-per-lens", "4"]
+    words += ["--model", "ray", "--from-afar", "--resume", "-o", tmp_path / "camera.json"]
+    assert complaint(*words) == "coming near"
+    checkpoint.write_bytes(b"")
+    assert "camera.json.checkpoint: it is not a checkpoint of this version" in complaint(*words)
 
 
 @pytest.mark.parametrize(

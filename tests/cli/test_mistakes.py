@@ -35,6 +35,41 @@ def test_usage_errors_point_to_the_help(line, words, raw, tmp_path, complaint):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "sweep letters -o {out}.nc --vary aperture_radius=3,4 --workers 2",
+        "render letters -o {out}.exr --workers 2",
+        "render letters --estimate --workers 2",
+    ],
+)
+def test_no_workers_are_started_for_ray_captures(line, tmp_path, complaint, monkeypatch):
+    def started(*_, **__):
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.cluster.Cluster.__enter__", started)
+    assert complaint(*line.format(out=tmp_path / "out").split()) == (
+        "--workers: a ray capture does not take it; it is for --model wave"
+    )
+
+
+@pytest.mark.parametrize("name", ["focal_length=50", "resolution=64", "mla_focal_length=0.5"])
+def test_parameters_of_a_camera_that_is_replaced_are_refused(name, raw, tmp_path, complaint):
+    words = "it is of the scene's own camera, which another one replaces; leave it out"
+    name = ["-D", name]
+    assert words in complaint("render", "letters", "-o", tmp_path / "x.exr", "--camera", "lytro", *name)
+    fitted = ["fit", raw, "--scene", "letters", "--parameter", "mla_pitch", "--photons", 9, "-o", tmp_path / "c.json"]
+    assert words in complaint(*fitted, *name)
+
+
+def test_parameters_of_the_scene_remain_with_another_camera(raw, tmp_path, run):
+    camera = tmp_path / "camera.json"
+    camera.write_text(read_capture(raw).camera.to_json())
+    words = ["render", "letters", "-o", tmp_path / "x.exr", "--camera", camera]
+    run(*words, "-D", "spp=1", "-D", "letter_scale=0.5")
+    assert read_capture(tmp_path / "x.exr").metadata["spp"] == 1
+
+
 def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkeypatch):
     def found(*_, **__):
         raise AssertionError("light was found")
@@ -169,7 +204,7 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
         ("sweep letters -o {out}.nc --vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
         (
             "sweep letters -o {out}.nc --vary aperture_radius=3,4 --resume",
-            "--resume: a ray capture keeps no checkpoint",
+            "--resume: a ray capture does not take it",
         ),
         (
             "sweep letters -o {out}.nc --vary aperture_radius=3,4 --workers 2",

@@ -152,6 +152,30 @@ def test_a_rerun_renders_damaged_samples_again(made, tmp_path, capsys):
     assert files(folder) == files(made)
 
 
+def test_a_data_set_without_digests_is_read_with_a_warning_and_never_repaired(made, tmp_path, capsys):
+    """As version 0.2.0 made them, whose source had another digest."""
+    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "old"
+    shutil.copytree(made, folder)
+    recipe.write_text(yaml.safe_dump(small()))
+    for path in (folder / "shards").iterdir():
+        with h5py.File(path, "r+") as file:
+            for sample in file.values():
+                del sample["digests"]
+    with pytest.warns(UserWarning, match=r"old: its samples have no digests, as those of version 0\.2\.0") as warned:
+        sample = DataSet(folder)[1]
+    assert len(warned) == 1 and warned[0].filename == __file__
+    np.testing.assert_array_equal(sample.arrays["ray"], DataSet(made)[1].arrays["ray"])
+    assert sample.facts == DataSet(made)[1].facts
+    manifest = json.loads((folder / "dataset.json").read_text())
+    manifest["software"]["mitsuba_plenoptic"] = "ba0617f68a4b6c45"
+    (folder / "dataset.json").write_text(json.dumps(manifest))
+    before = files(folder)
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "old: it holds samples made by other software: software.mitsuba_plenoptic was 'ba0617f68a4b6c45'" in said
+    assert files(folder) == before
+
+
 def test_samples_of_a_stopped_run_that_were_damaged_are_rendered_again(made, tmp_path):
     folder, recipe = tmp_path / "stopped", parse_recipe(small())
 

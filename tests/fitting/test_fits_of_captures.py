@@ -183,6 +183,19 @@ def test_chi_square_of_a_right_model_is_one(recorded, photons):
     assert found[0].chi_square_deviation < np.sqrt(3.5 / (lit > 1).sum())
 
 
+def test_deviations_are_not_those_of_a_kink(recorded):
+    """Without noise the deviation is the true one; beside a kink, slopes of the captures state a fifth of it."""
+    true, points, image, weights = recorded
+    with pytest.warns(UserWarning, match="chi-square is"):
+        bound = quickly(true, View(image, points, weights), ["mla_pitch", "focal_length"])
+    seen = np.random.default_rng(14).poisson(image * PHOTONS) / PHOTONS
+    found = quickly(true, View(seen, points, weights), ["mla_pitch", "focal_length"])
+    errors = np.array([found.values[name] - value for name, value in bound.values.items()])
+    assert errors @ np.linalg.solve(bound.covariance, errors) < 9.2
+    for name, deviation in bound.deviations.items():
+        assert found.deviations[name] == pytest.approx(deviation, rel=0.25)
+
+
 def test_chi_square_of_what_a_detector_records_is_one(recorded):
     """With noise of reading and of dark current, rounding, and photons that free no electron, as metadata have it."""
     true, points, image, weights = recorded

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -251,6 +252,20 @@ def test_checkpoints_take_a_small_fraction_of_the_time(tmp_path, monkeypatch):
     assert written[0] == 12
     assert 2 * len(written) <= 0.05 * clock[0] + 2
     assert len(written) > 20
+
+
+def test_a_full_disk_is_named_once(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(checkpoints, "_write", full)
+    path = tmp_path / "raw.checkpoint"
+    with Checkpoint(path) as checkpoint:
+        checkpoint.begin((1, 1, 1))
+        monkeypatch.setattr(checkpoint, "_due", 0.0)
+        with pytest.warns(UserWarning) as warned:
+            checkpoint.save(None)
+    assert str(warned[0].message) == f"{path}: no checkpoint can be written: No space left on device"
 
 
 def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):

@@ -263,6 +263,21 @@ class TestLightFields:
             with pytest.raises(InputError, match="not an array of numbers"):
                 open_light_field(path)
 
+    @pytest.mark.parametrize(
+        ("start", "words"),
+        [
+            (b"", "it is not a MATLAB file of version 5 or 7.3: it does not begin as one does"),
+            (b"MATLAB 5.0".ljust(126) + b"IM", "it is damaged: at byte 128 no variable begins"),
+        ],
+    )
+    def test_zeros_are_not_read_to_their_end(self, start, words, tmp_path):
+        path = tmp_path / "lf.mat"
+        path.write_bytes(start)
+        with path.open("r+b") as file:
+            file.truncate(2**32)
+        with pytest.raises(InputError, match=words):
+            open_light_field(path)
+
     def test_matlab_structures_that_unpack_into_more_than_memory(self, tmp_path, monkeypatch):
         path, model = tmp_path / "lf.mat", {"HSpacing": np.zeros(2**24)}
         numbers = np.ones((4, 4, 3, 3, 3), np.uint8)

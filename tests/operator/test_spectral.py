@@ -204,6 +204,17 @@ def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
+def test_numbers_are_as_bright_in_the_infrared_as_in_the_visible(variant):
+    """Without spectra a number as radiance holds at every wavelength."""
+    mi.set_variant(variant)
+    red, infrared = (
+        render_capture(lamp(1.0), model="wave", spp=16, wavelength=wavelength).image for wavelength in (633, 940)
+    )
+    assert red.mean() == pytest.approx(0.345, rel=0.05)
+    assert infrared.mean() == pytest.approx(red.mean(), rel=0.02)
+
+
 def test_bands_and_responses_that_make_no_sense_are_refused(tmp_path):
     mi.set_variant("llvm_ad_rgb")
     table = tmp_path / "sensor.csv"

@@ -151,3 +151,10 @@ def test_mistakes_in_figures():
     far = RefocusedContrast(CAMERA, [(90.0, 0.0, 116.0)], (0.5,))
     with pytest.raises(InputError, match="points: one of them sends no light"):
         far.value(CAMERA)
+
+
+def test_full_fields_take_no_accuracy():
+    with pytest.raises(InputError, match=r"accuracy = 0\.02: method = full_field takes none"):
+        DepthInformation(POINT, 1e4, method="full_field", accuracy=0.02)
+    tiny = CAMERA.replace(crop_size=(16, 16))
+    assert DepthInformation(POINT, 1e4, method="full_field").expected(tiny)[0].shape[1:] == (16, 16)

@@ -35,7 +35,7 @@ WHOLE = [
     "read(poisoned('grey.exr', (3, 3), 1))",
     "read(misplaced('grey.exr', 0, b''))",
     "render(sensor('float', 'focal_length', '70'))",
-    "render(waves('integer', 'passes', '1'))",
+    "render(waves('float', 'accuracy', '0.05'))",
     "render(beside=holding('scene.xml', SCENE))",
     "render(('<emitter', '<include filename=\"i0.xml\"/><emitter'), beside=includes(''))",
     "resume(file('stopped.checkpoint'))",

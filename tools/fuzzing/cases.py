@@ -170,7 +170,7 @@ KINDS = tuple(
 
     14 Python: argument
         ! reconstruct(capture(), $not_distance)
-        ! reconstruct(capture(), 240, <<method | footprint>>=$not_name)
+        ! reconstruct(capture(), 240, <<method=$not_name | footprint=$name_text>>)
         ! reconstruct(capture(), 240, oversample=<<$not_count | 100_000 | 10**9>>)
         ! reconstruct(capture(), 240, method='partial', interleave=<<$not_place | $not_positive | 10**9 | 'AUTO'>>)
         ! reconstruct(capture(), 240, camera=<<'camera' | 1 | {} | SMALL_CAMERA>>)

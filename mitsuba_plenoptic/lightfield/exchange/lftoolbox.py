@@ -34,6 +34,7 @@ _NUMBER_BYTES = 8 + 4 + 4
 
 # Of files of version 5: bytes before the first variable, the type of a packed one, and bytes unpacked at once.
 _HEADER, _PACKED, _PIECE = 128, 15, 2**20
+_VARIABLES = (14, _PACKED)
 
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
@@ -160,9 +161,13 @@ def _require_unpacked(path: Path) -> None:
     limit = int(memory_limit())
     left = limit
     with path.open("rb") as file:
-        order = "<" if file.read(_HEADER)[-2:] == b"IM" else ">"
+        order = {b"IM": "<", b"MI": ">"}.get(file.read(_HEADER)[-2:])
+        refuse_if(order is None, "it is not a MATLAB file of version 5 or 7.3: it does not begin as one does")
         while len(tag := file.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
+            refuse_if(
+                kind not in _VARIABLES or not size, f"it is damaged: at byte {file.tell() - 8} no variable begins"
+            )
             end = file.tell() + size
             unpacking = zlib.decompressobj()
             while kind == _PACKED and (piece := file.read(min(_PIECE, end - file.tell()))):

@@ -68,10 +68,12 @@ def spread(
     for seed in range(seeds):
         noise = np.random.default_rng(seed + 1)
         counted = noise.poisson(np.maximum(image, 0) * photons) / photons
-        start = camera.replace(
-            mla_pitch=camera.mla_pitch * (1 + noise.uniform(-1, 1) * off),
-            mla_offset=tuple(noise.uniform(-0.3, 0.3, 2) * off * camera.mla_pitch),
-        )
+        away = {
+            "mla_pitch": camera.mla_pitch * (1 + noise.uniform(-1, 1) * off),
+            "mla_offset": tuple(noise.uniform(-0.3, 0.3, 2) * off * camera.mla_pitch),
+        }
+        # Parameters that are not fitted are right.
+        start = camera.replace(**{name: value for name, value in away.items() if name in parameters})
         fits.append(fit(start, View(counted, places, weights), parameters, **common))
     for name, deviation in bound.deviations.items():
         errors = np.array([(each.values[name] - bound.values[name]) / each.deviations[name] for each in fits])
