@@ -32,6 +32,10 @@ _BACKGROUND, _PATCH = 4.0, 3.0
 # it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
 _BROAD, _SINGLE = 0.88, 0.96
 
+# Root mean square frequency of a texture, in cycles per lens: what lenses have averaged over their width is below the
+# first, found up to 0.28; noise and what is finer than a lens are above the second.
+_COARSE, _FINE = 0.33, 0.37
+
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which part of the variance views leave unexplained, moved so that points of one disparity coincide.
@@ -84,7 +88,8 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
     sinc(1 - f). With any contrast up to these alike before, a contrast that both can have is that of the finer ones
     with a probability of sinc(f) / (sinc(f) + sinc(1 - f)), 1/2 or more. Texture of many frequencies agrees only at its
-    depth.
+    depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. They are then
+    recognised by a mean frequency higher than lenses of their width leave of any texture.
 
     Parameters
     ----------
@@ -109,7 +114,8 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
     contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
     coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
-    possible = ((single - _BROAD) / (_SINGLE - _BROAD)).clip(0, 1) * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
+    aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), (frequency - _COARSE) / (_FINE - _COARSE)).clip(0, 1)
+    possible = aliased * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
     return np.asarray(possible * coarser / (coarser + finer))
 
 

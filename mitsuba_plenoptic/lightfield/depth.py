@@ -21,6 +21,7 @@ from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocus import shift_and_add
+from .repetition import wrong_by_repetition
 
 RIGHT = 0.01
 """Relative error of a depth that counts as right."""
@@ -115,10 +116,12 @@ def depth_map(
     for index in np.unique(nearest_plane):
         here = nearest_plane == index
         sharp[here] = shift_and_add(lf, slopes[index]).values[here]
-    probability = choice.probability
-    if not is_focused(lf):
-        # Two distances explain the views of stripes finer than two lenses alike.
-        probability = probability * (1 - finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2)))
+    # Several distances explain stripes alike, which no comparison of planes shows.
+    if is_focused(lf):
+        ambiguous = wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
+    else:
+        ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2))
+    probability = choice.probability * (1 - ambiguous)
     depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
     dims = ("t", "s")
     maps: dict[str, Any] = {

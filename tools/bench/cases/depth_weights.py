@@ -14,7 +14,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import micro_images
 from mitsuba_plenoptic.lightfield.agreement import finer_stripes
 from mitsuba_plenoptic.lightfield.depth import RIGHT, default_slopes, disagreement_of_planes, is_focused
-from mitsuba_plenoptic.lightfield.plane_choice import MAJORITY, WEIGHTS, at_an_end, indications
+from mitsuba_plenoptic.lightfield.plane_choice import WEIGHTS, at_an_end, indications
 
 from .. import Row, case
 from ..scenes.depth import CAMERAS, FITTED_SCENES
