@@ -32,8 +32,8 @@ _BACKGROUND, _PATCH = 4.0, 3.0
 # it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
 _BROAD, _SINGLE = 0.88, 0.96
 
-# Root mean square frequency of a texture, in cycles per lens: what lenses have averaged over their width is below the
-# first, found up to 0.28; noise and what is finer than a lens are above the second.
+# Mean frequency of a texture, in cycles per lens, in the mean of views that were moved: interpolation leaves what is
+# broad below the first, found up to 0.28, stripes as fine as a lens stay above the second.
 _COARSE, _FINE = 0.33, 0.37
 
 
@@ -80,7 +80,7 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     return ratio, whole[0], samples
 
 
-def finer_stripes(image: np.ndarray) -> np.ndarray:
+def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """Return how probably what a view shows are stripes finer than two lenses.
 
     Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
@@ -88,13 +88,15 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
     sinc(1 - f). With any contrast up to these alike before, a contrast that both can have is that of the finer ones
     with a probability of sinc(f) / (sinc(f) + sinc(1 - f)), 1/2 or more. Texture of many frequencies agrees only at its
-    depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. They are then
-    recognised by a mean frequency higher than lenses of their width leave of any texture.
+    depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These are
+    recognised by a mean frequency that is higher than moving views leaves of any other texture.
 
     Parameters
     ----------
     image : (rows, columns) array
         The image in focus everywhere: the mean of the views, of less noise than each.
+    moved : (rows, columns) bool array
+        Where views were moved by more than a lens.
     """
     if min(image.shape) < 3:
         return np.zeros(image.shape)
@@ -114,7 +116,8 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
     contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
     coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
-    aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), (frequency - _COARSE) / (_FINE - _COARSE)).clip(0, 1)
+    fine = np.where(moved, (frequency - _COARSE) / (_FINE - _COARSE), 0)
+    aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), fine).clip(0, 1)
     possible = aliased * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
     return np.asarray(possible * coarser / (coarser + finer))
 

@@ -16,7 +16,7 @@ from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import finer_stripes, view_disagreement
-from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
+from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field, view_steps
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
@@ -120,7 +120,8 @@ def depth_map(
     if is_focused(lf):
         ambiguous = wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
     else:
-        ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2))
+        moved = np.abs(found) * view_steps(lf, "u").max() > 1
+        ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
     probability = choice.probability * (1 - ambiguous)
     depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
     dims = ("t", "s")
