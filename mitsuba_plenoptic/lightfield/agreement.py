@@ -86,10 +86,10 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
     1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
     averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
-    sinc(1 - f). With any contrast up to these alike before, a contrast that both can have is that of the finer ones
-    with a probability of sinc(f) / (sinc(f) + sinc(1 - f)), 1/2 or more. Texture of many frequencies agrees only at its
-    depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These are
-    recognised by a mean frequency that is higher than moving views leaves of any other texture.
+    sinc(1 - f). With any complex amplitude up to these alike before, one that both can have is that of the finer ones
+    with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. Texture of many frequencies agrees only
+    at its depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These
+    are recognised by a mean frequency that is higher than moving views leaves of any other texture.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     fine = np.where(moved, (frequency - _COARSE) / (_FINE - _COARSE), 0)
     aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), fine).clip(0, 1)
     possible = aliased * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
-    return np.asarray(possible * coarser / (coarser + finer))
+    return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
 
 
 def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -51,11 +51,12 @@ def depth_map(
     For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
     unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
     `plane_choice` makes probabilities of it, with those of neighbouring bins, takes the most probable plane, refined by
-    a parabola, and tests whether it explains more than it would of noise alone, and whether most neighbours agree.
+    a parabola, and tests whether it explains more than it would of noise alone, and how many neighbours agree.
 
     The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
     1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well,
-    where most neighbours are at other distances, and where stripes may be finer than two lenses. It is 0 where views
+    where most neighbours are at other distances, and where stripes may be finer than two lenses or, of a focused
+    camera, have a period of less than five pixels within micro-images. It is 0 where views
     agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
     Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
     there is unknown in the same way.

@@ -31,8 +31,8 @@ _SURE = 1e-3
 # Where views are apart by less than this fraction of the brightness, that no longer makes a depth surer.
 _STILL = 0.06
 
-# A valley of the disagreement is closed where it rises, on both sides, by the first fraction of its depth; by the second
-# on a side where planes between others cannot be compared, as the first of these soon hides what would rise.
+# A valley of the disagreement is closed where it rises, on both sides, by the first fraction of its depth; by the
+# second on a side where planes before others cannot be compared, as they soon hide what would rise.
 _CLOSED, _CLOSED_AT_GAP = 0.15, 0.06
 
 # Neighbouring bins that are asked for the plane that explains them best: standard deviation of a Gaussian window. They
@@ -68,9 +68,9 @@ class Choice:
         Index of the plane, with fractions.
     probability : (rows, columns) float64 array
         That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
-        may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes explain
-        repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge some bins
-        have what is seen of the edge for all of their evidence.
+        may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes
+        explain repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge
+        the edge may be all the evidence that a bin has.
     """
 
     place: np.ndarray

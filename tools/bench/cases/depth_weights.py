@@ -24,8 +24,8 @@ from .depth import by_tenths, captured, exposed, shown_tenths, worst_tenth
 PHOTONS = (0, 500)
 
 AMBIGUOUS, MAJORITY = 0.25, 0.5
-"""Bins of which `finer_stripes` or `wrong_by_repetition` returns more than the first, or with which a smaller fraction of
-the neighbours agrees than the second, are left out: what these take off a probability is no matter of weights."""
+"""Bins of which `finer_stripes` or `wrong_by_repetition` returns more than the first, or with which a smaller fraction
+of the neighbours agrees than the second, are left out: what these take off a probability is no matter of weights."""
 
 FINER = {"stripes of 1.15 lenses": ("square", "hexagonal"), "stripes of 1.3 lenses": ("square", "hexagonal")}
 """Scenes that are left out likewise before some cameras, as the middle view alone does not show that they are finer."""
@@ -59,7 +59,7 @@ def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 
     found: dict[str, list[Observed]] = {}
     for name in list(FITTED_SCENES)[:scenes]:
         for camera in [each for each in cameras or CAMERAS if each not in FINER.get(name, ())]:
-            capture, known = captured(name, camera, Path(captures) if captures else None, fitted=True)
+            capture, known = captured(name, camera, Path(captures) if captures else None, "fitted")
             for photons in PHOTONS:
                 observed = observe(exposed(capture, photons, 8), known["truth"])
                 if len(observed[1]):
