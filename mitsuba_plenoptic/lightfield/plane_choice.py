@@ -53,8 +53,7 @@ _BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 VIEWS, LENSES = 20.0, 3.0
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# without stripes of 1.3 and 2 lenses. With these, the case `depth.weights` of `tools/bench` finds weights at most 0.12
-# from these, of a likelihood per bin 0.1 % greater.
+# without stripes of 1.3 and 2 lenses, by the case `depth.weights` of `tools/bench`.
 WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 
