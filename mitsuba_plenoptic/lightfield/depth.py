@@ -54,9 +54,9 @@ def depth_map(
     a parabola, and tests whether it explains more than it would of noise alone, and how many neighbours agree.
 
     The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
-    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well,
-    where most neighbours are at other distances, and where stripes may be finer than two lenses or, of a focused
-    camera, have a period of less than five pixels within micro-images. It is 0 where views
+    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
+    where stripes may be finer than two lenses or, of a focused camera, have a period of less than five pixels within
+    micro-images. It is unknown, too, where most neighbours are at other distances. The confidence is 0 where views
     agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
     Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
     there is unknown in the same way.
@@ -124,7 +124,7 @@ def depth_map(
         moved = np.abs(found) * view_steps(lf, "u").max() > 1
         ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
     probability = choice.probability * (1 - ambiguous)
-    depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
+    depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, found))
     dims = ("t", "s")
     maps: dict[str, Any] = {
         "depth": (dims, depth, {"units": "mm"}),

@@ -52,6 +52,9 @@ _BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 # cameras. Model errors, which most of them share, leave this few.
 VIEWS, LENSES = 20.0, 3.0
 
+# Most neighbours agree with a plane where this fraction of them does.
+_MAJORITY = 0.5
+
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # without stripes of 1.3 and 2 lenses, by the case `depth.weights` of `tools/bench`.
 WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
@@ -70,10 +73,13 @@ class Choice:
         may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes
         explain repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge
         the edge may be all the evidence that a bin has.
+    agreed : (rows, columns) bool array
+        Where most neighbours agree.
     """
 
     place: np.ndarray
     probability: np.ndarray
+    agreed: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -136,7 +142,8 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
     place, told, agreeing = indications(found, samples, tolerance)
     probability = expit(np.tensordot(WEIGHTS, told, 1))
     probability = np.minimum(probability, 1 - np.square(1 - agreeing))
-    return Choice(place, np.where(at_an_end(found, place, tolerance), 0, probability))
+    probability = np.where(at_an_end(found, place, tolerance), 0, probability)
+    return Choice(place, probability, agreeing >= _MAJORITY)
 
 
 def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.ndarray:

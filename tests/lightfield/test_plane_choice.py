@@ -88,6 +88,7 @@ def test_a_plane_with_which_few_neighbours_agree_is_improbable(samples):
     # Were two of the neighbours asked at random, this is how often at least one of them would agree.
     assert np.all(chosen.probability <= 1 - (1 - agreeing) ** 2 + 1e-12)
     assert (chosen.probability < 0.5).mean() > 0.8
+    assert np.array_equal(chosen.agreed, agreeing >= 0.5)
     assert chosen.probability.max() < 0.9
 
 
