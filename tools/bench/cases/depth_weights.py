@@ -47,7 +47,7 @@ Observed = tuple[np.ndarray, np.ndarray]
         "-log likelihood per bin": "{loss:.4f}", "of the weights in use": "{used:.4f}",
     },
     page="docs/numbers.md",
-    quick={"cameras": ("square",), "scenes": 2},
+    quick={"cameras": ("square",), "scenes": 4},
 )  # fmt: skip
 def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 20) -> Iterator[Row]:
     """Fit scenes that no table judges, before four cameras, without noise and with 500 photons in a pixel of value 1.
