@@ -32,6 +32,10 @@ _BACKGROUND, _PATCH = 4.0, 3.0
 # it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
 _BROAD, _SINGLE = 0.88, 0.96
 
+# Mean frequency of a texture, in cycles per lens, in the mean of views that were moved: interpolation leaves what is
+# broad below the first, found up to 0.28, stripes as fine as a lens stay above the second.
+_COARSE, _FINE = 0.33, 0.37
+
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which part of the variance views leave unexplained, moved so that points of one disparity coincide.
@@ -76,20 +80,23 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     return ratio, whole[0], samples
 
 
-def finer_stripes(image: np.ndarray) -> np.ndarray:
+def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """Return how probably what a view shows are stripes finer than two lenses.
 
     Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
     1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
     averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
-    sinc(1 - f). With any contrast up to these alike before, a contrast that both can have is that of the finer ones
-    with a probability of sinc(f) / (sinc(f) + sinc(1 - f)), 1/2 or more. Texture of many frequencies agrees only at its
-    depth.
+    sinc(1 - f). With any complex amplitude up to these alike before, one that both can have is that of the finer ones
+    with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. Texture of many frequencies agrees only
+    at its depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These
+    are recognised by a mean frequency that is higher than moving views leaves of any other texture.
 
     Parameters
     ----------
     image : (rows, columns) array
         The image in focus everywhere: the mean of the views, of less noise than each.
+    moved : (rows, columns) bool array
+        Where views were moved by more than a lens.
     """
     if min(image.shape) < 3:
         return np.zeros(image.shape)
@@ -109,8 +116,10 @@ def finer_stripes(image: np.ndarray) -> np.ndarray:
     frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
     contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
     coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
-    possible = ((single - _BROAD) / (_SINGLE - _BROAD)).clip(0, 1) * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
-    return np.asarray(possible * coarser / (coarser + finer))
+    fine = np.where(moved, (frequency - _COARSE) / (_FINE - _COARSE), 0)
+    aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), fine).clip(0, 1)
+    possible = aliased * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
+    return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
 
 
 def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -16,11 +16,12 @@ from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import finer_stripes, view_disagreement
-from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field
+from .geometry import camera_of, depth_range, disparity, distance_of, require_light_field, view_steps
 from .lens_agreement import LensComparison
 from .micro_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocus import shift_and_add
+from .repetition import wrong_by_repetition
 
 RIGHT = 0.01
 """Relative error of a depth that counts as right."""
@@ -50,11 +51,12 @@ def depth_map(
     For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
     unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
     `plane_choice` makes probabilities of it, with those of neighbouring bins, takes the most probable plane, refined by
-    a parabola, and tests whether it explains more than it would of noise alone, and whether most neighbours agree.
+    a parabola, and tests whether it explains more than it would of noise alone, and how many neighbours agree.
 
     The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
-    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well,
-    where most neighbours are at other distances, and where stripes may be finer than two lenses. It is 0 where views
+    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
+    where stripes may be finer than two lenses or, of a focused camera, have a period of less than five pixels within
+    micro-images. It is unknown, too, where most neighbours are at other distances. The confidence is 0 where views
     agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
     Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
     there is unknown in the same way.
@@ -115,11 +117,14 @@ def depth_map(
     for index in np.unique(nearest_plane):
         here = nearest_plane == index
         sharp[here] = shift_and_add(lf, slopes[index]).values[here]
-    probability = choice.probability
-    if not is_focused(lf):
-        # Two distances explain the views of stripes finer than two lenses alike.
-        probability = probability * (1 - finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2)))
-    depth = np.where(probability < 0.5, np.nan, distance_of(lf, found))
+    # Several distances explain stripes alike, which no comparison of planes shows.
+    if is_focused(lf):
+        ambiguous = wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
+    else:
+        moved = np.abs(found) * view_steps(lf, "u").max() > 1
+        ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
+    probability = choice.probability * (1 - ambiguous)
+    depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, found))
     dims = ("t", "s")
     maps: dict[str, Any] = {
         "depth": (dims, depth, {"units": "mm"}),

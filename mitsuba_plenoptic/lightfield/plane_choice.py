@@ -31,8 +31,9 @@ _SURE = 1e-3
 # Where views are apart by less than this fraction of the brightness, that no longer makes a depth surer.
 _STILL = 0.06
 
-# A valley of the disagreement is closed where it rises, on both sides, by this fraction of its depth.
-_CLOSED = 0.15
+# A valley of the disagreement is closed where it rises, on both sides, by the first fraction of its depth; by the
+# second on a side where planes before others cannot be compared, as they soon hide what would rise.
+_CLOSED, _CLOSED_AT_GAP = 0.15, 0.06
 
 # Neighbouring bins that are asked for the plane that explains them best: standard deviation of a Gaussian window. They
 # agree with a bin where theirs is within so many times the tolerance of its own, as noise scatters them in one valley.
@@ -51,13 +52,11 @@ _BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 # cameras. Model errors, which most of them share, leave this few.
 VIEWS, LENSES = 20.0, 3.0
 
-# Where less than this fraction of the neighbours agrees with a bin, its plane is no more probable than that fraction.
-MAJORITY = 0.5
+# Most neighbours agree with a plane where this fraction of them does.
+_MAJORITY = 0.5
 
-# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood,
-# without a majority and without stripes of 1.3 and 2 lenses. With both, the case `depth.weights` of `tools/bench` finds
-# weights at most 0.12 from these, of a likelihood per bin 0.1 % greater; they make more depths sure, wrong ones of
-# stripes and of cards beyond the search among them.
+# What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
+# without stripes of 1.3 and 2 lenses, by the case `depth.weights` of `tools/bench`.
 WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 
@@ -71,12 +70,16 @@ class Choice:
         Index of the plane, with fractions.
     probability : (rows, columns) float64 array
         That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
-        may lie beyond it. Where most neighbours choose other planes, it is at most the fraction that agrees: several
-        planes explain repeated texture about as well, and model errors choose among them from bin to bin.
+        may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes
+        explain repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge
+        the edge may be all the evidence that a bin has.
+    agreed : (rows, columns) bool array
+        Where most neighbours agree.
     """
 
     place: np.ndarray
     probability: np.ndarray
+    agreed: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -138,8 +141,9 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
     """
     place, told, agreeing = indications(found, samples, tolerance)
     probability = expit(np.tensordot(WEIGHTS, told, 1))
-    probability = np.where(agreeing < MAJORITY, np.minimum(probability, agreeing), probability)
-    return Choice(place, np.where(at_an_end(found, place, tolerance), 0, probability))
+    probability = np.minimum(probability, 1 - np.square(1 - agreeing))
+    probability = np.where(at_an_end(found, place, tolerance), 0, probability)
+    return Choice(place, probability, agreeing >= _MAJORITY)
 
 
 def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.ndarray:
@@ -147,7 +151,8 @@ def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.nd
 
     That is so within the tolerance of the first or the last plane, and where no valley of the disagreement is closed at
     the chosen one: on both sides, among the planes that can be compared, the logarithm of the deviation must rise by
-    some of what the chosen plane is below the median of all.
+    some of what the chosen plane is below the median of all, on a side that ends before planes which cannot be compared
+    by less.
     """
     ratio = found.ratio
     low, high = _around(found.inverse, place, tolerance)
@@ -161,11 +166,13 @@ def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.nd
     gaps = np.cumsum(np.isnan(energy), axis=0)
     row, column = np.indices(place.shape)
     joined = np.isfinite(energy) & (gaps == gaps[np.rint(place).astype(np.int64), row, column])
-    wall = np.minimum(
-        *(np.where(joined & side, energy, -np.inf).max(axis=0) for side in (planes < place, planes > place))
-    )
     beyond = (low <= 0) | (high >= len(energy) - 1)
-    return np.asarray(beyond | ~(wall - least > _CLOSED * (typical - least)))
+    for side in (planes < place, planes > place):
+        wall = np.where(joined & side, energy, -np.inf).max(axis=0)
+        before_gap = (np.isfinite(energy) & side & ~joined).any(axis=0)
+        needed = np.where(before_gap, _CLOSED_AT_GAP, _CLOSED)
+        beyond |= ~(wall - least > needed * (typical - least))
+    return np.asarray(beyond)
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -246,13 +246,13 @@ def confidence(
     yield {"scene": "all", "camera": "all", "tenths": shown_rates(tenths), "all_apart": apart if whole else None}
 
 
-def captured(name: str, camera: str, folder: Path | None, fitted: bool = False) -> tuple[mp.Capture, Result]:
+def captured(name: str, camera: str, folder: Path | None, purpose: str = "judged") -> tuple[mp.Capture, Result]:
     """Render a scene, or read it from a folder; return it with the true depth and the object that each bin sees."""
-    path = folder / f"{'fitted ' if fitted else ''}{name}, {camera}.npz" if folder else None
+    path = folder / f"{'' if purpose == 'judged' else purpose + ' '}{name}, {camera}.npz" if folder else None
     if path is not None and path.exists():
         with np.load(path) as stored:
             return mp.Capture(stored["image"], CAMERAS[camera][0]), {key: stored[key] for key in ("truth", "objects")}
-    built = stage(name, camera, fitted)
+    built = stage(name, camera, purpose)
     scene = built.scene()
     capture = mp.render_capture(scene, model="ray", spp=SPP[camera])
     truth = mp.ground_truth(scene, ["depth", "shape_index"])

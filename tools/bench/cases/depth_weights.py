@@ -14,7 +14,8 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lightfield import micro_images
 from mitsuba_plenoptic.lightfield.agreement import finer_stripes
 from mitsuba_plenoptic.lightfield.depth import RIGHT, default_slopes, disagreement_of_planes, is_focused
-from mitsuba_plenoptic.lightfield.plane_choice import MAJORITY, WEIGHTS, at_an_end, indications
+from mitsuba_plenoptic.lightfield.plane_choice import WEIGHTS, at_an_end, indications
+from mitsuba_plenoptic.lightfield.repetition import wrong_by_repetition
 
 from .. import Row, case
 from ..scenes.depth import CAMERAS, FITTED_SCENES
@@ -22,11 +23,12 @@ from .depth import by_tenths, captured, exposed, shown_tenths, worst_tenth
 
 PHOTONS = (0, 500)
 
-MAY_BE_FINER = 0.25
-"""Bins of which `finer_stripes` returns more are left out: what it returns is no matter of weights."""
+AMBIGUOUS, MAJORITY = 0.25, 0.5
+"""Bins of which `finer_stripes` or `wrong_by_repetition` returns more than the first, or with which a smaller fraction
+of the neighbours agrees than the second, are left out: what these take off a probability is no matter of weights."""
 
-FINER = {"stripes of 1.15 lenses": tuple(CAMERAS), "stripes of 1.3 lenses": ("square", "hexagonal")}
-"""Scenes that are left out likewise before some cameras. Of focused ones nothing returns how fine stripes are."""
+FINER = {"stripes of 1.15 lenses": ("square", "hexagonal"), "stripes of 1.3 lenses": ("square", "hexagonal")}
+"""Scenes that are left out likewise before some cameras, as the middle view alone does not show that they are finer."""
 
 BOUNDS = [(None, None), (0, None), (None, 0), (0, None)]
 """Of each weight: the sign that it can have."""
@@ -45,7 +47,7 @@ Observed = tuple[np.ndarray, np.ndarray]
         "-log likelihood per bin": "{loss:.4f}", "of the weights in use": "{used:.4f}",
     },
     page="docs/numbers.md",
-    quick={"cameras": ("square",), "scenes": 2},
+    quick={"cameras": ("square",), "scenes": 4},
 )  # fmt: skip
 def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 20) -> Iterator[Row]:
     """Fit scenes that no table judges, before four cameras, without noise and with 500 photons in a pixel of value 1.
@@ -57,7 +59,7 @@ def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 
     found: dict[str, list[Observed]] = {}
     for name in list(FITTED_SCENES)[:scenes]:
         for camera in [each for each in cameras or CAMERAS if each not in FINER.get(name, ())]:
-            capture, known = captured(name, camera, Path(captures) if captures else None, fitted=True)
+            capture, known = captured(name, camera, Path(captures) if captures else None, "fitted")
             for photons in PHOTONS:
                 observed = observe(exposed(capture, photons, 8), known["truth"])
                 if len(observed[1]):
@@ -73,13 +75,16 @@ def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 
 def observe(capture: mp.Capture, truth: np.ndarray) -> Observed:
     """Return the indications of the depths of a capture's bins, and which are right."""
     lf = mp.decode(capture)
-    images = micro_images(capture) if is_focused(lf) else None
-    found, samples = disagreement_of_planes(lf, default_slopes(lf), None, images)
+    slopes, images = default_slopes(lf), micro_images(capture) if is_focused(lf) else None
+    found, samples = disagreement_of_planes(lf, slopes, None, images)
     place, indicated, agreeing = indications(found, samples, RIGHT)
     depth = 1 / np.interp(place, np.arange(len(found.inverse)), found.inverse)
-    inside = np.isfinite(truth) & ~at_an_end(found, place, RIGHT) & (agreeing >= MAJORITY)
-    if not is_focused(lf):
-        inside &= finer_stripes(lf.sel(u=0.0, v=0.0, method="nearest").values) < MAY_BE_FINER
+    if images:
+        ambiguous = wrong_by_repetition(images, slopes)
+    else:
+        view = lf.sel(u=0.0, v=0.0, method="nearest").values
+        ambiguous = finer_stripes(view, np.zeros(view.shape, dtype=bool))
+    inside = np.isfinite(truth) & ~at_an_end(found, place, RIGHT) & (agreeing >= MAJORITY) & (ambiguous < AMBIGUOUS)
     return indicated[:, inside].T, np.abs(depth / truth - 1)[inside] < RIGHT
 
 

@@ -320,19 +320,28 @@ FITTED_SCENES: dict[str, Callable[[Stage], None]] = {
 """Those to which `depth.weights` fits, with other seeds."""
 
 
-def stage(name: str, camera: str, fitted: bool = False) -> Stage:
+STRIPES: dict[str, Callable[[Stage], None]] = {
+    f"stripes of {period:g} lenses": _striped(period) for period in (1.15, 1.3, 1.45, 1.7, 2.0, 2.5)
+}
+"""Those that `depth.stripes` judges, of other phases, directions and distances than all others."""
+
+SETS = {"judged": (SCENES, 0), "fitted": (FITTED_SCENES, 1000), "held out": (STRIPES, 9000)}
+"""Scenes by what they are for, and the first seed of their random numbers."""
+
+
+def stage(name: str, camera: str, purpose: str = "judged") -> Stage:
     """Build a scene of which the depth is hard to see.
 
     Parameters
     ----------
     name : str
-        One of `SCENES`, or of `FITTED_SCENES`.
+        One of the scenes for this purpose.
     camera : str
         One of `CAMERAS`.
-    fitted : bool
-        Whether it is for fitting: of other random numbers.
+    purpose : str
+        One of `SETS`.
     """
-    kinds = FITTED_SCENES if fitted else SCENES
-    made_up = Stage(camera, 1000 * fitted + 10 * list(kinds).index(name) + list(CAMERAS).index(camera))
+    kinds, seed = SETS[purpose]
+    made_up = Stage(camera, seed + 10 * list(kinds).index(name) + list(CAMERAS).index(camera))
     kinds[name](made_up)
     return made_up
