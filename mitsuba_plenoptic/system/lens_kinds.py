@@ -140,11 +140,10 @@ class LensKinds:
     @cached_property
     def _moments(self) -> tuple[float, float]:
         """Means of the second and fourth power of the distance from the centre over the aperture of a lens."""
-        lattice = self.camera.lattice
-        along = ((np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES * 2 - 1) * float(lattice.cell_reach)
-        square = along**2 + along[:, None] ** 2
-        within = square[lattice.in_aperture(*np.meshgrid(along, along))]
-        return float(within.mean()), float((within**2).mean())
+        along = mi.Float((np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
+        x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
+        square = x * x + y * y
+        return float(square.mean()), float((square**2).mean())
 
     def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
         """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""
