@@ -127,9 +127,9 @@ class LensKinds:
     def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
         r"""Return the mean factor by which a kind's micro-images are larger than those by rays through lens centres.
 
-        Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m of a
-        lens of power 1/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}`. The brightness falls
-        by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the lenses.
+        Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
+        of a lens of power 1/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}`. The brightness
+        falls by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the lenses.
         """
         camera = self.camera
         distance = camera.pupil_distance if mla_distance is None else mla_distance
