@@ -71,7 +71,8 @@ BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
     {
         "camera": "{camera}", "coefficients": "{coefficients}", "MiB": "{memory:.0f}", "planning (s)": "{planning:.0f}",
         "blur (lenses)": "{blur:g}", "signed rays": "{difference:.2%}", "their noise": "{noise:.2%}",
-        "energy": "{energy:.4f}", "reference's energy": "{exact_energy:.4f}", "limit": "{limit:.1%}", "s": "{seconds:.0f}",
+        "energy": "{energy:.4f}", "reference's energy": "{exact_energy:.4f}", "limit": "{limit:.1%}",
+        "s": "{seconds:.0f}",
     },
     (at_most("difference", "limit"),),
     page="docs/theory/phase_space.md",
@@ -110,7 +111,8 @@ def walls(
             yield {
                 "camera": name, "coefficients": len(plan.exponents), "memory": memory, "planning": planning,
                 "blur": blur, "difference": without_noise(relative(image, exact), noise), "noise": noise,
-                "energy": float(image.sum() / whole), "exact_energy": float(exact.sum() / whole), "seconds": seconds, "limit": limit,
+                "energy": float(image.sum() / whole), "exact_energy": float(exact.sum() / whole), "limit": limit,
+                "seconds": seconds,
             }  # fmt: skip
             write_comparison(output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", image, exact, gain=10)
 
