@@ -113,8 +113,8 @@ class Draws:
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
         self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
-        # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses. With
-        # plans whose rays land by their own points, the aberrations of a lens widen its spots more than they enlarge.
+        # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
+        # Where rays land by their own points, the aberrations of a lens widen its spots, too.
         self.enlargements = [
             1.0 if self.by_points else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
         ]
