@@ -34,6 +34,7 @@ from ..camera.vector import Values, shortest_parts, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays
+from ..system.lens_kinds import LensKinds
 from ..system.phase_space import PhaseSpace, RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
@@ -288,6 +289,10 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
     )
     pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
+    kinds = LensKinds(camera)
+    larger = mi.Float(1)
+    for index, focal in enumerate(varying["mla_focal_length"]):
+        larger = dr.select(drawn.kind == index, kinds.enlargement(focal, b, pitch), larger)
     # Back through the lens: a lens of the opposite focal length undoes the refraction.
     cosines = (
         rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
@@ -299,7 +304,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     ):
         centre = offset + (q - m - held) * pitch
         aside.append((rays.pupil_point(P, t, -b) - centre) / pitch)
-        landed.append((centre - (P - centre) * (z / b)) / (step * width / camera.detector_width))
+        landed.append((centre - (P - centre) * (larger * z / b)) / (step * width / camera.detector_width))
     u, v = camera.lattice.to_frame(*aside)
     square = slope[0] * slope[0] + slope[1] * slope[1]
     grid = 2 * dr.log(width)

@@ -58,6 +58,7 @@ class Drawn(NamedTuple):
     detector: Pair
     # Distance by which the lens is nearer to the main lens than the lens on the axis.
     height: Any
+    kind: Any
     # Reciprocal of the density of the points, relative to the aperture.
     weight: Any
     # Random numbers by which each ray takes one of the table nodes around it.
@@ -122,6 +123,11 @@ class Draws:
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
         self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
+        # Where rays land by their own points, the aberrations of a lens widen its spots, too.
+        self.enlargements = [
+            1.0 if self.by_points else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
+        ]
         self._longest = max(plans, key=lambda plan: plan.wavelength)
 
     @cached_property
@@ -154,7 +160,8 @@ class Draws:
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
         camera = self._camera
-        return radius * camera.detector_distance / self._lens.pupil_distance_from(camera.detector_distance)
+        farthest = radius * camera.detector_distance / self._lens.pupil_distance_from(camera.detector_distance)
+        return farthest * max(self.enlargements)
 
     def aims(self, cells: Cells) -> Aims:
         """Return the centres of cells and of the lenses through which they are lit."""
@@ -174,7 +181,12 @@ class Draws:
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
-        """Return the pupil points that detector points see through the lenses' centres."""
+        """Return the pupil points whose light lands, in the mean over a lens, on detector points."""
+        if len(self.enlargements) > 1:
+            larger = dr.gather(mi.Float, mi.Float(self.enlargements), aims.kind)
+        else:
+            larger = dr.opaque(mi.Float, self.enlargements[0])
+        detector = tuple(c + (p - c) / larger for c, p in zip(aims.centre, detector, strict=True))
         return self.pupil.seen(detector, aims.centre, self._camera.detector_distance, aims.height)
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
@@ -200,7 +212,7 @@ class Draws:
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.system.camera.pupil_radius**2
         place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
-        return Drawn(pupil, inner, point, place, detector, aims.height, weight, chance, is_open)
+        return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
 
     def _within(self, point: Pair) -> Pair:
         """Return the nearest points on a lens."""

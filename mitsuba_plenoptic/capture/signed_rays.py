@@ -120,11 +120,12 @@ class SignedRaySum:
 
     @cached_property
     def _kernels(self) -> list[list[NDArray[np.float32]]]:
-        """Return the kernels of each node for each lens type, scaled so that a pixel is the mean of its cells."""
+        """Return the kernels of each node for each kind of lenses, scaled so that a pixel is the mean of its cells."""
         return [
             [
-                (kernel / self._parts**2).astype(np.float32)
-                for kind in range(len(node.plan.kinds))
+                # Larger micro-images are darker.
+                (kernel / (self._parts * larger) ** 2).astype(np.float32)
+                for kind, larger in enumerate(self._draws.enlargements)
                 for kernel in self._kernels_of(node.plan, kind)
             ]
             for node in self._nodes

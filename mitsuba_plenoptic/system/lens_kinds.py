@@ -79,6 +79,9 @@ _STEP = 0.4
 _SHORTEST = 400.0
 """Wavelength in nanometres for which this phase difference is computed."""
 
+_MOMENT_SAMPLES = 256
+"""Samples across a lens for the moments of its aperture."""
+
 _MOST = 32
 """Largest number of kinds, each of which has images of its own."""
 
@@ -119,6 +122,27 @@ class LensKinds:
                 self._heights, self._ratios, enumerate(camera.mla_focal_lengths)
             )
         ]
+
+    def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
+        r"""Return the mean factor by which a kind's micro-images are larger than those by rays through lens centres.
+
+        Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
+        of a lens of power 1/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}`. The brightness
+        falls by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the lenses.
+        """
+        camera = self.camera
+        distance = camera.pupil_distance if mla_distance is None else mla_distance
+        square = (scale * (1 / focal_length - camera.lens_data.converges / distance)) ** 2
+        second, fourth = self._moments
+        return (1 - 2 * second * square + fourth * square * square) ** -0.5
+
+    @cached_property
+    def _moments(self) -> tuple[float, float]:
+        """Means of the second and fourth power of the distance from the centre over the aperture of a lens."""
+        along = mi.Float((np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
+        x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
+        square = x * x + y * y
+        return float(square.mean()), float((square**2).mean())
 
     def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
         """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""

@@ -71,7 +71,7 @@ class HeldRays(CameraTangents):
         self.other, self.table, self.total = camera, coefficients_of(plan.moved(camera)), 0.0
         samples = plan.kernel_samples(self._step, REACH * max(CAMERA.mla_pitches))
         step = self._step * camera.detector_width / CAMERA.detector_width
-        kernels = plan.moved(camera).sampled_kernels(step, samples, 0)
+        kernels = plan.moved(camera).sampled_kernels(step, samples, 0) / self._draws.enlargements[0] ** 2
         self.margin = PIXELS // 2
         figure = np.pad(weights(), self.margin)
         frequencies = np.fft.fftfreq(len(figure))

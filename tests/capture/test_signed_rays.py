@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.system.lens_kinds import LensKinds, irregularities
 from tools.bench.scenes.light_paths import bars_through, facing, radiating, scene_of, sensor
 
@@ -50,6 +51,45 @@ def test_a_white_wall_is_even_and_as_bright_as_by_rays(parameters):
     noise = np.std(images[0] - images[1]) / math.sqrt(2) / images[0].mean()
     by_few = [render_capture(scene, model="ray", spp=4, seed=seed).image for seed in (0, 1)]
     assert noise < np.std(by_few[0] - by_few[1]) / math.sqrt(2) / images[0].mean()
+
+
+def turned(x, y, power):
+    """Return the slopes behind points of a lens of a ray that is parallel to its axis, by its direction cosines."""
+    return rays.cosines_to_slopes(-x * power, -y * power)
+
+
+@pytest.mark.parametrize("parameters", [{}, {"mla_focal_length": 0.2, "detector_distance": 0.2}, {"mla_fill": 0.5}])
+def test_micro_images_are_darker_as_their_lenses_spread_light(parameters):
+    camera = PlenopticCamera(**parameters)
+    (focal_length,) = camera.mla_focal_lengths
+    # A change of slope before a lens moves where light lands: by the lens's points, with finite differences.
+    power, half, step = 1 / focal_length - 1 / camera.mla_distance, camera.mla_fill * 0.064 / 2, 1e-4
+    x, y = np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64 * 2 * half - half])
+    across, up = (
+        [
+            (a - b) / (2 * step)
+            for a, b in zip(turned(x + du, y + dv, power), turned(x - du, y - dv, power), strict=True)
+        ]
+        for du, dv in ((step / power, 0), (0, step / power))
+    )
+    brightness = np.mean(1 / (across[0] * up[1] - across[1] * up[0]))
+    assert LensKinds(camera).enlargement(focal_length) ** -2 == pytest.approx(brightness, rel=1e-4)
+
+
+def test_enlarged_micro_images_keep_their_light(monkeypatch):
+    focal = {"mla_focal_length": 0.256, "detector_distance": 0.256}
+    scene, brightness = (
+        scene_of(sensor(6, 32, **focal), wall=wall()),
+        LensKinds(PlenopticCamera(**focal)).enlargement(0.256),
+    )
+    enlarged = by_waves(scene).image
+    monkeypatch.setattr(LensKinds, "enlargement", lambda *_: 1.0)
+    before = by_waves(scene).image
+    assert enlarged.sum() == pytest.approx(before.sum(), rel=2e-3)
+    middle = np.s_[1:5, 14:18, 1:5, 14:18]
+    enlarged, before = (image.reshape(6, 32, 6, 32)[middle].mean() for image in (enlarged, before))
+    # Diffraction by the lenses smooths both.
+    assert enlarged / before == pytest.approx(brightness**-2, abs=4e-3)
 
 
 def smoothed_captures(**parameters):
