@@ -273,7 +273,7 @@ def points_against_signed_rays(
     lenses: int = 8,
     points: int = 64,
     rays: int = 256,
-    accuracy: float = 0.01,
+    accuracy: float = 0.003,
     seeds: int = 2,
 ) -> Iterator[Row]:
     """Compare parts of whole scenes, seen by some lenses; energy is that of points over that of signed rays.
