@@ -243,8 +243,11 @@ class ThinLens(UniformLens, FinitePupil):
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations."""
         length = _distance(pupil, point)
-        sx, sy = ((P - X) / length for P, X in zip(pupil, point[:2], strict=True))
-        return self.refract((sx, sy), pupil)
+        sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
+        if not self.is_round:
+            x, y = self._wavefront.slope(*pupil)
+            sx, sy = sx + x, sy + y
+        return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
