@@ -47,7 +47,7 @@ def test_no_workers_are_started_for_ray_captures(line, tmp_path, complaint, monk
     def started(*_, **__):
         raise AssertionError("workers were started")
 
-    monkeypatch.setattr("mitsuba_plenoptic.runtime.cluster.Cluster.__enter__", started)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.Cluster.__enter__", started)
     assert complaint(*line.format(out=tmp_path / "out").split()) == (
         "--workers: a ray capture does not take it; it is for --model wave"
     )
@@ -190,7 +190,7 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
         ("render letters --estimate --aov depth", "--aov: an estimate does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --interleave 2", "--interleave: method ray does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --relay", "--relay: method ray does not take it"),
-        ("reconstruct {raw} -o {out}.exr --distance 240 --wavelength 9", "methods that do: coherent, partial, deconv"),
+        ("reconstruct {raw} -o {out}.exr --distance 240 --wavelength 9", "methods that do: coherent, partial, incoherent"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --volume", "--volume: method ray does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --workers 2", "--workers: method ray does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --percentile 9", "--percentile: it is for pictures (.png)"),
