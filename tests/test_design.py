@@ -268,7 +268,8 @@ def test_patch_is_the_full_field(numbers):
     assert np.linalg.norm(patch - reference) <= 0.005 * np.linalg.norm(reference)
 
 
-@pytest.mark.parametrize("numbers", [KEPLERIAN, pytest.param(GALILEAN, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@FOCUSED
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, numbers):
     disks = {"near": disk((0.3, 0.2, 238.0), 0.25), "best": disk((-0.3, -0.2, 240.0), 0.25)}
     scene = scene_of(camera_dict(**numbers), **disks)

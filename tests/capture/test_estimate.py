@@ -9,6 +9,7 @@ import pytest
 from mitsuba_plenoptic import InputError, estimate_capture, load_scene, render_capture
 
 
+@pytest.mark.slow
 def test_by_rays_the_time_is_about_right():
     scene = load_scene("still_life", parameters={"resolution": "512"})
     render_capture(scene, spp=2)  # compiles the kernels

@@ -78,6 +78,7 @@ def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
     assert points.sum() == pytest.approx(rays.sum(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_crops_record_what_the_whole_does():
     # Blurred by two lenses: much of the light of points beside the crop lands beyond the lenses that are sampled.
     scene = scene_of(camera(8, 8), wall=wall(254.0))

@@ -60,7 +60,7 @@ def test_a_narrow_line_has_its_colour_and_energy():
     scene = wall(radiance)
     expected = seen(wavelengths, values) * by_waves(scene, wavelength=532.0).image.mean()
     capture = by_waves(scene, nodes=2)
-    assert capture.image.mean((0, 1)) == pytest.approx(expected, abs=0.01 * float(expected[1]))
+    assert capture.image.mean((0, 1)) == pytest.approx(expected, abs=0.02 * float(expected[1]))
     assert capture.wavelength[0] > capture.wavelength[1] > capture.wavelength[2]
 
 
@@ -78,6 +78,7 @@ def test_a_table_of_a_detector_takes_a_narrow_line(tmp_path):
     assert found == pytest.approx(np.array(columns) * np.trapezoid(values, wavelengths) * one, rel=0.03)
 
 
+@pytest.mark.slow
 def test_spectra_of_a_wall_agree_with_rays_and_with_colours():
     paint = {"type": "rgb", "value": [0.8, 0.4, 0.1]}
     means, options = {}, {"responses": "srgb", "nodes": 2}
@@ -144,6 +145,7 @@ def test_bands_of_a_patch_of_light_against_exact_sums(width, glass):
         assert relative(by_waves(scene, 2048, **options, nodes=1).image, exact) > 0.1
 
 
+@pytest.mark.slow
 def test_dispersing_lenses_keep_the_light_of_spectra():
     mi.set_variant("llvm_ad_spectral")
     options = {"nodes": 2, "spp": 16}

@@ -155,8 +155,13 @@ def proportional(scene):
     ("variant", "colours", "parameters"),
     [
         pytest.param("llvm_ad_mono", {"bandwidth": 100.0, "nodes": 2}, {}, marks=pytest.mark.slow),
-        pytest.param("llvm_ad_rgb", {"responses": "srgb", "nodes": 2}, {}, marks=pytest.mark.slow),
-        ("llvm_ad_rgb", {"wavelength": "650, 550, 450"}, {"glass": '{"index": 1.5168, "abbe": 64.2}'}),
+        ("llvm_ad_rgb", {"responses": "srgb", "nodes": 2}, {}),
+        pytest.param(
+            "llvm_ad_rgb",
+            {"wavelength": "650, 550, 450"},
+            {"glass": '{"index": 1.5168, "abbe": 64.2}'},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["band", "responses", "lines through a glass"],
 )
@@ -182,6 +187,7 @@ def test_other_cameras(parameters):
     proportional(scene_of(camera.to_sensor(), through("path"), wall=facing(250.0, 0.3, **radiating(0.5))))
 
 
+@pytest.mark.slow
 def test_a_double_gauss():
     camera = PlenopticCamera.preset("paper_double_gauss")
     camera = camera.replace(resolution=(32, 32), detector_width=4 * camera.mla_pitch)

@@ -113,7 +113,7 @@ def by_the_even_array():
     "parameters",
     [
         {"mla_jitter": (0.003, 0.0), "mla_seed": 3},
-        {"mla_tilt": (2.0, -1.5)},
+        pytest.param({"mla_tilt": (2.0, -1.5)}, marks=pytest.mark.slow),
         {"pixel_response": (0.0, 1.0, 3.0, 0.6)},
         {"mla_focal_length": (0.583, 0.524, 0.561), "mla_lattice": "hexagonal", "mla_pitch": 0.12744,
          "detector_distance": 0.3371, "focal_length": 49.885, "aperture_radius": 6.2356, "mla_distance": 56.86},
@@ -173,6 +173,7 @@ def test_what_differs_from_lens_to_lens_behind_a_pane_is_seen():
     assert contrast[1] == pytest.approx(contrast[0], rel=0.03)
 
 
+@pytest.mark.slow
 def test_fewer_rays_have_the_same_mean():
     scene = bars_through("directly", lenses=8)
     many = by_waves(scene, spp=256, seed=99).image

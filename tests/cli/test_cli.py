@@ -286,6 +286,7 @@ def test_doctor_lists_what_works(tmp_path, run, monkeypatch):
     assert read_capture(tmp_path / "raw.exr").image.any()
 
 
+@pytest.mark.slow
 def test_console_script():
     script = Path(sys.executable).parent / "mitsuba-plenoptic"
     result = subprocess.run([script, "info", "nosuch"], capture_output=True, text=True, check=False)

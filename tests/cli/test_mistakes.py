@@ -190,7 +190,10 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
         ("render letters --estimate --aov depth", "--aov: an estimate does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --interleave 2", "--interleave: method ray does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --relay", "--relay: method ray does not take it"),
-        ("reconstruct {raw} -o {out}.exr --distance 240 --wavelength 9", "methods that do: coherent, partial, incoherent"),
+        (
+            "reconstruct {raw} -o {out}.exr --distance 240 --wavelength 9",
+            "methods that do: coherent, partial, incoherent",
+        ),
         ("reconstruct {raw} -o {out}.exr --distance 240 --volume", "--volume: method ray does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --workers 2", "--workers: method ray does not take it"),
         ("reconstruct {raw} -o {out}.exr --distance 240 --percentile 9", "--percentile: it is for pictures (.png)"),

@@ -98,7 +98,9 @@ def test_the_thin_lens_by_the_way_of_real_ones_is_the_thin_lens(fitted_thin_lens
         placement = place(grid, point[None])
         copies = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
         own, other = (
-            PatchTile(PatchBatch(Fields(g, placement, point[None], None), np.ones(1)), copies).sum().sums.astype(np.float64)
+            PatchTile(PatchBatch(Fields(g, placement, point[None], None), np.ones(1)), copies)
+            .sum()
+            .sums.astype(np.float64)
             for g in (grid, replace(grid, lens=fitted_thin_lens))
         )
         assert np.linalg.norm(other - own) < 1e-6 * np.linalg.norm(own)

@@ -66,7 +66,7 @@ def test_pupil_weights_do_not_turn_with_the_lattice():
 
 
 @pytest.mark.parametrize(
-    "name", ["circles", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "turned"))]
+    "name", [pytest.param(name, marks=pytest.mark.slow) for name in ("circles", "hexagonal", "turned")]
 )
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, name):
     lattice = {k: ", ".join(map(str, v)) if isinstance(v, tuple) else v for k, v in LATTICES[name].items()}

@@ -56,9 +56,9 @@ def test_reverse_equals_forward(name):
     [
         ("focal_length", 4e-3, 0.005),
         ("mla_pitch", 7e-5, 0.005),
-        ("mla_rotation", 0.1, 0.005),
+        pytest.param("mla_rotation", 0.1, 0.005, marks=pytest.mark.slow),
         ("detector_width", 2e-4, 0.025),
-        ("aperture_radius", 9e-3, 0.025),
+        pytest.param("aperture_radius", 9e-3, 0.025, marks=pytest.mark.slow),
     ],
 )
 def test_derivatives_against_differences_of_the_full_field(name, step, limit):

@@ -43,10 +43,10 @@ def difference(camera, step, **changes):
     ("name", "lens", "step", "limit"),
     [
         ("focal_length", "double_gauss", 3.5e-3, 0.005),
-        ("mla_distance", "double_gauss", 8e-3, 0.005),
+        pytest.param("mla_distance", "double_gauss", 8e-3, 0.005, marks=pytest.mark.slow),
         # Nothing of it depends on the main lens.
         pytest.param("mla_rotation", "double_gauss", 0.1, 0.005, marks=pytest.mark.slow),
-        ("wavelength", "singlet", 0.8, 0.005),
+        pytest.param("wavelength", "singlet", 0.8, 0.005, marks=pytest.mark.slow),
         pytest.param("aperture_radius", "double_gauss", 9e-3, 0.025, marks=pytest.mark.slow),
     ],
 )

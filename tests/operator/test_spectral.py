@@ -138,6 +138,7 @@ def line(middle, half):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_light_of_a_narrow_band_has_its_colour():
     """532 +- 2 nm point by point in linear sRGB, by the integral over Mitsuba's tables of CIE 1931."""
     mi.set_variant("llvm_ad_spectral")

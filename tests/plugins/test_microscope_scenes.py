@@ -58,7 +58,8 @@ def exact(points, weights, over_stop):
 
 
 @pytest.mark.parametrize(
-    ("depth", "tilt", "limit"), [pytest.param(0.02, 0, 0.02, marks=pytest.mark.slow), (0.01, 40, 0.03)]
+    ("depth", "tilt", "limit"),
+    [pytest.param(0.02, 0, 0.02, marks=pytest.mark.slow), pytest.param(0.01, 40, 0.03, marks=pytest.mark.slow)],
 )
 def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
     """Facing the objective, and turned by an angle at which Lambert's law matters."""

@@ -81,6 +81,7 @@ def test_a_white_scene_is_the_pupil_blurred_by_the_microlens(camera_dict):
     assert wave.image.sum() == pytest.approx(expected.sum(), rel=0.002)
 
 
+@pytest.mark.slow
 def test_a_fence_hides_what_it_hides_from_rays(camera_dict):
     """A far letter behind a near fence whose slats hide half of the pupil from each of its points."""
     slats = {
@@ -132,6 +133,7 @@ def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
     assert not np.array_equal(other, first)
 
 
+@pytest.mark.slow
 def test_three_channels_diffract_at_their_wavelengths(camera_dict):
     mi.set_variant("llvm_ad_rgb")
     sensor = camera_dict(**SHARED, film={"pixel_format": "rgb"})

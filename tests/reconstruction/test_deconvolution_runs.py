@@ -198,6 +198,7 @@ def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
     np.testing.assert_allclose(shared.adjoint(image)[0], back, atol=2e-3 * back.max())
 
 
+@pytest.mark.slow
 def test_workers_in_processes_give_the_same_bits():
     pytest.importorskip("distributed")
     capture = colours()

@@ -34,7 +34,9 @@ def refocused(camera, image, distance=250.0, **options):
     return reconstruct(recorded(camera, image), distance, method="incoherent", **options).image
 
 
-@pytest.mark.parametrize("name", [name for name in CAMERAS if name != "hexagonal"])
+@pytest.mark.parametrize(
+    "name", ["square", *(pytest.param(name, marks=pytest.mark.slow) for name in ("focused", "aberrated"))]
+)
 def test_bins_weigh_the_capture_with_the_spreads_of_their_points(name):
     """The light that a bin is divided by cancels between two captures."""
     camera, distance, across = CAMERAS[name], 250.0, 8

@@ -144,6 +144,7 @@ def test_compare_refuses_what_it_cannot_compare(settings, message, tmp_path):
     assert message == "black" or list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, monkeypatch):
     """The stage's checkpoint, with waves that are real; what comes after the capture is left out."""
 

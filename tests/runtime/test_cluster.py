@@ -95,6 +95,7 @@ def test_a_capture_on_workers_has_the_same_bits(cluster):
     np.testing.assert_array_equal(shared, alone)
 
 
+@pytest.mark.slow
 def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
     pytest.importorskip("h5netcdf")
     settings = SweepSettings("letters", parameters=letters(4), model="wave", spp=1)

@@ -33,6 +33,7 @@ def images(seed):
 """
 
 
+@pytest.mark.slow
 def test_the_same_bits_on_any_number_of_threads_and_in_any_process(python, tmp_path):
     """Only images by single lenses follow the threads of the BLAS, and only in their last bits."""
     code = IMAGES + (
