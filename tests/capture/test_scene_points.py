@@ -113,6 +113,7 @@ def test_colours_are_those_of_rays(variant):
         assert by_points(scene, 16, **options).image.mean((0, 1)) == pytest.approx(by_rays, rel=0.02)
 
 
+@pytest.mark.slow
 def test_slanted_surfaces_fill_the_pupil_by_lamberts_law():
     T = mi.ScalarTransform4f()
     to_world = T.translate([0, 0, 240]) @ T.rotate([0, 1, 0], 86) @ T.rotate([0, 1, 0], 180) @ T.scale(60.0)

@@ -93,6 +93,7 @@ def test_spectra_of_a_wall_agree_with_rays_and_with_colours():
     assert means["llvm_ad_rgb"] == pytest.approx(means["llvm_ad_spectral"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_white_capture_of_drawn_wavelengths_is_as_even_as_that_of_lines():
     mi.set_variant("llvm_ad_spectral")
     scene = wall({"type": "uniform", "value": 1.0})

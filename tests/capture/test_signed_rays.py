@@ -183,6 +183,7 @@ def test_fewer_rays_have_the_same_mean():
     assert lenses[1] == pytest.approx(lenses[0], abs=0.04 * float(lenses[0].max()))
 
 
+@pytest.mark.slow
 def test_the_noise_is_that_of_seeds():
     scene = bars_through("directly", lenses=8)
     captures = [by_waves(scene, noise=True, seed=seed) for seed in range(8)]

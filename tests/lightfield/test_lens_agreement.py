@@ -54,7 +54,9 @@ def errors(capture):
 
 
 # The lenses of three types are sharp at 364, 368 and 370 mm: in front of, between and behind these.
-@pytest.mark.parametrize("distance", [352, 366, 373])
+@pytest.mark.parametrize(
+    "distance", [pytest.param(352, marks=pytest.mark.slow), 366, pytest.param(373, marks=pytest.mark.slow)]
+)
 def test_depth_of_a_hexagonal_array_of_three_focal_lengths(distance):
     error = errors(wall(distance))
     assert np.median(error) < 0.005
@@ -70,6 +72,7 @@ def test_lenses_out_of_focus_do_not_move_depths(camera):
     assert abs(np.median(distance_of(lf, found.disparity.values)) / distance - 1) < 0.004
 
 
+@pytest.mark.slow
 def test_turned_and_moved_lenses():
     error = errors(wall(352, mla_rotation=7.0, mla_offset=(0.03, -0.02)))
     assert np.median(error) < 0.003

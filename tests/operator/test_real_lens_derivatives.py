@@ -132,6 +132,7 @@ def test_changes_of_the_light_against_refitted_lenses():
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_what_hides_parts_of_the_pupil_grows_with_its_opening():
     camera, step = behind(), 0.03
     points, weights = scattered(2, distances=(112.0, 128.0), image=0.05), np.ones(2)

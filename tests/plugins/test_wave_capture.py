@@ -172,6 +172,7 @@ def test_every_variant_records_the_same_light(variant, camera_dict):
     np.testing.assert_allclose(wave.image.mean((0, 1)) / ray.image.mean((0, 1)), 0.995, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_film_of_colours_records_many_wavelengths_in_spectral_variants(camera_dict):
     mi.set_variant("llvm_ad_spectral")
     sensor = camera_dict(**SHARED, film={"pixel_format": "rgb"})

@@ -124,6 +124,7 @@ def test_integrals_of_cubics_are_exact():
     assert Integrals(np.array([[500.0, 400.0, -500.0]]), 21).forward(values)[0, 0] == 0
 
 
+@pytest.mark.slow
 def test_gradients_of_drjit_by_waves():
     camera = small_camera(2)
     refocus, x = CoherentRefocus(camera, 225.0, WAVELENGTH), np.repeat(lit(camera)[..., None], 2, 2)

@@ -45,9 +45,8 @@ def exact_capture(camera, cells, index, values, distance, parts):
     return operator.forward(weights[lit])
 
 
-# That of three types is hexagonal, too.
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hexagonal")) for name in CAMERAS]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("hexagonal", "three types"))) for name in CAMERAS]
 )
 def test_response_is_that_of_exact_point_spreads(name):
     camera = CAMERAS[name]

@@ -59,6 +59,7 @@ def test_variation_is_that_of_an_even_slope(name):
     assert (found * direction).sum() == pytest.approx((total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_variation_lowers_the_error_of_an_even_and_noisy_target():
     response = Response(SMALL, [253.0], wavelength=WAVELENGTH, oversample=4)
     places = np.stack([response.cells.bin_places(cell)[:, 0] for cell in response.planes[0].lit.index])

@@ -96,7 +96,9 @@ def device(monkeypatch):
     ray._results.clear()
 
 
-@pytest.mark.parametrize("name", [*WORKS, *ADJOINTS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "deconvolved")) for name in (*WORKS, *ADJOINTS)]
+)
 def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, request):
     work = (WORKS | ADJOINTS)[name]
     expected = work()

@@ -80,6 +80,7 @@ def test_what_is_said_to_fit_fits(camera, monkeypatch):
         reconstruct(image, 240.0, camera=camera, oversample=fitting + 1)
 
 
+@pytest.mark.slow
 def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera):
     """Bins are counted from the arrays that come out; the estimate must not be below them."""
     # In a process of its own that ends while it traces: CPython may crash where tracing stops while Dr.Jit's threads

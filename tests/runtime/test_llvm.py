@@ -103,6 +103,7 @@ for use in (
     assert "17 or newer" in sensor or "inactive" in sensor
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "statuses", "words"),
     [

@@ -103,6 +103,7 @@ def test_what_is_planted_is_found_and_shrunk(report):
     assert "ZeroDivisionError" in text
 
 
+@pytest.mark.slow
 def test_a_case_of_the_report_is_replayed():
     result = run("fuzz.py", "--replay", "light_field() * nan")
     assert (result.returncode, result.stdout.splitlines()[0]) == (1, "not finite")
