@@ -155,7 +155,7 @@ def proportional(scene):
     ("variant", "colours", "parameters"),
     [
         pytest.param("llvm_ad_mono", {"bandwidth": 100.0, "nodes": 2}, {}, marks=pytest.mark.slow),
-        ("llvm_ad_rgb", {"responses": "srgb", "nodes": 2}, {}),
+        pytest.param("llvm_ad_rgb", {"responses": "srgb", "nodes": 2}, {}, marks=pytest.mark.slow),
         pytest.param(
             "llvm_ad_rgb",
             {"wavelength": "650, 550, 450"},

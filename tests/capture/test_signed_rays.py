@@ -115,8 +115,11 @@ def by_the_even_array():
         {"mla_jitter": (0.003, 0.0), "mla_seed": 3},
         pytest.param({"mla_tilt": (2.0, -1.5)}, marks=pytest.mark.slow),
         {"pixel_response": (0.0, 1.0, 3.0, 0.6)},
-        {"mla_focal_length": (0.583, 0.524, 0.561), "mla_lattice": "hexagonal", "mla_pitch": 0.12744,
-         "detector_distance": 0.3371, "focal_length": 49.885, "aperture_radius": 6.2356, "mla_distance": 56.86},
+        pytest.param(
+            {"mla_focal_length": (0.583, 0.524, 0.561), "mla_lattice": "hexagonal", "mla_pitch": 0.12744,
+             "detector_distance": 0.3371, "focal_length": 49.885, "aperture_radius": 6.2356, "mla_distance": 56.86},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["displaced lenses", "tilted array", "angular response", "far out of focus"],
 )  # fmt: skip

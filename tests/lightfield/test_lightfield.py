@@ -89,7 +89,9 @@ class TestWhiteImage:
         assert single.max() == 1
         assert single[255, 256 + 12] == 0
 
-    @pytest.mark.parametrize("detector_distance", [0.512, 0.6], ids=["in focus", "defocused lenses"])
+    @pytest.mark.parametrize(
+        "detector_distance", [0.512, pytest.param(0.6, marks=pytest.mark.slow)], ids=["in focus", "defocused lenses"]
+    )
     def test_against_a_rendered_one(self, detector_distance):
         camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), detector_distance=detector_distance)
         small = {"detector_width": "0.512", "resolution": "256", "detector_distance": str(detector_distance)}

@@ -47,7 +47,7 @@ def test_patch_against_full_field(camera, position, wavelength):
     [
         (small_camera(6, aperture_radius=2.0), 215.0),
         pytest.param(small_camera(4, aperture_radius=0.7), 215.0, marks=pytest.mark.slow),
-        (PlenopticCamera(detector_width=0.128, resolution=(512, 512)), 230.0),
+        pytest.param(PlenopticCamera(detector_width=0.128, resolution=(512, 512)), 230.0, marks=pytest.mark.slow),
         (small_camera(16, mla_focal_length=5.4, detector_distance=5.4), 240.0),
         (PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0),
         pytest.param(small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0, marks=pytest.mark.slow),

@@ -57,6 +57,7 @@ def test_derivatives_against_differences_of_the_full_field(name, lens, step, lim
     assert error(found, difference(camera, step, **{name: 1.0})) < limit
 
 
+@pytest.mark.slow
 def test_aberrations_are_added_on_the_exit_pupil(monkeypatch):
     camera, amounts = behind(mla_rotation=9.0), np.zeros(11)
     amounts[[3, 6, 10]] = 1.0, -0.7, 0.5

@@ -162,6 +162,7 @@ def test_a_band_takes_all_light_of_a_line_within_it():
     assert wide == pytest.approx(one * np.trapezoid(values, wavelengths) / 60, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_given_wavelength_is_that_of_a_film_of_colours():
     mi.set_variant("llvm_ad_spectral")
     options = {"model": "wave", "spp": 2, "wavelength": 600}

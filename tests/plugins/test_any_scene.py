@@ -82,7 +82,7 @@ def test_a_sky_does_not_shine_through_a_black_card():
 @pytest.mark.parametrize(
     "scene",
     [
-        in_fog,
+        pytest.param(in_fog, marks=pytest.mark.slow),
         lambda: lamp_behind_glass(True),
         lambda: lamp_behind_glass(False),
         lambda: lit_mirror(2),
@@ -94,6 +94,7 @@ def test_energy_is_that_of_rays(scene):
     assert energy(*captures(scene())) == pytest.approx(0.995, abs=0.015)
 
 
+@pytest.mark.slow
 def test_the_highlight_of_a_glass_sphere_is_as_bright_as_by_rays():
     by_rays, by_waves = (reconstruct(capture, 250.0).image for capture in captures(glass_sphere(lenses=6), 1024))
     # Refocused by rays, wave captures read 0.85: diffraction takes light past the edges of micro-images.

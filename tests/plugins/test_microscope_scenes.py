@@ -91,6 +91,7 @@ def test_a_card_hides_half_of_the_stop():
     assert np.linalg.norm(found - expected) < 0.15 * np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_the_sky_as_by_rays():
     turned = mi.ScalarTransform4f().translate([0, 0, 0.01]).rotate([0, 1, 0], 180)
     mirror = {"type": "rectangle", "to_world": turned, "bsdf": {"type": "conductor"}}

@@ -150,6 +150,7 @@ def test_three_channels_diffract_at_their_wavelengths(camera_dict):
     assert peaks[2] > peaks[0]
 
 
+@pytest.mark.slow
 def test_a_film_of_luminance_adds_the_wavelengths_up_and_names_none(camera_dict):
     mi.set_variant("llvm_ad_rgb")
     scene = scene_of(camera_dict(**SHARED), point=disk((0, 0, 235.0), 0.05))

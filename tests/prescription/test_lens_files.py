@@ -239,6 +239,7 @@ def test_optiland_reads_the_same_lens(tmp_path, name, text):
     assert paraxial(lens).focal_length == pytest.approx(float(optic.paraxial.f2()), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_glasses_of_catalogues_by_just_their_names(tmp_path):
     pytest.importorskip("optiland")
     indices = {"N-BK7": 1.5168, "schott:SF5": 1.6727, "schott:F2": 1.62004, "CaF2:Malitson": 1.43385}

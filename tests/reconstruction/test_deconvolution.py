@@ -66,7 +66,9 @@ def test_response_is_that_of_exact_point_spreads(name):
 
 
 @pytest.mark.parametrize("wavelength", [WAVELENGTH, None])
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "three types")) for name in CAMERAS]
+)
 def test_adjoint_is_the_transpose(name, wavelength):
     response = response_of(CAMERAS[name], wavelength=wavelength)
     random = np.random.default_rng(1)

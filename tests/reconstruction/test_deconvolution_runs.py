@@ -97,7 +97,11 @@ def colours():
 
 @pytest.mark.parametrize(
     ("response", "volume", "stop"),
-    [("wave", False, 2), pytest.param("ray", False, 11, marks=pytest.mark.slow), ("ray", True, 5)],
+    [
+        ("wave", False, 2),
+        pytest.param("ray", False, 11, marks=pytest.mark.slow),
+        pytest.param("ray", True, 5, marks=pytest.mark.slow),
+    ],
 )
 def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, monkeypatch, response, volume, stop):
     """Stopped in the first plane, in a later one and channel, and in a volume: the bits of one that was not."""

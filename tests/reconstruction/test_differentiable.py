@@ -19,7 +19,9 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("three")) for name in CAMERAS]
+)
 def test_transpose_and_values(name):
     """<A x, y> = <x, A' y> to 1e-5, and A x is what `reconstruct` makes."""
     numbers, options = CAMERAS[name]

@@ -77,7 +77,9 @@ def test_fresh_process_loads_a_usable_llvm(python):
     assert (result.stdout, result.stderr) == ("True [1.5, 2]\n", "")
 
 
-@pytest.mark.parametrize("library", ["text", *(str(item.path) for item in OLD[:1])])
+@pytest.mark.parametrize(
+    "library", ["text", *(pytest.param(str(item.path), marks=pytest.mark.slow) for item in OLD[:1])]
+)
 def test_unusable_llvm_raises_when_used_and_not_on_import(library, python, tmp_path):
     if library == "text":
         library = tmp_path / "libLLVM.so"
