@@ -384,19 +384,15 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
         tasks: dict[str, TaskID] = {}
 
         def notify(name: str, done: int, total: int) -> None:
-            line.label = _words(name)
+            line.label = name.replace("_", " ")
             line(done, total)
             if name not in tasks:
-                tasks[name] = bar.add_task(_words(name), total=None)
+                tasks[name] = bar.add_task(line.label, total=None)
             bar.update(tasks[name], completed=done, total=total or None)
 
         def finished(name: str, seconds: float, was_there: bool) -> None:
             if name in tasks:
                 bar.remove_task(tasks.pop(name))
-            console.print(f"{_words(name):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
+            console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
 
         yield StageOptions(notify, finished, resume)
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
