@@ -27,7 +27,7 @@ from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
 from .methods import Progress, Task, method, portion
 from .radiance import captures, to_radiance
-from .ray import white_pixels
+from .ray import white_pixels, white_sums
 
 
 @method("incoherent", options=(), waves=True, as_it_is=True)
@@ -49,7 +49,7 @@ def _plane(task: Task) -> np.ndarray:
     camera, lights = task.camera, sorted(set(task.wavelengths))
     given = [image for image, _, _ in captures(task)]
     response_type = FourierResponse if camera.lens_data.images_stop else Response
-    # For each channel the bins of the captures, of white, and of even light on the detector.
+    # For each channel the bins of the captures and of white.
     bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
     for number, wavelength in enumerate(lights):
         job = Job(progress=_fraction(portion(task.progress, number, len(lights))))
@@ -58,11 +58,16 @@ def _plane(task: Task) -> np.ndarray:
             ones = [np.ones(shape, np.float32) for shape in made.shapes]
             white = made.forward(ones) if by_waves else white_pixels(camera)
             for channel in np.flatnonzero(np.equal(task.wavelengths, wavelength)):
-                pixels = [*(image[..., channel] for image in given), white, np.ones_like(white)]
+                pixels = [*(image[..., channel] for image in given), white]
                 weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
                 bins[channel] = [made.to_image(each, 0) for each in weighed]
-    *sums, divisor, reach = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
-    return to_radiance(task, [[total] for total in sums], [divisor], [reach.mean(-1)])[0]
+    *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
+    if camera.lens_data.converges:
+        # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.
+        seen = white_sums(camera, task.distances[0], camera.lit_radius, "lens", task.oversample)
+    else:
+        seen = divisor.mean(-1)
+    return to_radiance(task, [[total] for total in sums], [divisor], [seen])[0]
 
 
 def _fraction(progress: Progress) -> Callable[[int, int], None]:

@@ -82,6 +82,15 @@ def test_a_point_is_seen_where_it_is(name):
     assert found == pytest.approx(place, abs=0.25 * camera.mla_pitch)
 
 
+def test_a_crop_shows_its_part_of_the_whole_and_nothing_beyond():
+    points = np.array([[0.05, -0.03, 250.0], [-0.2, 0.1, 244.0]])
+    image = CaptureOperator(SMALL, points, wavelength=WAVELENGTH).forward([1.0, 2.0])
+    cropped = SMALL.replace(crop_offset=(32, 0), crop_size=(64, 128))
+    whole, part = refocused(SMALL, image, 240.0), refocused(cropped, image[:, 32:96], 240.0)
+    assert np.isnan(part[:, [0, 3]]).all()
+    assert np.abs(part - whole)[:, 1:3].max() < 0.01 * whole.max()
+
+
 def test_channels_have_their_own_wavelengths():
     image = np.random.default_rng(0).random((*SMALL.shape, 3))
     lights = (450.0, 633.0, 633.0)
