@@ -291,8 +291,10 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     pitch = varying["mla_pitch"][0] / camera.mla_pitches[0]
     kinds = LensKinds(camera)
     larger = mi.Float(1)
-    for index, focal in enumerate(varying["mla_focal_length"]):
-        larger = dr.select(drawn.kind == index, kinds.enlargement(focal, b, pitch), larger)
+    for index, kind in enumerate(kinds.every):
+        focal = varying["mla_focal_length"][kind.lens_type]
+        own = focal * (kind.focal_length / camera.mla_focal_lengths[kind.lens_type])
+        larger = dr.select(drawn.kind == index, kinds.enlargement(own, b, pitch), larger)
     # Back through the lens: a lens of the opposite focal length undoes the refraction.
     cosines = (
         rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
