@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from .. import reconstruction
 from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
 from ..errors import refuse_if, require_count, require_number
+from ..report.stage_store import StageOptions
 from ..runtime.backend import DEFAULT_VARIANT
-from ..runtime.progress import progress_bar
+from ..runtime.progress import plain_lines, progress_bar
 from .inputs import (
     Definitions,
     Distances,
@@ -30,7 +35,6 @@ from .inputs import (
     numeric,
     output_option,
     parse_definitions,
-    stage_lines,
 )
 
 
@@ -238,3 +242,29 @@ def reproduce(
     for claim in results["claims"]:
         typer.echo(f"{claim['verdict']:<15} {claim['statement']}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")
+
+
+@contextlib.contextmanager
+def stage_lines(resume: bool) -> Iterator[StageOptions]:
+    """Print a line for each stage that is done, and show the progress of the current one."""
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with (
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
+        plain_lines("starting") as line,
+    ):
+        tasks: dict[str, TaskID] = {}
+
+        def notify(name: str, done: int, total: int) -> None:
+            line.label = name.replace("_", " ")
+            line(done, total)
+            if name not in tasks:
+                tasks[name] = bar.add_task(line.label, total=None)
+            bar.update(tasks[name], completed=done, total=total or None)
+
+        def finished(name: str, seconds: float, was_there: bool) -> None:
+            if name in tasks:
+                bar.remove_task(tasks.pop(name))
+            console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
+
+        yield StageOptions(notify, finished, resume)

@@ -9,13 +9,11 @@ import re
 import signal
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
@@ -27,10 +25,9 @@ from ..io.checkpoints import Checkpoint
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.images import Brightness
-from ..report.stage_store import StageOptions
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.batches import BatchMap, Cluster
-from ..runtime.progress import ProgressBar, plain_lines
+from ..runtime.progress import ProgressBar
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
@@ -293,13 +290,20 @@ def require_in_use(scene: str, parameters: dict[str, str]) -> None:
     )
 
     def used(name: str) -> bool:
-        named = re.compile(rf"\${name}\b")
-        others = (other for other, value in defaults if other != name and named.search(value))
-        return named.search(rest) is not None or any(map(used, others))
+        # With the parameters whose defaults refer to it, by way of others, too.
+        names = {name}
+        while more := {other for other, value in defaults if any(map(_names(value), names))} - names:
+            names |= more
+        return any(map(_names(rest), names))
 
     for name in parameters:
-        if re.search(rf"\${name}\b", sensors) and not used(name):
+        if _names(sensors)(name) and not used(name):
             raise InputError(f"-D {name}: it is of the scene's own camera, which another one replaces; leave it out")
+
+
+def _names(text: str) -> Callable[[str], bool]:
+    """Return whether a text of a scene refers to a parameter, as a function of its name."""
+    return lambda name: re.search(rf"\${name}\b", text) is not None
 
 
 def _scene_text(scene: str, parameters: dict[str, str]) -> str:
@@ -370,29 +374,3 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
     finally:
         if on_main:
             signal.signal(signal.SIGINT, before)
-
-
-@contextlib.contextmanager
-def stage_lines(resume: bool) -> Iterator[StageOptions]:
-    """Print a line for each stage that is done, and show the progress of the current one."""
-    console = Console(stderr=True, highlight=False)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with (
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
-        plain_lines("starting") as line,
-    ):
-        tasks: dict[str, TaskID] = {}
-
-        def notify(name: str, done: int, total: int) -> None:
-            line.label = name.replace("_", " ")
-            line(done, total)
-            if name not in tasks:
-                tasks[name] = bar.add_task(line.label, total=None)
-            bar.update(tasks[name], completed=done, total=total or None)
-
-        def finished(name: str, seconds: float, was_there: bool) -> None:
-            if name in tasks:
-                bar.remove_task(tasks.pop(name))
-            console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
-
-        yield StageOptions(notify, finished, resume)
