@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_known_to, require_no_glass
 from ..camera.entry import Captures
+from ..camera.plenoptic_camera import require_known_to, require_no_glass
 from ..camera.vector import CameraVector
 from ..errors import refuse_if, short_repr
 from ..lattice import Lattice, make_lattice

@@ -20,9 +20,18 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, naming, put, refuse_if, require_choice, require_number, short_repr, suggest_keywords
+from ..errors import (
+    InputError,
+    naming,
+    put,
+    refuse_if,
+    require_choice,
+    require_number,
+    require_wavelength,
+    short_repr,
+    suggest_keywords,
+)
 from ..runtime.limits import require_memory
 from .exr import read_exr, write_exr
 from .files import atomic_output, reading_as, require_file, require_writable

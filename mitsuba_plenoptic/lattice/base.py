@@ -23,9 +23,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..runtime.backend import floor, is_zero, maximum, turn
 from ..runtime.limits import require_memory
 from .apertures import APERTURES
-from .generic import floor, is_zero, maximum, turn
 
 # Points across a sample for the fraction of it that is aperture.
 _POINTS = 8

@@ -11,19 +11,18 @@ surfaces or the stop block is dark. Vignetting and pupil aberrations affect only
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
+from ..lens_data import vergence
 from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.data import height
-from ..thin_lens import vergence
+from ..runtime.backend import rsqrt
 from . import sequential
 from .base import Pair, Traced
 from .common import FiniteDistance
@@ -235,7 +234,7 @@ class LensSystem(FiniteDistance):
     def _follow(self, place: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
         """Return the result of `sequential.follow` for rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
-        N = _rsqrt(1 + tx * tx + ty * ty)
+        N = rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in place)
         return sequential.follow(
             self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares
@@ -278,20 +277,10 @@ class LensSystem(FiniteDistance):
             Optical path from the point to the MLA, in millimetres.
         """
         (x, y, z), (tx, ty) = (tuple(value / self.scale for value in point), slope)
-        N = _rsqrt(1 + tx * tx + ty * ty)
+        N = rsqrt(1 + tx * tx + ty * ty)
         # In the direction of the light z decreases, whereas the lens counts it in the opposite sense.
         start = (x, y, self.numbers.front_principal - z)
         (x, y, z), (L, M, N), is_open, path = sequential.follow(self.forwards, start, (-tx * N, -ty * N, N))
         left = (self.back_distance / self.scale - z) / N
         place = (self.scale * (x + left * L), self.scale * (y + left * M))
         return place, (-L / N, -M / N), is_open, self.scale * (path + left)
-
-
-def _rsqrt(value: Any) -> Any:
-    if dr.is_array_v(value):
-        return dr.rsqrt(value)
-    return 1 / math.sqrt(value) if isinstance(value, float) else 1 / np.sqrt(value)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)

@@ -21,8 +21,8 @@ from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
 from .base import Entrance
+from .common import LensNumbers, builds
 from .exit_pupil import ExitPupil
-from .factory import LensNumbers, builds
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
 from .pupil_fit import Pupils, covered, fit_pupil, trace

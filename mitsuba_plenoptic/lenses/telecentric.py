@@ -24,15 +24,14 @@ import math
 from dataclasses import dataclass
 from typing import Any, cast
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..optics.waves import in_millimetres
+from ..runtime.backend import rsqrt, safe_sqrt, sqrt
 from .base import Pair, Traced
-from .common import UniformLens
-from .factory import LensNumbers, builds
+from .common import LensNumbers, UniformLens, builds
 
 _ROUNDING = 1e-9
 """Distance outside the stop, over its radius, up to which a point counts as on its edge."""
@@ -78,7 +77,7 @@ class TelecentricLens(UniformLens):
         """Return the cosine of that angle, continued by a small constant where the sine would exceed 1."""
         x, y = self._sines(pupil)
         square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
-        return dr.sqrt(dr.maximum(square, 1e-6)) if dr.is_array_v(square) else np.sqrt(np.maximum(square, 1e-6))
+        return safe_sqrt(square, 1e-6)
 
     def vergence(self, distance: Any) -> Any:
         r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
@@ -166,8 +165,7 @@ class TelecentricLens(UniformLens):
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`\cos^{-1/2}\theta`, the same for all points of the object."""
-        cosine = self._cosine(pupil)
-        return dr.rsqrt(cosine) if dr.is_array_v(cosine) else 1 / np.sqrt(cosine)
+        return rsqrt(self._cosine(pupil))
 
     @property
     def front(self) -> float:
@@ -202,8 +200,7 @@ class TelecentricLens(UniformLens):
 
     def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the stop, positive inside."""
-        square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
-        return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
+        return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the stop or, up to rounding, on its edge."""

@@ -17,14 +17,14 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import WAVEFRONT_UNIT
+from ..errors import WAVEFRONT_UNIT
+from ..lens_data import vergence
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
-from ..thin_lens import vergence
+from ..runtime.backend import sqrt
 from .base import Pair, Traced
-from .common import FinitePupil, UniformLens
+from .common import FinitePupil, LensNumbers, UniformLens, builds
 from .distortion import undistort
-from .factory import LensNumbers, builds
 
 
 def noll(j: int) -> tuple[int, int]:
@@ -222,7 +222,7 @@ class ThinLens(UniformLens, FinitePupil):
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
-        axis = _signed(_sqrt(X * X + Y * Y + g * g), g)
+        axis = _signed(sqrt(X * X + Y * Y + g * g), g)
         difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
@@ -234,7 +234,7 @@ class ThinLens(UniformLens, FinitePupil):
 
     def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the pupil, positive inside."""
-        return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
+        return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
@@ -268,15 +268,11 @@ class ThinLens(UniformLens, FinitePupil):
 def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
     """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
     dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
-    return _signed(_sqrt(dx * dx + dy * dy + g * g), g)
+    return _signed(sqrt(dx * dx + dy * dy + g * g), g)
 
 
 def _signed(length: Any, g: Any) -> Any:
     return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)
 
 
 @dataclass(frozen=True)

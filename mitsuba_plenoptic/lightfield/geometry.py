@@ -26,8 +26,8 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if, require_number, short_repr
 from ..io.captures import require_pixels
+from ..lens_data import image_distance
 from ..optics import rays
-from ..thin_lens import image_distance
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")

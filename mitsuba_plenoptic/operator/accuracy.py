@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if, require_number
+from ..errors import refuse_if, require_accuracy
 from ..lenses.base import MainLens
 from ..optics.waves import in_millimetres
 from .grid import Band
@@ -65,18 +65,11 @@ _MANY = 1600
 """Number of overlapping point spreads above which `WAVES_PER_ERROR` gives the allowed error."""
 
 
-def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
-    """Return an allowed error as a float."""
-    number = require_number(name, accuracy)
-    refuse_if(not 0 <= number < 1, f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
-    return number
-
-
 def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
     """Return the allowed error of a method, by default its own, and refuse one that the method would ignore."""
     if accuracy is None:
         return default if method == "patch" else 0.0
-    checked = check_accuracy(accuracy)
+    checked = require_accuracy(accuracy)
     refuse_if(
         checked and method != "patch",
         f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",

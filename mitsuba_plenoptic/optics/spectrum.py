@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
-from ..errors import InputError, refuse_if, require_count, require_number, suggest_keywords
+from ..errors import InputError, refuse_if, require_count, require_number, require_wavelength, suggest_keywords
 from ..io.files import read_table
 
 MOST_WAVELENGTHS = 1024

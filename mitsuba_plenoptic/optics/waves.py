@@ -18,8 +18,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
-from ..errors import refuse_if, require_number
+from ..errors import refuse_if, require_number, require_wavelength
 from ..runtime.backend import array_module, backend, backend_of, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
 from . import guards

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens, Pair, Traced
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass

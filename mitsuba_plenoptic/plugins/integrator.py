@@ -10,23 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal, require_known_to
 from ..camera.entry import Captures
+from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
 from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture, SignedGradients
-from ..errors import InputError, refuse_if
-from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
+from ..errors import InputError, refuse_if, require_accuracy
+from ..operator.accuracy import DEFAULT_ACCURACY
 from ..operator.derivatives import NUMBERS
 from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from .colours import NAME, SHARED, develop, develop_back, put, read_colours
-from .properties import read_choice, read_plain
+from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -180,7 +179,7 @@ def make_class() -> type:
                     f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel",
                 )
             self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
-            self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
+            self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             nested = [value for _, value in props.objects()]
             refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})

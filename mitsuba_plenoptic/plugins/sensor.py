@@ -16,7 +16,7 @@ from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair, Traced
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays

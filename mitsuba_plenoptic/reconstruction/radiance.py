@@ -29,8 +29,11 @@ Its Applications", section 3.1).
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Iterator, Sequence
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import scipy
@@ -100,6 +103,29 @@ _LEAST_DETERMINANT = 1e-3
 
 _BLOCK = 2**18
 """Pixels that are looked at together."""
+
+
+_MOST_RESULTS = 32
+"""Results of a camera that are remembered by each function."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+
+
+def once_a_camera(function: _F) -> _F:
+    """Remember what a function returns of a camera for as long as the camera lives."""
+
+    @functools.wraps(function)
+    def known(camera: PlenopticCamera, *given: Any) -> Any:
+        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in own:
+            if len(own) == _MOST_RESULTS:
+                del own[next(iter(own))]
+            own[given] = function(camera, *given)
+        return own[given]
+
+    return cast(_F, known)
 
 
 def is_known(camera: PlenopticCamera) -> bool:

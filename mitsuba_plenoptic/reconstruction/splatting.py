@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
 from ..lenses.base import MainLens
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.fft import rows_and_columns

@@ -45,10 +45,9 @@ from typing import Any
 
 import numpy as np
 
-from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..errors import refuse_if
+from ..errors import MOST_PIXELS, refuse_if
 from ..lightfield.white import PupilFraction
 from ..optics import rays
 from ..optics.waves import soft_edge
@@ -70,8 +69,8 @@ from .lens_by_lens import (
 from .lens_tiles import LensTile, fine_bins, tile_lenses
 from .methods import Progress, Task, method, portion
 from .planning import plan
-from .radiance import captures, lens_scale, over_lenses, to_radiance
-from .ray import once_a_camera, ray_sums, white_pixels, white_sums
+from .radiance import captures, lens_scale, once_a_camera, over_lenses, to_radiance
+from .ray import ray_sums, white_pixels, white_sums
 
 _THROUGHPUT_LENSES = 25
 

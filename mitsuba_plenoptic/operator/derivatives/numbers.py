@@ -11,12 +11,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...bounds import WAVEFRONT_UNIT
 from ...camera import PlenopticCamera
 from ...camera.entry import Captures
 from ...camera.parameters import with_gradient
 from ...camera.vector import change_of, parts_of, size_of
-from ...errors import InputError, did_you_mean, require_number, short_repr
+from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
 from ...optics.waves import in_millimetres
