@@ -58,6 +58,29 @@ def naming(thing: object) -> Iterator[None]:
         raise InputError(f"{thing}: {error}") from None
 
 
+NO_ARRAY = TypeError, ValueError, OverflowError
+"""Exceptions of NumPy for what is no array of numbers."""
+
+NO_RECORD = ValueError, TypeError, KeyError, RecursionError
+"""Exceptions for a text that is no JSON, or not of the entries that are looked for."""
+
+
+@contextlib.contextmanager
+def refusing(rule: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Raise an `InputError` of a rule in place of other exceptions, of any kind if none is named.
+
+    A rule that ends in a colon is followed by the exception's own message.
+    """
+    kinds = kinds or (Exception,)
+    try:
+        yield
+    except InputError:
+        raise
+    except kinds as error:
+        cause = f"no entry {error}" if isinstance(error, KeyError) else f"{error}"
+        raise InputError(f"{rule} {cause}" if rule.endswith(":") else rule) from None
+
+
 def printable(text: str, longest: int | None = None) -> str:
     """Make one line that no terminal acts on: white space becomes a space, other control characters escapes."""
     if longest is not None and len(text) > longest:

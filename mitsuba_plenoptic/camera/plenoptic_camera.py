@@ -13,9 +13,11 @@ import numpy as np
 
 from ..errors import (
     MOST_JITTER,
+    NO_RECORD,
     InputError,
     did_you_mean,
     refuse_if,
+    refusing,
     require_choice,
     require_number,
     short_repr,
@@ -291,10 +293,8 @@ class PlenopticCamera(CameraGeometry):
         InputError
             If it is not such an object, a name is unknown, or a value is out of range.
         """
-        try:
+        with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)
-        except (ValueError, TypeError, RecursionError) as error:
-            raise InputError(f"camera: it must be a JSON object of camera parameters: {error}") from None
         if isinstance(values, dict):
             values.pop("calibration", None)
         return cls._from_names(values)

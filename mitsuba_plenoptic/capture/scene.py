@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,7 +14,7 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, did_you_mean, refuse_if, short_repr, suggest_keywords
+from ..errors import InputError, did_you_mean, refuse_if, refusing, short_repr, suggest_keywords
 from ..io.exr import read_parts
 from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
@@ -174,7 +175,7 @@ def _check_resource(scene: Path, file: Path) -> None:
     from PIL import Image
 
     suffix = file.suffix.lower()
-    try:
+    with refusing(f"{scene}: {file} cannot be read:", OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         if suffix in _PICTURES:
             with Image.open(file) as picture:
                 _check_picture(scene, file, *picture.size)
@@ -185,10 +186,6 @@ def _check_resource(scene: Path, file: Path) -> None:
                     raise ValueError(f"its data window begins at {part.origin}, and Mitsuba crashes below 0")
         elif suffix == ".ply":
             _check_ply(scene, file, status.st_size)
-    except InputError:
-        raise
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{scene}: {file} cannot be read: {error}") from None
 
 
 def _check_picture(scene: Path, file: Path, columns: int, rows: int) -> None:
@@ -301,15 +298,10 @@ def load_scene(
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
             raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
     parameters = _with_rows(defaults, parameters)
-    try:
+    with loading(str(path)):
         # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
         # with it the random numbers that each gets.
         loaded = mi.load_file(str(path), optimize=False, **parameters)
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, TypeError) as error:
-        place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
-        raise InputError(f"{path}{f', {place.group(1)}' if place else ''}: {mitsuba_sentence(error)}") from None
     # Captures state this name in their metadata.
     loaded.set_id(path.name)
     return loaded
@@ -321,13 +313,9 @@ def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: 
     if scene.get("type") != "scene":
         raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
     set_variant(variant)
-    try:
+    with loading("scene"):
         # Not optimised, for the same reason as a scene file.
         loaded = mi.load_dict(dict(scene), optimize=False)
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(f"scene: {mitsuba_sentence(error)}") from None
     loaded.set_id("dictionary")
     return loaded
 
@@ -349,7 +337,20 @@ def _find(scene: str | Path) -> Path:
     return require_file(scene)
 
 
-def mitsuba_sentence(error: Exception) -> str:
+@contextlib.contextmanager
+def loading(what: str = "") -> Iterator[None]:
+    """Raise an `InputError` with the cause, and the line in the file, for what Mitsuba refuses to load."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError) as error:
+        line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
+        where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
+        raise InputError(f"{where}{_sentence(error)}") from None
+
+
+def _sentence(error: Exception) -> str:
     """Reduce an error message of Mitsuba, which may contain a traceback, to the sentence that states the cause."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     lines = [line.strip() for line in text.splitlines() if line.strip()]

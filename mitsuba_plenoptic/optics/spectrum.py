@@ -18,7 +18,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_count, require_number, require_wavelength, suggest_keywords
+from ..errors import (
+    InputError,
+    refuse_if,
+    refusing,
+    require_count,
+    require_number,
+    require_wavelength,
+    suggest_keywords,
+)
 from ..io.files import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -81,10 +89,8 @@ class Spectrum:
     def __post_init__(self) -> None:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
         object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
-        try:
+        with refusing("spectrum: responses must be numbers, as many for every channel", TypeError, ValueError):
             matrix = np.array(self.responses, np.float64)
-        except (TypeError, ValueError):
-            raise InputError("spectrum: responses must be numbers, as many for every channel") from None
         refuse_if(
             matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
             f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "

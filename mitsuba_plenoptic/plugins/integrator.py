@@ -18,7 +18,7 @@ from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
 from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture, SignedGradients
-from ..errors import InputError, refuse_if, require_accuracy
+from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..operator.accuracy import DEFAULT_ACCURACY
 from ..operator.derivatives import NUMBERS
 from ..operator.patch_plan import Cost
@@ -235,11 +235,9 @@ def make_class() -> type:
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._signed(scene, sensor)
-            try:
+            with naming(NAME):
                 require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
                 light = LightDerivatives.of(capture.light, forward) if others or not names else None
-            except InputError as error:
-                raise InputError(f"{NAME}: {error}") from None
             return names, SignedGradients(capture, light, seed, spp)
 
         def record(

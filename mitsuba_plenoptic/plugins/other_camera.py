@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..capture.scene import mitsuba_sentence
+from ..capture.scene import loading
 from ..errors import InputError
 from ..runtime.backend import one_at_a_time
 
@@ -57,9 +57,7 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
             sensor["medium"] = old.get_medium()
     if scene.integrator() is not None:
         objects["integrator"] = scene.integrator()
-    try:
+    with loading():
         made = mi.load_dict({"type": "scene", **objects, "camera": sensor}, optimize=False)
-    except RuntimeError as error:
-        raise InputError(mitsuba_sentence(error)) from None
     made.set_id(scene.id())
     return made

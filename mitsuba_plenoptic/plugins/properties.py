@@ -22,8 +22,11 @@ from ..camera.parameters import PARAMETERS
 from ..capture import colour
 from ..capture.signed_colours import SignedColours
 from ..errors import (
+    NO_RECORD,
     InputError,
+    naming,
     refuse_if,
+    refusing,
     require_choice,
     require_count,
     require_number,
@@ -64,15 +67,13 @@ def _plain(value: Any) -> Any:
 
 def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     """Return the camera of a plugin's properties and its film, which is the detector."""
-    try:
+    with naming(plugin):
         given = {
             name: _READERS.get(entry.form, _read_one)(props, name)
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
         camera = PlenopticCamera(**given, **film_numbers(film))
-    except InputError as error:
-        raise InputError(f"{plugin}: {error}") from None
     refuse_if(
         camera.lens_data.images_stop,
         f"{plugin}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
@@ -99,10 +100,8 @@ def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
     """Read one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
     value = _plain(props[name])
     if isinstance(value, str):
-        try:
+        with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
             value = [float(part) for part in value.split(",")]
-        except ValueError:
-            raise InputError(f"{name} = {value!r}: it must be a number, or several with commas between them") from None
     elif not hasattr(value, "__len__"):
         value = [value]
     return tuple(require_number(name, _plain(number)) for number in value)
@@ -127,10 +126,8 @@ def _read_glass(props: Any, name: str) -> Any:
     source = _plain(props[name])
     if not isinstance(source, str) or not source.lstrip().startswith("{"):
         return source
-    try:
+    with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
         return json.loads(source)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{name}: it must be a JSON object: {error}") from None
 
 
 _READERS = {
@@ -333,12 +330,11 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
     if value is None:
         return RGB_WAVELENGTHS if mi.is_rgb else (DEFAULT_WAVELENGTH,)
     parts = value.split(",") if isinstance(value, str) else list(value) if hasattr(value, "__len__") else [value]
-    try:
+    with refusing(
+        f"{NAME}: wavelength = {short_repr(value)}: it must be nanometres, or three of them separated by commas",
+        ValueError,
+    ):
         parts = [float(part) if isinstance(part, str) else part for part in parts]
-    except ValueError:
-        raise InputError(
-            f"{NAME}: wavelength = {short_repr(value)}: it must be nanometres, or three of them separated by commas"
-        ) from None
     wavelengths = tuple(require_wavelength(part, f"{NAME}: wavelength") for part in parts)
     if len(wavelengths) == 1 and mi.is_rgb:
         wavelengths *= 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import mitsuba as mi
@@ -10,8 +9,8 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from ...errors import refuse_if, require_choice, require_count
-from ...io.files import atomic_output, native_output_dropped, reading_as, require_file
+from ...errors import refuse_if, refusing, require_choice, require_count
+from ...io.files import atomic_output, native_output_dropped, require_file
 from ...runtime.limits import require_memory
 from ..geometry import light_field, require_light_field
 from ..views import lens_mosaic, view_mosaic
@@ -46,8 +45,9 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
-    with reading_as(path, "a PNG picture"):
-        columns, rows = _size(path)
+    with refusing(f"{path}: it cannot be read as a PNG picture:"):
+        with Image.open(path, formats=["PNG"]) as picture:
+            columns, rows = picture.size
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         with native_output_dropped():
             bitmap = mi.Bitmap(str(path))
@@ -60,7 +60,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
 
 def _read_tiff(path: Path, linear: bool) -> np.ndarray:
     """Read a TIFF file, as industrial cameras write their raw pictures."""
-    with reading_as(path, "a TIFF picture"), Image.open(path) as picture:
+    with refusing(f"{path}: it cannot be read as a TIFF picture:"), Image.open(path) as picture:
         require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
         wide = picture.mode.startswith("I")
         values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
@@ -71,16 +71,6 @@ def _read_tiff(path: Path, linear: bool) -> np.ndarray:
 def linear_of(encoded: np.ndarray) -> np.ndarray:
     """Return the light of values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-
-
-def _size(path: Path) -> tuple[int, int]:
-    """Return the columns and rows that a PNG's header claims, without allocating anything for them."""
-    with path.open("rb") as file:
-        head = file.read(24)
-    if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
-        raise ValueError("it does not begin as a PNG file")
-    columns, rows = struct.unpack(">II", head[16:])
-    return columns, rows
 
 
 def write_picture(path: str | Path, image: np.ndarray) -> None:

@@ -34,7 +34,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError, refuse_if
+from ...errors import refuse_if, refusing
 from ...io.checkpoints import Checkpoint
 
 Values = list[NDArray[np.float32]]
@@ -188,14 +188,12 @@ class SolverCheckpoint:
     def __init__(self, checkpoint: Checkpoint | None, facts: dict[str, Any]) -> None:
         self._checkpoint = checkpoint
         arrays = (checkpoint.begin_arrays(**facts) if checkpoint else None) or {}
-        try:
+        with refusing("checkpoint: it is damaged:", KeyError, ValueError):
             self.solved = [
                 Solved(arrays[f"image.{number}"], int(done), float(left), bool(stopped))
                 for number, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
             ]
             self._state = _state(arrays) if "misfits" in arrays else None
-        except (KeyError, ValueError) as error:
-            raise InputError(f"checkpoint: it is damaged: {error}") from None
 
     def state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
         """Return, only once, the saved state of the unfinished iteration; refuse one with bins of other shapes."""
