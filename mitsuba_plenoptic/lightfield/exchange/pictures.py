@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import mitsuba as mi
@@ -46,8 +47,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
     with refusing(f"{path}: it cannot be read as a PNG picture:"):
-        with Image.open(path, formats=["PNG"]) as picture:
-            columns, rows = picture.size
+        columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         with native_output_dropped():
             bitmap = mi.Bitmap(str(path))
@@ -71,6 +71,16 @@ def _read_tiff(path: Path, linear: bool) -> np.ndarray:
 def linear_of(encoded: np.ndarray) -> np.ndarray:
     """Return the light of values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """Return the columns and rows that a PNG's header claims, without allocating anything for them."""
+    with path.open("rb") as file:
+        head = file.read(24)
+    if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
+        raise ValueError("it does not begin as a PNG file")
+    columns, rows = struct.unpack(">II", head[16:])
+    return columns, rows
 
 
 def write_picture(path: str | Path, image: np.ndarray) -> None:
