@@ -57,13 +57,7 @@ _POINTS = 32
 
 
 class LensComparison:
-    """Micro-images of a capture, compared plane by plane.
-
-    Parameters
-    ----------
-    images : MicroImages
-        The micro-images.
-    """
+    """Micro-images of a capture, compared plane by plane."""
 
     def __init__(self, images: MicroImages) -> None:
         self._images = images
@@ -73,23 +67,9 @@ class LensComparison:
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return which part of the variance neighbouring lenses leave unexplained, moved so that a disparity coincides.
 
-        The variance that samples of a bin have is what is to be explained, the one between those of neighbouring lenses
-        is left unexplained. Interpolation lessens both alike.
-
-        Parameters
-        ----------
-        slope : float
-            Disparity in lenses per view.
-
-        Returns
-        -------
-        ratio : (t, s) float32 array
-            Of the bins of the light field; 1 where lenses have nothing in common but noise, NaN where they compare
-            nothing.
-        whole : (t, s) float32 array
-            The variance that is to be explained.
-        samples : (t, s) float32 array
-            Of noise alone, the ratio has a variance of 1 over this.
+        The results are those of `agreement.view_disagreement`; the ratio is NaN where lenses compare nothing. The
+        variance that samples of a bin have is to be explained, and that between samples of neighbouring lenses is left
+        unexplained. Interpolation lessens both alike.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.

@@ -62,63 +62,38 @@ WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 @dataclass(frozen=True)
 class Choice:
-    """The plane of each bin.
+    """The plane of each bin."""
 
-    Attributes
-    ----------
-    place : (rows, columns) float64 array
-        Index of the plane, with fractions.
-    probability : (rows, columns) float64 array
-        That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
-        may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes
-        explain repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge
-        the edge may be all the evidence that a bin has.
-    agreed : (rows, columns) bool array
-        Where most neighbours agree.
-    """
-
+    # Index of the plane, with fractions, (rows, columns).
     place: np.ndarray
+    # That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
+    # may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes explain
+    # repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge the edge
+    # may be all the evidence that a bin has.
     probability: np.ndarray
+    # Where most neighbours agree.
     agreed: np.ndarray
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How badly views agree about planes.
+    """How badly views agree about planes."""
 
-    Attributes
-    ----------
-    ratio : (planes, rows, columns) array
-        Variance about each plane over the variance that is to be explained, 1 of noise; NaN where nothing can be
-        compared.
-    samples : (planes, rows, columns) array
-        Of noise alone, the ratio has a variance of 1 over this.
-    contrast : (rows, columns) array
-        Deviation that is to be explained, over the brightness.
-    inverse : (planes,) array
-        Inverse distances of the planes, falling or rising.
-    """
-
+    # Variance about each plane over the variance that is to be explained, 1 of noise, (planes, rows, columns); NaN
+    # where nothing can be compared.
     ratio: np.ndarray
+    # Of noise alone, the ratio has a variance of 1 over this.
     samples: np.ndarray
+    # Deviation that is to be explained, over the brightness, (rows, columns).
     contrast: np.ndarray
+    # Inverse distances of the planes, falling or rising.
     inverse: np.ndarray
 
 
 def disagreement(
     ratio: np.ndarray, whole: np.ndarray, samples: np.ndarray, brightness: np.ndarray, inverse: np.ndarray
 ) -> Disagreement:
-    """Judge how badly views agree by the brightness: deviations that mean nothing make every ratio 1.
-
-    Parameters
-    ----------
-    ratio, whole, samples : (planes, rows, columns) array
-        As of `agreement.view_disagreement`, for all planes.
-    brightness : (rows, columns) array
-        Of the bins.
-    inverse : (planes,) array
-        Inverse distances of the planes, falling or rising.
-    """
+    """Judge how badly views agree by the brightness of bins: deviations that mean nothing make every ratio 1."""
     bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -128,19 +103,12 @@ def disagreement(
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
-    """Choose the most probable plane of each bin.
+    """Choose the most probable plane of each bin, whose surroundings have some samples, `VIEWS` or `LENSES`.
 
-    Parameters
-    ----------
-    found : Disagreement
-        About all planes.
-    samples : float
-        N of the bin's surroundings: `VIEWS` or `LENSES`.
-    tolerance : float
-        Relative error of a distance that counts as right.
+    `tolerance` is the relative error of a distance that counts as right.
     """
-    place, told, agreeing = indications(found, samples, tolerance)
-    probability = expit(np.tensordot(WEIGHTS, told, 1))
+    place, evidence, agreeing = indications(found, samples, tolerance)
+    probability = expit(np.tensordot(WEIGHTS, evidence, 1))
     probability = np.minimum(probability, 1 - np.square(1 - agreeing))
     probability = np.where(at_an_end(found, place, tolerance), 0, probability)
     return Choice(place, probability, agreeing >= _MAJORITY)
@@ -176,29 +144,16 @@ def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.nd
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the most probable planes, and what indicates whether they are right.
+    """Return the most probable planes, with fractions, the evidence on whether they are right, and who agrees.
 
-    Parameters
-    ----------
-    found, samples, tolerance
-        As for `choose`.
+    Evidence, (4, rows, columns), is logarithms but for the first: one; the log odds that the plane is right, if the
+    evidence of the bin's surroundings, on average, is taken at its word, as repeated texture agrees at several
+    distances about as well; the deviation on the best plane over the brightness, or 0.06 where it is less, since at
+    edges of what is in front, on gloss and on steep surfaces no plane explains the views; and by how many deviations of
+    noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone would leave on the best of
+    all planes.
 
-    Returns
-    -------
-    place : (rows, columns) array
-        Index of the plane, with fractions.
-    told : (4, rows, columns) array
-        What indicates whether the plane is right, logarithms but for the first:
-
-        - one;
-        - the log odds that it is, if the evidence of the bin's surroundings, on average, is taken at its word: repeated
-          texture agrees at several distances about as well;
-        - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
-          on gloss and on steep surfaces no plane explains the views;
-        - how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone
-          would leave on the best of all planes.
-    agreeing : (rows, columns) array
-        Fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
+    Last comes the fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
     """
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(found.ratio, axis=0)
@@ -219,13 +174,13 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     here = np.rint(place).astype(np.int64)[None]
     significance = np.take_along_axis(explained * np.sqrt(independent), here, 0)[0]
     mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, place, tolerance))
-    told = (
+    evidence = (
         np.ones_like(place),
         logit(mass.clip(_SURE, 1 - _SURE)),
         misfit.clip(np.log(_STILL)),
         np.log((significance - _BY_CHANCE).clip(_INSIGNIFICANT, _SIGNIFICANT)),
     )
-    return place, np.stack(told), agreeing
+    return place, np.stack(evidence), agreeing
 
 
 def _around(inverse: np.ndarray, place: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
@@ -252,7 +207,7 @@ def _with_neighbours(own: np.ndarray) -> np.ndarray:
     for axis in (1, 2):
         for step in (1, -1):
             lines = np.moveaxis(own, axis, 0)[::step]
-            told = np.moveaxis(total, axis, 0)[::step]
+            evidence = np.moveaxis(total, axis, 0)[::step]
             message = np.full(lines.shape[1:], 1 / len(own))
             for index in range(1, len(lines)):
                 belief = lines[index - 1] * message
@@ -261,7 +216,7 @@ def _with_neighbours(own: np.ndarray) -> np.ndarray:
                 spread[1:] += _NEXT * belief[:-1]
                 spread[:-1] += _NEXT * belief[1:]
                 message = (1 - _ANY) * spread / spread.sum(axis=0) + _ANY / len(own)
-                told[index] += np.log(message)
+                evidence[index] += np.log(message)
     return _normalised(total)
 
 
