@@ -279,9 +279,9 @@ def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarra
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose
     rows, left = np.bincount(pose), np.bincount(pose, weights > 0)
-    for number in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
+    for index in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
         raise InputError(
-            f"frame {frames[number]}: {rows[number] - left[number]:.0f} of its {rows[number]} rows are outliers of the "
+            f"frame {frames[index]}: {rows[index] - left[index]:.0f} of its {rows[index]} rows are outliers of the "
             "camera that explains the other frames: correct or remove the frame"
         )
     return weights

@@ -74,8 +74,8 @@ class Layout:
 def facts_of(recipe: Recipe) -> dict[str, Any]:
     """Return what the bits of a data set depend on, in plain JSON values."""
     scenes = {
-        f"scene {number + 1}": scene_fingerprint(source.scene, {})
-        for number, source in enumerate(recipe.scenes)
+        f"scene {index + 1}": scene_fingerprint(source.scene, {})
+        for index, source in enumerate(recipe.scenes)
         if source.scene
     }
     facts = {"recipe": dict(recipe.content), "files": scenes, "software": software()}
@@ -284,10 +284,10 @@ class DataSet:
         self._layout = Layout(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
-        for number in range(self._layout.shards):
+        for index in range(self._layout.shards):
             refuse_if(
-                not self._layout.shard(number).is_file(),
-                f"{self._layout.shard(number)}: it is missing: run the command that makes the data set again",
+                not self._layout.shard(index).is_file(),
+                f"{self._layout.shard(index)}: it is missing: run the command that makes the data set again",
             )
 
     def __len__(self) -> int:

@@ -120,14 +120,14 @@ class ExitPupil:
         elements = lens.forwards
         wider = [sequential.widened(element, _BEYOND) for element in elements]
         heights: list[Any] = []
-        (x, y, z), (L, M, N), kept, path = sequential.follow(wider, start, direction, heights)
+        (x, y, z), (L, M, N), valid, path = sequential.follow(wider, start, direction, heights)
         left = (numbers.exit_pupil - z) / N
         stops = [square / element.semi_aperture**2 for square, element in zip(heights, elements, strict=True)]
         found = scale * np.array([x + left * L, y + left * M]), scale * np.array([Ex, Ey]), np.array([L / N, M / N])
-        P, E, slopes = (values[:, kept] for values in found)
-        stops = [stop[kept] for stop in stops]
+        P, E, slopes = (values[:, valid] for values in found)
+        stops = [stop[valid] for stop in stops]
         is_open = np.all(np.array(stops) <= 1, axis=0)
-        return P, E, slopes, scale * (before + path + left)[kept], stops, is_open
+        return P, E, slopes, scale * (before + path + left)[valid], stops, is_open
 
     def _image(self, P: NDArray, slopes: NDArray, is_open: NDArray) -> tuple[float, float, float]:
         """Return the reference sphere's centre from the exit pupil's: at the paraxial distance, on a central ray."""

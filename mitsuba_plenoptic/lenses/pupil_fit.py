@@ -65,8 +65,8 @@ def entrance_place(lens: LensSystem) -> float:
 
 def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
     """Trace rays as `trace_all` does, and drop those that miss a surface or pass one far beyond its edge."""
-    rays, kept = trace_all(lens, field, inverse_distance, entrance)
-    return rays.take(kept)
+    rays, valid = trace_all(lens, field, inverse_distance, entrance)
+    return rays.take(valid)
 
 
 def trace_all(
@@ -95,8 +95,8 @@ def trace_all(
         away = (entrance[0] * inverse_distance) ** 2 + (entrance[1] * inverse_distance - field) ** 2 + 1
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
         finite = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
-        kept = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
-    return PupilRays(field, inverse_distance, place, entrance, path - middle, amplitude, stops), kept
+        valid = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
+    return PupilRays(field, inverse_distance, place, entrance, path - middle, amplitude, stops), valid
 
 
 def _follow(

@@ -57,7 +57,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     # The initial value is a point outside the round pupil.
     result = np.full((_FIELDS, len(nodes), 2), 2 * radius, np.float32)
-    for number, height in enumerate(heights):
+    for index, height in enumerate(heights):
         edge = _edge(lens, height, half)
         if edge is None:
             continue
@@ -66,9 +66,9 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
         _, nearest = cKDTree(edge).query(nodes)
         outward = normals[nearest]
         inside = ((edge[nearest] - nodes) * outward).sum(1)
-        result[number] = outward * (radius - inside)[:, None]
+        result[index] = outward * (radius - inside)[:, None]
         # The round pupil has no points farther from its edge than its centre.
-        result[number][inside > radius] = 0
+        result[index][inside > radius] = 0
     refuse_if(
         not (np.hypot(*result[0].T) <= radius).any(), "main_lens: no ray gets through it to the middle of the array"
     )

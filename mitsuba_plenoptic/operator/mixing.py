@@ -41,10 +41,10 @@ class SpectralSum:
         powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
         left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
         dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
-        kept = vectors[:, min(dropped, len(vectors) - 1) :]
-        if kept.shape[1] == len(vectors):
+        retained = vectors[:, min(dropped, len(vectors) - 1) :]
+        if retained.shape[1] == len(vectors):
             return self
-        return SpectralSum(self.wavelength, self.before @ kept, (self.after @ kept).astype(np.float32))
+        return SpectralSum(self.wavelength, self.before @ retained, (self.after @ retained).astype(np.float32))
 
 
 class WeightChannels:

@@ -76,8 +76,8 @@ class PupilWeights:
 
     def take(self, which: NDArray[Any] | slice) -> PupilWeights:
         """Return the weights of a selection of points."""
-        kept, index = np.unique(self.index[which], return_inverse=True)
-        return replace(self, table=self.table[kept], index=index.reshape(-1), slant=self.slant[which])
+        used, index = np.unique(self.index[which], return_inverse=True)
+        return replace(self, table=self.table[used], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
         """Return for each point whether any light passes its pupil."""

@@ -260,9 +260,9 @@ class Spectrum:
         """Return the values (nodes, wavelengths) of each node's Lagrange polynomial at every wavelength."""
         nodes, wavelengths = np.array(self.nodes), np.array(self.wavelengths)
         factors = np.ones((len(nodes), len(wavelengths)))
-        for number, node in enumerate(nodes):
-            for other in np.delete(nodes, number):
-                factors[number] *= (wavelengths - other) / (node - other)
+        for index, node in enumerate(nodes):
+            for other in np.delete(nodes, index):
+                factors[index] *= (wavelengths - other) / (node - other)
         return factors
 
     def centroids(self) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture, SignedGradients
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..operator.accuracy import DEFAULT_ACCURACY
-from ..operator.derivatives import NUMBERS
+from ..operator.derivatives import DIFFERENTIABLE
 from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
@@ -41,7 +41,7 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         if isinstance(node, mi.Shape) or name == "to_world":
             raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
         if isinstance(node, (mi.Sensor, mi.Film)):
-            refuse_if(name not in NUMBERS, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
             if node is sensor:
                 names.append(name)
         else:

@@ -43,10 +43,10 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     # Area emitters are part of their shapes.
     lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
     objects: dict[str, Any] = {}
-    for number, item in enumerate((*scene.shapes(), *lamps)):
+    for index, item in enumerate((*scene.shapes(), *lamps)):
         # Objects without a name in the file have none here, or one that Mitsuba generated and would refuse.
         named = re.fullmatch(r"[A-Za-z]\w*", item.id()) and item.id() not in objects
-        objects[item.id() if named else f"object_{number}"] = item
+        objects[item.id() if named else f"object_{index}"] = item
     sensor = camera.to_sensor()
     if mi.is_rgb:
         sensor["film"]["pixel_format"] = "rgb"

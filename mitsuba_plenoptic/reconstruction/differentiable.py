@@ -281,7 +281,7 @@ class _BinnedPower:
         with resting_drjit():
             for field in chain.at_pupil(amplitude):
                 passed += chain.power(field)
-                found.append(backend().arrays.empty((step.x.kept, step.y.kept), np.complex64))
+                found.append(backend().arrays.empty((step.x.new_padded, step.y.new_padded), np.complex64))
                 for lines, part in chain.to_object(field, self._refocus._zone, step):
                     found[-1][lines] = part
         return found, passed

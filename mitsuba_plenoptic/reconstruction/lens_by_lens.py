@@ -347,9 +347,9 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     for axis, count in ((1, rows), (0, columns)):
         first = lenses.first[axis] + count // 2 - reach
         end = first + lenses.bins[axis] + 2 * reach
-        kept = slice(max(first, 0), min(end, count))
-        into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
-        out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
+        inside = slice(max(first, 0), min(end, count))
+        into.append(slice(inside.start * tile.oversample, inside.stop * tile.oversample))
+        out.append(slice((inside.start - first) * tile.oversample, (inside.stop - first) * tile.oversample))
     # Integrals of dark bins are zero up to rounding, on either side.
     image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
     return image

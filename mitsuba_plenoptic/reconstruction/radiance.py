@@ -285,11 +285,11 @@ def to_radiance(
     light, *others = sums
     whites = white if task.white is None else others.pop(0)
     images = []
-    for number, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
+    for index, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
         divisor, reached = divisors(divisor, hits, distance, computed=task.white is None)
         image = _divided(total, divisor, reached)
         if others:
-            rising = [_divided(found, divisor, reached) for (found,) in others[2 * number : 2 * number + 2]]
+            rising = [_divided(found, divisor, reached) for (found,) in others[2 * index : 2 * index + 2]]
             moved = displacements(rising, tilt(task.camera, distance)[0], task.camera, task.oversample)
             image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
         images.append(image.astype(np.float32, copy=False))

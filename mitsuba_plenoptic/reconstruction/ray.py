@@ -54,9 +54,9 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     sums: list[list[np.ndarray]] = []
     for image, distances, progress in captures(task):
         sums.append([])
-        for number, distance in enumerate(distances):
+        for index, distance in enumerate(distances):
             sums[-1].append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
-            progress((number + 1) / len(distances))
+            progress((index + 1) / len(distances))
     return to_radiance(task, sums, reach, reach)
 
 

@@ -108,8 +108,8 @@ class Splat:
 
     def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
         """Yield for each type of lens which of the pixels are its, and its footprint."""
-        for number, taps in enumerate(self.footprints):
-            yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == number), taps
+        for index, taps in enumerate(self.footprints):
+            yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:

@@ -97,7 +97,7 @@ def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkey
 
     monkeypatch.setattr("mitsuba_plenoptic.fitting.known_view", found)
     words = ["fit", raw, "-o", tmp_path / "camera.json", "--scene", "letters", "--parameter"]
-    assert "'zoom': it is none of the numbers" in complaint(*words, "zoom", "--photons", "9")
+    assert "'zoom': it is none of the parameters" in complaint(*words, "zoom", "--photons", "9")
     assert "photons = -1" in complaint(*words, "mla_pitch", "--photons", "-1")
 
 

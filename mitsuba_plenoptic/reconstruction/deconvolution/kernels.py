@@ -136,14 +136,14 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     least = order[dark]
     scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
     blocks, used = [], power >= least
-    kept = np.flatnonzero(used.any(axis=0))
+    retained = np.flatnonzero(used.any(axis=0))
     number = np.cumsum(used.any(axis=0)) - 1
     for (rows, columns), lit in zip(parts, used, strict=True):
         which = np.flatnonzero(lit)
         if len(which):
             matrix = dense[which][:, :, rows, columns].reshape(len(which) * dense.shape[1], -1) * scale
             blocks.append(SampleBlock(rows, columns, number[which], np.ascontiguousarray(matrix)))
-    return Kernel(steps[kept], blocks)
+    return Kernel(steps[retained], blocks)
 
 
 Result = TypeVar("Result")

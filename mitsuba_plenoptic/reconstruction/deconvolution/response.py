@@ -34,7 +34,7 @@ from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_ke
 from .variation import TotalVariation
 
 _ACCURACY = 0.01
-"""Relative error for which the grid, and what is kept of the diffracted light, are chosen."""
+"""Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
 
 _MANY = 2**20
 
@@ -191,7 +191,7 @@ _ZONE = 16
 """Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
 
 _MEMORY = 2 * 2**30
-"""Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are kept on disk."""
+"""Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
 
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""

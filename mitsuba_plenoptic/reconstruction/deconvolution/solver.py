@@ -117,14 +117,14 @@ def richardson_lucy(
     if total == 0:
         return PlaneEstimates([np.zeros_like(part) for part in seen], seen, 0, float(image.any()), False)
     weight = [
-        np.where(kept, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
-        for part, kept in zip(seen, inside, strict=True)
+        np.where(mask, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
+        for part, mask in zip(seen, inside, strict=True)
     ]
     if state is None:
         level = total / sum(
-            float((part * kept).sum(dtype=np.float64)) for part, kept in zip(light, inside, strict=True)
+            float((part * mask).sum(dtype=np.float64)) for part, mask in zip(light, inside, strict=True)
         )
-        start = [np.where(kept, np.float32(level), np.float32(0)) for kept in inside]
+        start = [np.where(mask, np.float32(level), np.float32(0)) for mask in inside]
         state = State(start, start)
     scale = float(np.linalg.norm(image))
     while True:
@@ -190,8 +190,8 @@ class SolverCheckpoint:
         arrays = (checkpoint.begin_arrays(**facts) if checkpoint else None) or {}
         with refusing("checkpoint: it is damaged:", KeyError, ValueError):
             self.solved = [
-                Solved(arrays[f"image.{number}"], int(done), float(left), bool(stopped))
-                for number, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
+                Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
+                for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
             ]
             self._state = _state(arrays) if "misfits" in arrays else None
 
@@ -212,7 +212,7 @@ class SolverCheckpoint:
 
     def _solved_arrays(self) -> dict[str, NDArray[Any]]:
         counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
-        images = {f"image.{number}": one.image for number, one in enumerate(self.solved)}
+        images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
         return {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
 
 

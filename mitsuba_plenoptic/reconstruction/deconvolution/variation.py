@@ -101,7 +101,7 @@ class TotalVariation:
     ) -> list[NDArray[np.float32]]:
         """Return the dimensionless gradient, one value for each bin."""
         return [
-            _gradient(steps, part, kept) for steps, part, kept in zip(self._differences, values, inside, strict=True)
+            _gradient(steps, part, mask) for steps, part, mask in zip(self._differences, values, inside, strict=True)
         ]
 
 
