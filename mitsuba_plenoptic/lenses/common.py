@@ -86,21 +86,21 @@ class FiniteDistance:
 
     pupil_distance: Any
 
-    def chief_point(self, place: Any, detector_distance: Any) -> Any:
+    def chief_point(self, position: Any, detector_distance: Any) -> Any:
         """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
-        return rays.chief_point(place, self.pupil_distance, detector_distance)
+        return rays.chief_point(position, self.pupil_distance, detector_distance)
 
     def pupil_distance_from(self, behind: Any) -> Any:
         """Return the distance to the pupil from a plane at a distance `behind` the MLA."""
         return self.pupil_distance + behind
 
-    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
+    def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
         """Return one coordinate on the exit pupil of rays from positions at a height before the MLA."""
-        return place + (self.pupil_distance - height) * slope
+        return position + (self.pupil_distance - height) * slope
 
-    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
+    def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
         """Return the slope, along one axis, between positions as in `pupil_point` and points of the exit pupil."""
-        return (pupil - place) / (self.pupil_distance - height)
+        return (pupil - position) / (self.pupil_distance - height)
 
 
 class FinitePupil(FiniteDistance, ABC):

@@ -83,7 +83,7 @@ class Polynomial:
 def fit(
     scales: Scales,
     degrees: Degrees,
-    place: NDArray[np.float64],
+    position: NDArray[np.float64],
     field: NDArray[np.float64],
     inverse_distance: NDArray[np.float64],
     values: NDArray[np.float64],
@@ -108,7 +108,7 @@ def fit(
     list of k Polynomial
     """
     f, d = scales.of_points(field**2, inverse_distance)
-    s, t = scales.of_pupil((place**2).sum(0)), place[1] * field * scales.mixed
+    s, t = scales.of_pupil((position**2).sum(0)), position[1] * field * scales.mixed
     own = [(b, c, a) for b, c in degrees.pairs for a in range((degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)
     powers = [np.vander(x, n + 1, increasing=True).T for x, n in zip((s, t, f), highest, strict=True)]

@@ -188,8 +188,8 @@ class RealLens(LensSystem):
         lens = self._over_field(float(largest.max()), (float(inverse_distance.min()), float(inverse_distance.max())))
         beyond = largest > lens.fitted.aberration.scales.field
         if beyond.any():
-            place = ", ".join(f"{c:g}" for c in points[beyond][0])
-            raise InputError(f"position = ({place}): no light of it passes the main_lens")
+            position = ", ".join(f"{c:g}" for c in points[beyond][0])
+            raise InputError(f"position = ({position}): no light of it passes the main_lens")
         return _checked(lens)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> ExitPupil:

@@ -196,9 +196,9 @@ def _slope(surface: Element, square: Any) -> Any:
     return slope
 
 
-def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
+def _meet(surface: Element, position: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
     """Return the parameter along a ray, measured from the vertex's plane, at which it meets an asphere."""
-    (x, y), (L, M, N) = place, direction
+    (x, y), (L, M, N) = position, direction
     for _ in range(NEWTON_STEPS):
         X, Y = x + t * L, y + t * M
         square = X * X + Y * Y

@@ -102,19 +102,19 @@ class TelecentricLens(UniformLens):
         steepest = math.tan(self.objective.half_angle)
         return field / self.objective.magnification - self.front * steepest, (self.front,)
 
-    def chief_point(self, place: Any, detector_distance: Any) -> Any:
+    def chief_point(self, position: Any, detector_distance: Any) -> Any:
         """Return the position itself: chief rays are parallel to the axis."""
-        return place
+        return position
 
     def pupil_distance_from(self, behind: Any) -> float:
         """Return the focal length of the tube lens for every plane: the stop is imaged to infinity."""
         return self.pupil_distance
 
-    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
+    def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
         """Return one coordinate on the stop, which does not depend on the position."""
         return self.pupil_distance * slope
 
-    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
+    def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
         """Return the slope of light from a point of the stop, which is the same at all positions."""
         return pupil / self.pupil_distance
 
@@ -172,21 +172,21 @@ class TelecentricLens(UniformLens):
         """Coordinate z in the camera frame of the plane where rays start: the objective's front principal plane."""
         return -self.objective.immersion * self.objective.focal_length
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the array to the scene; the image side is paraxial."""
         if self.objective.images_stop:
             f = self.objective.last_focal_length
-            place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
+            position, slope = (f * slope[0], f * slope[1]), (-position[0] / f, -position[1] / f)
         pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
-        return self.ray(pupil, place)
+        return self.ray(pupil, position)
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position in the native image plane through a point of the stop."""
-        behind = self.aim(pupil, place)
-        x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
+        behind = self.aim(pupil, position)
+        x, y = (t * self.front - m / self.objective.magnification for m, t in zip(position, behind, strict=True))
         return (x, y, self.front), behind, self.is_open(pupil)
 
-    def aim(self, pupil: Pair, place: Pair) -> Pair:
+    def aim(self, pupil: Pair, position: Pair) -> Pair:
         """Return the slopes in the scene of the ray through a point of the stop, the same for all image positions."""
         x, y = self._sines(pupil)
         scale = -1 / (self.objective.immersion * self._cosine(pupil))

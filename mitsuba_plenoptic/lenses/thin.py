@@ -30,8 +30,8 @@ from .distortion import undistort
 def noll(j: int) -> tuple[int, int]:
     """Return radial order n and azimuthal order m, negative for sines, of the Zernike polynomial with Noll index j."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
-    place = j - n * (n + 1) // 2 - 1
-    m = (-1) ** j * (n % 2 + 2 * ((place + (n + 1) % 2) // 2))
+    position = j - n * (n + 1) // 2 - 1
+    m = (-1) ** j * (n % 2 + 2 * ((position + (n + 1) % 2) // 2))
     return n, m
 
 
@@ -142,9 +142,9 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
         return vergence(self.focal_length, distance)
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene."""
-        Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
+        Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
         if self.model == "ideal":
             behind = self.refract(slope, (Px, Py))
         else:
@@ -163,9 +163,9 @@ class ThinLens(UniformLens, FinitePupil):
         """Return `vergence`: the lens is its own pupil."""
         return self.vergence(distance)
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point; the pupil's edge is not applied."""
-        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
+        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return (*pupil, 0.0), self.refract((tx, ty), pupil), True
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
@@ -287,10 +287,10 @@ class DistortedLens(ThinLens):
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA through the same pupil point to the scene."""
-        source = undistort(*place, self.distortion)
-        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))
+        source = undistort(*position, self.distortion)
+        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, position, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))
 
 

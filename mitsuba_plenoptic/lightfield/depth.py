@@ -111,8 +111,8 @@ def depth_map(
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
-    found = np.interp(choice.place, np.arange(planes), slopes)
-    nearest_plane = np.rint(choice.place).astype(np.int64)
+    found = np.interp(choice.plane, np.arange(planes), slopes)
+    nearest_plane = np.rint(choice.plane).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
     for index in np.unique(nearest_plane):
         here = nearest_plane == index

@@ -143,8 +143,8 @@ class LensComparison:
         images = self._images
         values, weight = np.empty_like(self._values), np.empty_like(images.weight)
         types = images.types
-        place = np.indices(images.weight.shape[2:], dtype=np.float64)
-        last = place[:, -1:, -1:]
+        position = np.indices(images.weight.shape[2:], dtype=np.float64)
+        last = position[:, -1:, -1:]
         camera = images.camera
         for lens_type, (mean, inwards) in enumerate(self._rims):
             here = types == lens_type
@@ -152,9 +152,9 @@ class LensComparison:
             views = kappa / camera.pupil_step + 1 / (slope * camera.mla_pitch)
             # What each sample shows belongs so far from it, the other way; `at` shows what belongs at a place.
             away = mean * views - inwards
-            at = place
+            at = position
             for _ in range(_REPEATED):
-                at = place + [scipy.ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in away]
+                at = position + [scipy.ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in away]
             inside = np.all((at >= 0) & (at <= last), axis=0)[..., None]
             whole = at.clip(0, last - 1).astype(np.int64)
             part = (at - whole).clip(0, 1).astype(np.float32)
@@ -176,8 +176,8 @@ class LensComparison:
         light of the sample was recorded off it: inwards, as less comes from where less of the lens is open.
         """
         camera = self._images.camera
-        place = (np.arange(_POINTS) + 0.5) / _POINTS
-        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, place)])
+        position = (np.arange(_POINTS) + 0.5) / _POINTS
+        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, position)])
         found = []
         reach = len(_SPREAD) // 2
         offset = np.arange(-reach, reach + 1)
@@ -219,9 +219,9 @@ def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
 
 
-def _aperture_points(camera: PlenopticCamera, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points that lie evenly on a lens's aperture, in mm from its centre."""
-    s, t = np.meshgrid(place, place)
+    s, t = np.meshgrid(position, position)
     x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
     return np.asarray(x), np.asarray(y)
 

@@ -191,21 +191,21 @@ def find_patterns(
         off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
-    place = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
+    position = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
     mean = np.bincount(pattern, lens.inverse_distance(positions)) / count
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
     inverse_distance = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, inverse_distance)
+    found = lens.points(_in_pitches(camera, position) * camera.mla_pitch, inverse_distance)
     return Patterns(found, slant, pattern, cell - middle[pattern])
 
 
-def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Express positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
     (width, _), (aside, height) = camera.lattice.basis
-    x, y = (place - np.array(camera.mla_offset)).T
+    x, y = (position - np.array(camera.mla_offset)).T
     j = y / height
     return np.stack([(x - j * aside) / width, j], axis=-1)
 

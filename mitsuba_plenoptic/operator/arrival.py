@@ -75,8 +75,8 @@ def field_grids(
     p, lam = camera.pixel_size, in_millimetres(wavelength)
     radius = lens.pupil_radius
     if isinstance(lens, ExitPupil):
-        places, cosines = lens.bundle
-        image = bundle_footprint(places.T[:, None], cosines.T[:, None], lens.pupil_distance)
+        positions, cosines = lens.bundle
+        image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil_distance)
     else:
         image = footprint(system.lens, position[None])
     place, half_width = image.centre[0], image.half_width[0]

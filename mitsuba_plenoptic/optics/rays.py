@@ -104,9 +104,9 @@ def angular_response(pairs: tuple[float, ...]) -> Callable[[Any], Any] | None:
     step = math.radians(float(fine[1]))
 
     def response(angle: Any) -> Any:
-        place = dr.clip(angle / step, 0, _ANGLES - 1)
-        low = mi.UInt32(dr.minimum(dr.floor(place), _ANGLES - 2))
+        position = dr.clip(angle / step, 0, _ANGLES - 1)
+        low = mi.UInt32(dr.minimum(dr.floor(position), _ANGLES - 2))
         first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-        return first + (place - mi.Float(low)) * (second - first)
+        return first + (position - mi.Float(low)) * (second - first)
 
     return response

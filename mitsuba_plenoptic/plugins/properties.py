@@ -35,7 +35,16 @@ from ..errors import (
 )
 from ..io.lens_file import read_lens
 from ..lens_data import LensData
-from ..optics.spectrum import MOST_WAVELENGTHS, RGB_WAVELENGTHS, WAVELENGTHS, Responses, Spectrum, Table, read_responses
+from ..optics.spectrum import (
+    MOST_WAVELENGTHS,
+    RGB_WAVELENGTHS,
+    WAVELENGTHS,
+    Responses,
+    Spectrum,
+    Table,
+    interpolated,
+    read_responses,
+)
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
@@ -240,7 +249,7 @@ class Colours:
         if self.table is not None:
             wavelengths, columns = self.table[:, 0], self.table[:, 1:].T
             columns = columns / np.trapezoid(columns, wavelengths, axis=1).reshape(-1, 1)
-            at, ends = partial(_between, wavelengths, columns), wavelengths[[0, -1]].tolist()
+            at, ends = partial(interpolated, wavelengths, columns), wavelengths[[0, -1]].tolist()
             return SignedColours(spectrum, False, None, Responses(at, *ends), nodes)
         responses = colour.SRGB if self.bandwidth is None else self._band(self.bandwidth)
         return SignedColours(spectrum, False, None, responses, nodes)
@@ -248,7 +257,7 @@ class Colours:
     def _band(self, width: float) -> Responses:
         """Return the responses of the one channel of a band."""
         (centre,) = self.wavelengths
-        return Responses(lambda places: np.full((1, len(places)), 1 / width), centre - width / 2, centre + width / 2)
+        return Responses(lambda at: np.full((1, len(at)), 1 / width), centre - width / 2, centre + width / 2)
 
     def upsampling(self, spectrum: Spectrum) -> NDArray[np.float64] | None:
         """Return the matrix (channels of light, wavelengths) from radiance to spectra; None in spectral variants."""
@@ -282,13 +291,6 @@ class Colours:
         if self.nodes is not None:
             made["nodes"] = self.nodes
         return made
-
-
-def _between(
-    wavelengths: NDArray[np.float64], columns: NDArray[np.float64], places: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Interpolate each column of a table linearly at the given wavelengths."""
-    return np.stack([np.interp(places, wavelengths, column) for column in columns])
 
 
 def read_colours(props: Any) -> Colours:

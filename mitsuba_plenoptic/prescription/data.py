@@ -298,10 +298,10 @@ class Prescription(LensData):
             gaps = sum(surface.thickness for surface in self.surfaces[first:second])
             gaps = gaps + height(back, squares) - height(front, squares)
             if gaps.min() < -_TOUCHING * edge:
-                place = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
+                position = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
                 raise InputError(
-                    f"main_lens: surfaces {first + 1} and {second + 1} cross {place:.4g} mm from the axis: they must "
-                    f"stay apart within the smaller of their semi-apertures, {edge:.4g}"
+                    f"main_lens: surfaces {first + 1} and {second + 1} cross {position:.4g} mm from the axis: they "
+                    f"must stay apart within the smaller of their semi-apertures, {edge:.4g}"
                 )
 
     def _before(self, index: int) -> Glass | None:

@@ -216,9 +216,9 @@ def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
     """Turn columns into rows, transform these back and take their first samples."""
     x, y = step.x, step.y
     block = workspace.array("next rows", (workspace.block, x.held))
-    for place in range(0, y.wanted, workspace.block):
-        rows = slice(place, min(place + workspace.block, y.wanted))
-        part = block[: rows.stop - place]
+    for position in range(0, y.wanted, workspace.block):
+        rows = slice(position, min(position + workspace.block, y.wanted))
+        part = block[: rows.stop - position]
         for first in range(0, x.held, _TILE):
             tile = slice(first, min(first + _TILE, x.held))
             part[:, tile] = columns[tile, rows].T
@@ -273,11 +273,11 @@ class Integrals:
     def __init__(self, edges: NDArray[np.float64], count: int) -> None:
         self._half, self._size = count // 2, count + 2 * _MARGIN
         # Beyond the samples all is dark; an edge there is as good as one just outside.
-        place = np.clip(edges, -self._half - 2, self._half + 2) + self._half + _MARGIN
-        before = np.floor(place).astype(np.int64)
+        position = np.clip(edges, -self._half - 2, self._half + 2) + self._half + _MARGIN
+        before = np.floor(position).astype(np.int64)
         arrays = backend().arrays
         self._before = arrays.asarray(before)
-        self._weights = [arrays.asarray(_beyond(place - before, *unit)) for unit in np.eye(len(_NEAR))]
+        self._weights = [arrays.asarray(_beyond(position - before, *unit)) for unit in np.eye(len(_NEAR))]
 
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
         """Integrate some of the lines of samples, (lines, count), over bins, (lines, bins)."""
@@ -299,8 +299,8 @@ class Integrals:
         lines = arrays.arange(len(bins))[:, None] * self._size
 
         def scattered(offset: int, values: Any) -> Any:
-            places = (lines + self._before + offset).ravel()
-            return arrays.bincount(places, values.ravel(), lines.size * self._size).reshape(-1, self._size)
+            positions = (lines + self._before + offset).ravel()
+            return arrays.bincount(positions, values.ravel(), lines.size * self._size).reshape(-1, self._size)
 
         padded = arrays.cumsum(scattered(0, total)[:, ::-1], axis=1)[:, ::-1].copy()
         for offset, weight in zip(_NEAR, self._weights, strict=True):

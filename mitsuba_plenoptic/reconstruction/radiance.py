@@ -161,8 +161,8 @@ def tilted_whites(
     for distance, axis in itertools.product(distances, (0, 1)):
         slope, farthest, of_pupil = tilt(camera, distance)
         tilted = np.empty_like(white)
-        for rows, places in _places(camera, distance, axis, centroids, of_pupil):
-            for channel, u in enumerate(places):
+        for rows, positions in _places(camera, distance, axis, centroids, of_pupil):
+            for channel, u in enumerate(positions):
                 tilted[rows, :, channel] = white[rows, :, channel] * (1 + slope * u.clip(-farthest, farthest))
         yield distance, tilted
 
@@ -182,11 +182,11 @@ def _places(
         ]
         P = np.broadcast_arrays(found[0][0], found[1][0])
         u = np.broadcast_to(found[axis][1], P[0].shape)
-        places = []
+        positions = []
         for light in lights:
             moved = 0.0 if light is None else light(*P)[axis] - P[axis]
-            places.append(u + of_pupil * moved)
-        yield slice(first, first + height), places
+            positions.append(u + of_pupil * moved)
+        yield slice(first, first + height), positions
 
 
 def displacements(
@@ -197,9 +197,9 @@ def displacements(
     for axis, image in enumerate(tilted):
         count = image.shape[1 - axis]
         own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
-        place = (image - 1) / slope * (oversample / camera.mla_pitch)
+        position = (image - 1) / slope * (oversample / camera.mla_pitch)
         farthest = _FARTHEST * oversample
-        found.append(np.nan_to_num(place - own).clip(-farthest, farthest))
+        found.append(np.nan_to_num(position - own).clip(-farthest, farthest))
     return found
 
 

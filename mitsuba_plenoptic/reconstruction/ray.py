@@ -115,8 +115,8 @@ def _axis(
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
-    pupil, place = rays.follow_back(p, c, c, distance, camera)
-    centre = place * (oversample / camera.mla_pitch) + count / 2
+    pupil, position = rays.follow_back(p, c, c, distance, camera)
+    centre = position * (oversample / camera.mla_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, radius)
     width = max(

@@ -92,12 +92,12 @@ def white_light(
     """Return the power that comes to each bin from a white scene, in pixel values times pixels."""
     fine = fine_bins(OpticalSystem(camera, wavelength), oversample)
     if camera.lens_data.traced_surfaces:
-        places, throughput = _traced_throughput(camera, wavelength, distance, relay)
+        positions, throughput = _traced_throughput(camera, wavelength, distance, relay)
         x, y = (
             (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
             for count in camera.bin_count
         )
-        share = np.interp(np.hypot(x, y[:, None]), places, throughput)
+        share = np.interp(np.hypot(x, y[:, None]), positions, throughput)
         return _white_rays(camera, distance, oversample, fine) * share
     if camera.lenses_are_bins and focus_type(camera) != "unfocused":
         return white_power(camera, wavelength, distance, relay, oversample)
@@ -161,10 +161,10 @@ def _traced_throughput(
         passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
         if sent > 0:
             found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
-    places, shares, light = np.array(found).T
+    positions, shares, light = np.array(found).T
     # Lenses whose micro-images are recorded in small part only say little.
     whole = light > _WHOLE * light.max()
-    return places[whole], shares[whole]
+    return positions[whole], shares[whole]
 
 
 def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:

@@ -273,7 +273,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
 def _spread_sum(work: VjpBatch, batch: PatchBatch, box: Box) -> CopySum:
     """Return an empty sum of the point spreads, (channels, rows, columns)."""
     copies, low = [own.summed(work.summed) for own in work.copies], np.array([box.left, box.top])
-    places = [
+    positions = [
         (work.finer * (corner + own.shifts) - low)[:, ::-1] for corner, own in zip(batch.corner, copies, strict=True)
     ]
-    return CopySum(copies, places, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)
+    return CopySum(copies, positions, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)

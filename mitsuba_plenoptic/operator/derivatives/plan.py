@@ -161,8 +161,8 @@ class DerivativePlan(PatchPlan):
         used, copies = [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             used.append(pattern)
-            places = shifts * self._per_sample
-            copies.append(SpreadCopies(shifts, factors.astype(np.float32), places, bool(moving[pattern])))
+            positions = shifts * self._per_sample
+            copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, bool(moving[pattern])))
         return self._fields(np.array(used, np.int64)), copies
 
     def _vjp_batch(

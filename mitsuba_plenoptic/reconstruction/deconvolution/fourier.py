@@ -169,14 +169,14 @@ class FourierResponse(StoredResponse):
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
         """Lay a kernel, whose first sample belongs to these steps, around the first corner of the period."""
-        places, taken = [], []
+        positions, taken = [], []
         for axis, first in enumerate(low):
             steps = np.arange(kernel.shape[axis]) + first
             inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
-            places.append(steps[inside] % self._size[axis])
+            positions.append(steps[inside] % self._size[axis])
             taken.append(inside)
         result = np.zeros(self._size, np.float32)
-        result[np.ix_(*places)] = kernel[np.ix_(*taken)]
+        result[np.ix_(*positions)] = kernel[np.ix_(*taken)]
         return result
 
     def _spectra_memory(self, oversample: int) -> float:

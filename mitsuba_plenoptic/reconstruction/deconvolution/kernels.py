@@ -113,8 +113,8 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
     count = len({number for number, _, _ in found})
     dense = np.zeros((size[1], size[0], count, *found[0][2].shape[1:]), np.float32)
     for number, index, values in found:
-        place = index - low
-        dense[place[:, 1], place[:, 0], number] += values
+        position = index - low
+        dense[position[:, 1], position[:, 0], number] += values
     steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
     return sparse_kernel(steps, dense.reshape(-1, *dense.shape[2:]))
 
