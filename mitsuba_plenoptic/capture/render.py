@@ -23,7 +23,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .noise import PARTS, PassSpread, require_samples
-from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, loading
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 
 # Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
 # sample each need 0.25 GiB in addition to the film.
@@ -212,8 +212,10 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     # None means not given; Mitsuba's loader would end the process on it.
     wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
-    with loading():
+    try:
         return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
+    except RuntimeError as error:
+        raise InputError(mitsuba_sentence(error)) from None
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:

@@ -347,10 +347,10 @@ def loading(what: str = "") -> Iterator[None]:
     except (RuntimeError, ValueError, TypeError) as error:
         line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
         where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
-        raise InputError(f"{where}{_sentence(error)}") from None
+        raise InputError(f"{where}{mitsuba_sentence(error)}") from None
 
 
-def _sentence(error: Exception) -> str:
+def mitsuba_sentence(error: Exception) -> str:
     """Reduce an error message of Mitsuba, which may contain a traceback, to the sentence that states the cause."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     lines = [line.strip() for line in text.splitlines() if line.strip()]

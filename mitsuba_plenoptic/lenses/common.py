@@ -1,4 +1,4 @@
-"""What main lenses share: base classes, and the function that makes a lens from plain parameters or Dr.Jit arrays.
+"""Base classes of main lenses, and the function that makes a lens from plain parameters or Dr.Jit arrays.
 
 The base classes are for a pupil at a finite distance and for one that is the same for all points.
 """

@@ -170,7 +170,7 @@ class LensComparison:
 
     @cached_property
     def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """What the pupil's rim does to the samples of a lens of each type, two arrays (2, v, u) along v and u.
+        """Effects of the pupil's rim on the samples of a lens of each type, two arrays (2, v, u) along v and u.
 
         Mean point, in mm, of the part of the lens that a sample sees the pupil through; and by how many pixels the
         light of the sample was recorded off it: inwards, as less comes from where less of the lens is open.

@@ -1,4 +1,4 @@
-"""What plugins read, with checks of types that Mitsuba does not make, and how they fill their films.
+"""Reading of plugin parameters, with checks of their types, which Mitsuba does not make, and filling of films.
 
 Messages state the plugin, the parameter, its value and the rule.
 """

@@ -41,7 +41,7 @@ Values = list[NDArray[np.float32]]
 """Radiance of the bins of each plane."""
 
 _FLOOR = 1e-4
-"""What is added to every pixel and its model at least, over the mean of those that are lit, so that none is 0."""
+"""Least addition to every pixel and its model, over the mean of those that are lit, so that all are above 0."""
 
 _LEAST_SEEN = 1e-4
 """Light of a bin on the detector, over that of the best one, below which it is taken for dark."""

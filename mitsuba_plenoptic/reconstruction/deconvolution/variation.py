@@ -72,7 +72,7 @@ MOST = 0.25
 """Largest weight: steps stay positive, as the gradient is at most 3.42."""
 
 _SMOOTH = 1e-3
-"""What counts as even: the step between bins, over their mean."""
+"""Largest step between bins, over their mean, that counts as even."""
 
 
 Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
