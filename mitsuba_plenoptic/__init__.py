@@ -116,7 +116,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in _LATER:
-        return getattr(importlib.import_module(f".{_LATER[name]}", __name__), name)
+        # From the second time on Python finds it in the module itself.
+        return globals().setdefault(name, getattr(importlib.import_module(f".{_LATER[name]}", __name__), name))
     if name in _LATER.values():
         return importlib.import_module(f".{name}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{did_you_mean(name, __all__)}")

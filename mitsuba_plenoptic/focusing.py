@@ -11,8 +11,8 @@ import scipy
 
 from .camera import PlenopticCamera
 from .errors import InputError, refuse_if, require_count, require_number, short_repr, suggest_keywords
+from .lens_data import vergence
 from .prescription import Prescription, paraxial
-from .thin_lens import vergence
 
 _STEPS = 256
 """Positions of the group at which a change of sign is looked for."""

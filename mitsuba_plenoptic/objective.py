@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-from .bounds import require_length
 from .errors import (
     InputError,
     put,
     refuse_if,
     require_choice,
     require_known,
+    require_length,
     require_number,
     short_repr,
     suggest_keywords,

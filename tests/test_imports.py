@@ -11,7 +11,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it. Of io, the modules that read lens files serve the camera, too.
 FLOORS = (
-    "errors", "bounds", "thin_lens", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
+    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
     "io.files", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
     "plugins", "lightfield", "calibration", "fitting", "reconstruction", "optimisation", "report", "dataset", "cli",

@@ -35,7 +35,7 @@ FILES = {"ray capture": 30, "wave capture": 35, "coherent reconstruction": 30, "
 
 BUILT = {
     "thin lenses": ("lenses/thin.py", "__post_init__"),
-    "checks": ("camera/checks.py", "require_whole"),
+    "checks": ("camera/plenoptic_camera.py", "require_whole"),
     "lattices": ("lattice/base.py", "make_lattice"),
 }
 """What is counted, by the file and the name of the function that makes it."""

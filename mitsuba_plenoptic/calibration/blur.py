@@ -110,11 +110,11 @@ def fit_blur(
         others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
     camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
-    for number in range(types):
+    for index in range(types):
         # Of z/f = 1 - position / slope.
         slope = np.zeros(types + 1)
-        slope[number], slope[-1] = -1 / scale, line[number] / scale**2
-        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[number] ** 2) ** 2 + camera[number])))
+        slope[index], slope[-1] = -1 / scale, line[index] / scale**2
+        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[index] ** 2) ** 2 + camera[index])))
     return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 
@@ -170,8 +170,8 @@ class CutBlur:
         """
         at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
         moved = np.zeros(arm.shape)
-        for number, mean in enumerate(self._means):
-            mine = kind == number
+        for index, mean in enumerate(self._means):
+            mine = kind == index
             for axis in (0, 1):
                 moved[mine, :, axis] = map_coordinates(mean[axis], np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
         return -defocus[:, None, None] * moved

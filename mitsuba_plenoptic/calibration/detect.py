@@ -257,8 +257,8 @@ def _agreed(
     """Return position and disparity of each corner anew, and mark the observations that agree with them."""
     position, disparity = position.copy(), disparity.copy()
     agreed = np.zeros(len(seen), dtype=bool)
-    for number in range(len(position)):
-        mine = np.flatnonzero(corner == number)
+    for index in range(len(position)):
+        mine = np.flatnonzero(corner == index)
         centre = picture.centre[lens[mine]]
         chosen = np.ones(len(mine), dtype=bool)
         for _ in range(3):
@@ -271,12 +271,12 @@ def _agreed(
             if not spread > 0:
                 break
             slope = ((around - about) * (moved - shift)).sum() / spread
-            if not 0.5 < slope / disparity[number] < 2:
+            if not 0.5 < slope / disparity[index] < 2:
                 break
             miss = np.hypot(*(shift + slope * (centre - about) - (seen[mine] - centre)).T)
             chosen = miss < max(_NEAR, _OUTLIER * np.median(miss[chosen]) / 1.17741)
         else:
-            disparity[number], position[number] = slope, about - shift / slope
+            disparity[index], position[index] = slope, about - shift / slope
             agreed[mine[chosen]] = True
     return position, disparity, agreed
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, naming, refuse_if, require_count, require_number, short_repr
+from ..errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
 from ..io.files import read_text, write_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
@@ -44,7 +44,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
     """
     seen = calibration.evaluation
     record = {
-        "lens_index": calibration.index.to_dict(),
+        "lens_index": asdict(calibration.index),
         "pixel": {"size_mm": calibration.camera.pixel_size, "convention": _PIXELS},
         "board": {"columns": board.columns, "rows": board.rows, "square_mm": board.square},
         "reprojection_error_px": seen.error,
@@ -93,10 +93,8 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
         return PlenopticCamera.preset(str(source)), None
     path = Path(source)
     text = read_text(path, _LARGEST_FILE)
-    try:
+    with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
         values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: it is no JSON file: {error}") from None
     with naming(path):
         if isinstance(values, dict) and {"mla", "main_lens", "sensor"} <= set(values):
             return libpleno_camera(values), None
@@ -108,13 +106,11 @@ def _index(values: dict[str, Any]) -> LensIndex | None:
     record = values.get("calibration")
     if record is None:
         return None
-    try:
+    with refusing(
+        f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first", *NO_RECORD
+    ):
         given = record["lens_index"]
         odd_rows, row_sign, (k, l) = given["odd_rows"], given["row_sign"], given["first"]  # noqa: E741
-    except (TypeError, KeyError, ValueError):
-        raise InputError(
-            f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first"
-        ) from None
     refuse_if(
         odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1),
         f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1",
@@ -130,7 +126,7 @@ def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
     The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The
     array's rotation becomes tilt and rotation to first order: it is some 1e-4 rad in a real camera.
     """
-    try:
+    with refusing("it is no configuration of libpleno:", IndexError, OverflowError, *NO_RECORD):
         sensor, mla, lens = values["sensor"], values["mla"], values["main_lens"]
         size = require_number("scale", float(sensor["scale"]), positive=True)
         columns, rows = int(sensor["width"]), int(sensor["height"])
@@ -145,10 +141,6 @@ def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
             require_number(name, value, positive=True)
         distortion = np.array(_numbers(values["distortions"]["radial"][0] + values["distortions"]["tangential"][0]))
         lengths = _numbers(mla["focal_lengths"])
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"it is no configuration of libpleno: {type(error).__name__} {error}") from None
     # Their x and y are ours reversed. A lens near the axis is our lens (0, 0).
     step = rotation @ np.diag([pitches[0], pitches[1] * math.sqrt(0.75), 0.0])
     j = 2 * round(count[1] / 4)

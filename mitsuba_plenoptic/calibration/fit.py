@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, refuse_if, suggest_keywords
+from ..errors import InputError, naming, refuse_if, suggest_keywords
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
 from .model import AT, NAMES, Observations, camera_of, numbers_of, on_pixel_grid, predict_centres
@@ -111,12 +111,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         "or add poses in which the board is tilted by 20 degrees or more",
     )
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])))
-    try:
+    with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
-    except InputError as error:
-        raise InputError(
-            f"corners: the parameters that fit them best are no camera; cover more of it: {error}"
-        ) from None
     centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
     if centres:
         every = _with_centres(problem, centres, np.ones(len(used), dtype=bool), index, weight)
@@ -283,9 +279,9 @@ def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarra
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose
     rows, left = np.bincount(pose), np.bincount(pose, weights > 0)
-    for number in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
+    for index in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
         raise InputError(
-            f"frame {frames[number]}: {rows[number] - left[number]:.0f} of its {rows[number]} rows are outliers of the "
+            f"frame {frames[index]}: {rows[index] - left[index]:.0f} of its {rows[index]} rows are outliers of the "
             "camera that explains the other frames: correct or remove the frame"
         )
     return weights

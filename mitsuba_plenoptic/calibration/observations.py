@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import InputError, refuse_if, require_count, require_number
+from ..errors import NO_RECORD, InputError, refuse_if, refusing, require_count, require_number
 from ..io.files import read_text
 from ..lightfield.exchange.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
@@ -102,10 +101,6 @@ class LensIndex:
         k0, l0 = self.first
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return its fields by name."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Table:
@@ -152,10 +147,8 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
     names += tuple(name for name in optional if name in header)
     lines = [line for line in rest.splitlines() if line.strip()]
     refuse_if(not lines, f"{path}: it has no rows")
-    try:
+    with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
-    except ValueError as error:
-        raise InputError(f"{path}: it is no table of numbers: {error}") from None
     return _checked(path, dict(zip(names, rows.T, strict=True)), header=1)
 
 
@@ -305,7 +298,7 @@ LARGEST_FILE = 2**26
 def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
     """Read the columns k, l, u and v of a JSON file of LFToolbox or PlenoptiCam."""
     text = read_text(path, LARGEST_FILE)
-    try:
+    with refusing(f"{path}: it is no grid of micro-images:", OverflowError, *NO_RECORD):
         values = json.loads(text)
         if isinstance(values, dict) and "mic_list" in values:
             v, u, l, k = np.array(values["mic_list"], dtype=np.float64).reshape(-1, 4).T  # noqa: E741
@@ -318,8 +311,4 @@ def read_foreign_centres(path: str | Path) -> dict[str, np.ndarray]:
             l, k = np.indices(grid.shape, dtype=np.float64).reshape(2, -1)  # noqa: E741
         else:
             raise InputError(f"{path}: it has neither LFToolbox's LensletGridModel nor PlenoptiCam's mic_list")
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise InputError(f"{path}: it is no grid of micro-images: {type(error).__name__} {error}") from None
     return {"k": k, "l": l, "u": u, "v": v}

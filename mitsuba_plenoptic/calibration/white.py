@@ -153,11 +153,11 @@ def _local_medians(lens: np.ndarray, values: np.ndarray) -> np.ndarray:
     column, row = (lens - lens.min(0) + _NEIGHBOURS).T
     side = 2 * _NEIGHBOURS + 1
     medians = np.empty_like(values)
-    for number, each in enumerate(values.T):
+    for index, each in enumerate(values.T):
         array = np.full((row.max() + side, column.max() + side), np.nan)
         array[row, column] = each
         around = np.lib.stride_tricks.sliding_window_view(array, (side, side))[row - _NEIGHBOURS, column - _NEIGHBOURS]
-        medians[:, number] = np.nanmedian(around.reshape(len(values), -1), axis=1)
+        medians[:, index] = np.nanmedian(around.reshape(len(values), -1), axis=1)
     return medians
 
 

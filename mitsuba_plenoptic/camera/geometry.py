@@ -8,10 +8,9 @@ import numpy as np
 
 from ..errors import InputError, refuse_if
 from ..lattice import Lattice, make_lattice
-from ..lens_data import THIN, LensData, even_count
+from ..lens_data import THIN, LensData, defocus_factor, even_count
 from ..objective import Objective
 from ..prescription import Prescription
-from ..thin_lens import defocus_factor
 from .entry import record
 from .parameters import CameraParameters
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import naming
 from ..io.lens_file import lens_from_plain, read_lens
 from ..lens_data import LensData
 from ..prescription import Glass
@@ -24,8 +24,6 @@ def known_glass(name: str, value: Any) -> Glass | None:
     if value is None:
         return None
     glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
-    try:
+    with naming(name):
         glass.focal_ratio(LINE_D)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
     return glass

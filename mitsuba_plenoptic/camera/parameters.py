@@ -12,13 +12,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from ..bounds import (
+from ..errors import (
     FULL_TURN,
     LEAST_FILL,
     MOST_SEED,
     STEEPEST_TILT,
+    require_choice,
+    require_count,
     require_length,
     require_lengths,
+    require_number,
     require_numbers,
     require_pitches,
     require_pixels,
@@ -26,7 +29,6 @@ from ..bounds import (
     require_response,
     require_wavefront,
 )
-from ..errors import require_choice, require_count, require_number
 from ..lattice import APERTURES, LATTICES
 from ..lens_data import LensData
 from ..prescription import Glass

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..optics.spectrum import WAVELENGTHS, Responses, Spectrum, Table
+from ..optics.spectrum import WAVELENGTHS, Responses, Spectrum, Table, interpolated
 
 _STEP = 10.0
 """Step in nanometres between the wavelengths at which reflectances are computed."""
@@ -67,8 +67,8 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
 
     Shapes: `responses` (channels, wavelengths).
     """
-    places, visible = np.array(wavelengths), (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
-    if (wavelength := _beyond(places, responses, *visible)) is not None:
+    at, visible = np.array(wavelengths), (float(mi.MI_CIE_MIN), float(mi.MI_CIE_MAX))
+    if (wavelength := _beyond(at, responses, *visible)) is not None:
         for emitter in scene.emitters():
             parameters = mi.traverse(emitter)
             for key in parameters.keys():  # noqa: SIM118 (Mitsuba's mapping is no iterable)
@@ -81,7 +81,7 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
     for shape in {shape.bsdf().ptr: shape for shape in scene.shapes() if shape.bsdf() is not None}.values():
         for name, (table, values) in _tables(shape.bsdf()).items():
             low, high = table[0] if values[0] else -math.inf, table[-1] if values[-1] else math.inf
-            if (wavelength := _beyond(places, responses, low, high)) is not None:
+            if (wavelength := _beyond(at, responses, low, high)) is not None:
                 raise InputError(
                     f"wavelength = {wavelength:g}: the {name} of surface {shape.id()} is a table from {table[0]:g} to "
                     f"{table[-1]:g} nm: it must reach to the wavelength"
@@ -123,8 +123,8 @@ def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
 def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:
     """Return the spectra (3, n) of unit red, green and blue light at wavelengths in nanometres."""
     grid, basis = _reflectances()
-    places = np.array(wavelengths)
-    return np.stack([np.interp(places, grid, row) for row in basis]) * _d65(places)
+    at = np.array(wavelengths)
+    return interpolated(grid, basis, at) * _d65(at)
 
 
 @functools.cache

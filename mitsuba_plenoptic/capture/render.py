@@ -366,8 +366,8 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
         dr.sync_thread()
         start = time.perf_counter()
         offset = sampler.next_2d()
-        place = mi.Point2f((column + offset.x) / columns, (row + offset.y) / rows)
-        ray, weight = sensor.sample_ray_differential(0.0, sampler.next_1d(), place, sampler.next_2d())
+        position = mi.Point2f((column + offset.x) / columns, (row + offset.y) / rows)
+        ray, weight = sensor.sample_ray_differential(0.0, sampler.next_1d(), position, sampler.next_2d())
         radiance = mi.SamplingIntegrator.sample(integrator, scene, sampler, ray, None, True)[0]
         dr.eval(mi.unpolarized_spectrum(radiance) * mi.unpolarized_spectrum(weight))
         dr.sync_thread()

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 import mitsuba as mi
 
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, did_you_mean, refuse_if, short_repr, suggest_keywords
+from ..errors import InputError, did_you_mean, refuse_if, refusing, short_repr, suggest_keywords
 from ..io.exr import read_parts
 from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
@@ -34,36 +36,32 @@ _LONGEST_PLY_HEADER = 2**16
 
 _ATTRIBUTES = ("name", "value", "type", "filename")
 
-_Element = tuple[str, dict[str, str]]
-"""An element's tag and its values of `_ATTRIBUTES`, which are empty where it does not have them."""
 
-
-def check_scene_file(path: Path, parameters: Mapping[str, str]) -> str:
+def check_scene_file(path: Path, parameters: Mapping[str, str]) -> list[Element]:
     """Refuse a scene file that would run native code, read endless or oversized files, or nest without end.
 
-    Returns the text of the file and of all that it includes.
+    Returns the root elements of the file and of all that it includes.
     """
-    folders = [Path.cwd(), path.parent]
-    files: list[Path] = []
-    _check(path, dict(parameters), folders, files, ())
-    return "".join(file.read_text("utf-8-sig") for file in files)
+    roots: list[Element] = []
+    _check(path, dict(parameters), [Path.cwd(), path.parent], roots, ())
+    return roots
 
 
 def _check(
-    path: Path, parameters: dict[str, str], folders: list[Path], files: list[Path], parents: tuple[Path, ...]
+    path: Path, parameters: dict[str, str], folders: list[Path], roots: list[Element], parents: tuple[Path, ...]
 ) -> None:
     path = require_file(path)
-    files.append(path)
     refuse_if(
-        path.resolve() in parents or len(parents) > _DEEPEST_INCLUDE or len(files) > _MOST_FILES,
+        path.resolve() in parents or len(parents) > _DEEPEST_INCLUDE or len(roots) >= _MOST_FILES,
         f"{path}: scenes include each other without end, deeper than {_DEEPEST_INCLUDE} or more than "
         f"{_MOST_FILES} times",
     )
-    elements = _parse(path)
-    # The first of several defaults of one name is used. A scene's defaults also apply to the files that it includes.
-    defaults = (given for tag, given in reversed(elements) if tag == "default" and given["name"])
-    values = {given["name"]: given["value"] for given in defaults} | parameters
-    elements = [(tag, {key: _filled(text, values) for key, text in given.items()}) for tag, given in elements]
+    roots.append(_parse(path))
+    # A scene's defaults also apply to the files that it includes.
+    values = scene_defaults(roots[-1:]) | parameters
+    elements = [
+        (each.tag, {key: _filled(each.get(key, ""), values) for key in _ATTRIBUTES}) for each in roots[-1].iter()
+    ]
     folders = [*folders, path.parent, *(path.parent / given["value"] for tag, given in elements if tag == "path")]
     for folder in folders:
         _refuse_native_code(path, folder)
@@ -77,11 +75,26 @@ def _check(
             for file in _existing(name, folders):
                 _check_resource(path, file)
         for file in _existing(given["filename"], folders) if tag == "include" else ():
-            _check(file, values, folders, files, (*parents, path.resolve()))
+            _check(file, values, folders, roots, (*parents, path.resolve()))
 
 
-def _parse(path: Path) -> list[_Element]:
-    """Read the elements of an XML file; refuse document types, other encodings, and deep nesting."""
+def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
+    """Return the defaults of a scene's parameters, of several of one name the first, which Mitsuba uses."""
+    found: dict[str, str] = {}
+    for root in roots:
+        for each in root.iter("default"):
+            if name := each.get("name"):
+                found.setdefault(name, each.get("value", ""))
+    return found
+
+
+def names_in(element: Element) -> set[str]:
+    """Return the names of the parameters to which an element's own attributes refer."""
+    return {name for text in element.attrib.values() for name in re.findall(r"\$(\w+)", text)}
+
+
+def _parse(path: Path) -> Element:
+    """Read the root element of an XML file; refuse document types, other encodings, and deep nesting."""
     # A scene's meshes belong in their own files.
     require_size(path, LARGEST_SCENE)
     try:
@@ -92,18 +105,18 @@ def _parse(path: Path) -> list[_Element]:
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
         raise InputError(f"{path}: its encoding is {short_repr(declared.group(1))}: it must be UTF-8")
-    elements: list[_Element] = []
-    depth = 0
+    tree, depth = TreeBuilder(), 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         refuse_if(depth > _DEEPEST, f"{path}, line {parser.CurrentLineNumber}: nested deeper than {_DEEPEST}")
-        elements.append((tag, {name: attributes.get(name, "") for name in _ATTRIBUTES}))
+        tree.start(tag, attributes)
 
     def end(tag: str) -> None:
         nonlocal depth
         depth -= 1
+        tree.end(tag)
 
     def doctype(*_: object) -> None:
         raise InputError(f"{path}, line {parser.CurrentLineNumber}: a scene has no document type; remove <!DOCTYPE")
@@ -116,7 +129,7 @@ def _parse(path: Path) -> list[_Element]:
         raise InputError(
             f"{path}, line {error.lineno}: it is not well-formed XML: {expat.ErrorString(error.code)}"
         ) from None
-    return elements
+    return tree.close()
 
 
 def _filled(text: str, values: Mapping[str, str]) -> str:
@@ -162,7 +175,7 @@ def _check_resource(scene: Path, file: Path) -> None:
     from PIL import Image
 
     suffix = file.suffix.lower()
-    try:
+    with refusing(f"{scene}: {file} cannot be read:", OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         if suffix in _PICTURES:
             with Image.open(file) as picture:
                 _check_picture(scene, file, *picture.size)
@@ -173,10 +186,6 @@ def _check_resource(scene: Path, file: Path) -> None:
                     raise ValueError(f"its data window begins at {part.origin}, and Mitsuba crashes below 0")
         elif suffix == ".ply":
             _check_ply(scene, file, status.st_size)
-    except InputError:
-        raise
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{scene}: {file} cannot be read: {error}") from None
 
 
 def _check_picture(scene: Path, file: Path, columns: int, rows: int) -> None:
@@ -277,23 +286,22 @@ def load_scene(
     path = _find(scene)
     set_variant(variant)
     parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
-    text = check_scene_file(path, parameters)
+    roots = check_scene_file(path, parameters)
+    defaults, texts = (
+        scene_defaults(roots),
+        [text for root in roots for each in root.iter() for text in each.attrib.values()],
+    )
     for name in parameters:
-        # Mitsuba ignores misspelled names silently.
-        if f"${name}" not in text:
-            known = sorted(set(re.findall(r"<default\s+name=\"(\w+)\"", text)))
+        # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text.
+        if not any(f"${name}" in text for text in texts):
+            known = sorted(defaults)
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
             raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
-    parameters = _with_rows(text, parameters)
-    try:
+    parameters = _with_rows(defaults, parameters)
+    with loading(str(path)):
         # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
         # with it the random numbers that each gets.
         loaded = mi.load_file(str(path), optimize=False, **parameters)
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, TypeError) as error:
-        place = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
-        raise InputError(f"{path}{f', {place.group(1)}' if place else ''}: {mitsuba_sentence(error)}") from None
     # Captures state this name in their metadata.
     loaded.set_id(path.name)
     return loaded
@@ -305,24 +313,20 @@ def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: 
     if scene.get("type") != "scene":
         raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
     set_variant(variant)
-    try:
+    with loading("scene"):
         # Not optimised, for the same reason as a scene file.
         loaded = mi.load_dict(dict(scene), optimize=False)
-    except InputError:
-        raise
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(f"scene: {mitsuba_sentence(error)}") from None
     loaded.set_id("dictionary")
     return loaded
 
 
-def _with_rows(text: str, parameters: dict[str, str]) -> dict[str, str]:
+def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[str, str]:
     """Add the count of rows that preserves the detector's aspect ratio; Mitsuba's XML cannot compute it."""
-    columns, rows = (re.search(rf'<default name="{name}" value="(\d+)"', text) for name in ("resolution", "rows"))
-    wanted = parameters.get("resolution", "")
-    if not columns or not rows or "rows" in parameters or not re.fullmatch(r"\d{1,9}", wanted):
+    wanted = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
+    if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", each) for each in wanted):
         return parameters
-    return {**parameters, "rows": str(max(1, round(int(wanted) * int(rows[1]) / int(columns[1]))))}
+    columns, own_columns, own_rows = map(int, wanted)
+    return {**parameters, "rows": str(max(1, round(columns * own_rows / own_columns)))}
 
 
 def _find(scene: str | Path) -> Path:
@@ -331,6 +335,19 @@ def _find(scene: str | Path) -> Path:
     if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).exists():
         return scene_path(text)
     return require_file(scene)
+
+
+@contextlib.contextmanager
+def loading(what: str = "") -> Iterator[None]:
+    """Raise an `InputError` with the cause, and the line in the file, for what Mitsuba refuses to load."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (RuntimeError, ValueError, TypeError) as error:
+        line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
+        where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
+        raise InputError(f"{where}{mitsuba_sentence(error)}") from None
 
 
 def mitsuba_sentence(error: Exception) -> str:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal
+from ..camera.plenoptic_camera import require_ideal
 from ..errors import InputError, refuse_if
 from ..io.checkpoints import digest
 from ..operator.operator import CaptureOperator

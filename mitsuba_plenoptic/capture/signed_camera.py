@@ -91,7 +91,15 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
         )
 
 
-class CameraTangents(SignedRaySum):
+class _CameraSum(SignedRaySum):
+    """Sum of signed rays with the tables for derivatives by its camera."""
+
+    @cached_property
+    def _by_width(self) -> list[RayCoefficients]:
+        return [width_slopes(node.plan) for node in self._nodes]
+
+
+class CameraTangents(_CameraSum):
     """Directional derivative of a capture along changes of its camera's `PARAMETERS`."""
 
     _sets = 4
@@ -111,10 +119,6 @@ class CameraTangents(SignedRaySum):
             np.zeros_like(own),
         )
         return [*own, *displaced(own), *change]
-
-    @cached_property
-    def _by_width(self) -> list[RayCoefficients]:
-        return [width_slopes(node.plan) for node in self._nodes]
 
     def _bring(
         self,
@@ -174,7 +178,7 @@ class CameraTangents(SignedRaySum):
         return self._mean_of(bring, lit, node)
 
 
-class CameraAdjoint(SignedRaySum):
+class CameraAdjoint(_CameraSum):
     """Gradient of a function of a capture with respect to its camera's `PARAMETERS`."""
 
     def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
@@ -192,10 +196,6 @@ class CameraAdjoint(SignedRaySum):
         own = np.array(super()._kernels_of(plan, kind))
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
         return [*own, *displaced(own), *(kernel for name, i in self._of_kernels for kernel in slopes[name][i])]
-
-    @cached_property
-    def _by_width(self) -> list[RayCoefficients]:
-        return [width_slopes(node.plan) for node in self._nodes]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""

@@ -13,9 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from .. import reconstruction
-from ..bounds import require_wavelength
 from ..capture.render import MOST_SAMPLES
-from ..errors import refuse_if, require_count, require_number
+from ..errors import refuse_if, require_count, require_number, require_wavelength
 from ..report.stage_store import StageOptions
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import plain_lines, progress_bar

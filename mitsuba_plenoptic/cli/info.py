@@ -12,9 +12,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..bounds import require_wavelength
 from ..design import design_warnings
-from ..errors import printable, refuse_if
+from ..errors import printable, refuse_if, require_wavelength
 from ..io.captures import Capture, read_capture
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet

@@ -5,19 +5,19 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
-import re
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from xml.etree.ElementTree import Element
 
 import typer
 
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
-from ..capture.scene import check_scene_file, load_scene, scene_names, scene_path
+from ..capture.scene import check_scene_file, load_scene, names_in, scene_defaults, scene_names, scene_path
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if
 from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
@@ -276,40 +276,38 @@ def open_scene(
     return loaded
 
 
+_OWN = ("sampler", "transform", "medium")
+"""Elements of a scene's sensor that remain where another camera takes its place."""
+
+
 def require_in_use(scene: str, parameters: dict[str, str]) -> None:
     """Refuse scene parameters that only the scene's own camera has, where another camera takes its place.
 
     The position of the camera and its sampler remain those of the scene.
     """
-    text = _scene_text(scene, parameters)
-    defaults = re.findall(r"""<default\s+name=["'](\w+)["']\s+value=["']([^"']*)""", text)
-    sensors = "".join(re.findall(r"<sensor\b.*?</sensor>", text, re.DOTALL))
-    rest = re.sub(r"<sensor\b.*?</sensor>|<default\b[^>]*>", "", text, flags=re.DOTALL)
-    rest += "".join(
-        re.findall(r"<(?:sampler|transform|medium)\b.*?</(?:sampler|transform|medium)>", sensors, re.DOTALL)
-    )
+    roots, used = _scene_roots(scene, parameters), set()
 
-    def used(name: str) -> bool:
-        # With the parameters whose defaults refer to it, by way of others, too.
-        names = {name}
-        while more := {other for other, value in defaults if any(map(_names(value), names))} - names:
-            names |= more
-        return any(map(_names(rest), names))
+    def visit(element: Element, of_camera: bool) -> None:
+        replaced = element.tag == "sensor" or (of_camera and element.tag not in _OWN)
+        if not replaced and element.tag != "default":
+            used.update(names_in(element))
+        for part in element:
+            visit(part, replaced)
 
+    for root in roots:
+        visit(root, False)
+    # Parameters are used, too, to which the defaults of used ones refer.
+    defaults = {each.get("name"): names_in(each) for root in roots for each in root.iter("default")}
+    while more := {other for name in used for other in defaults.get(name, ())} - used:
+        used |= more
     for name in parameters:
-        if _names(sensors)(name) and not used(name):
+        if name not in used:
             raise InputError(f"-D {name}: it is of the scene's own camera, which another one replaces; leave it out")
 
 
-def _names(text: str) -> Callable[[str], bool]:
-    """Return whether a text of a scene refers to a parameter, as a function of its name."""
-    return lambda name: re.search(rf"\${name}\b", text) is not None
-
-
-def _scene_text(scene: str, parameters: dict[str, str]) -> str:
-    """Return the text of a scene file and of all that it includes, without comments."""
-    path = Path(scene) if Path(scene).exists() else scene_path(scene)
-    return re.sub(r"<!--.*?-->", "", check_scene_file(path, parameters), flags=re.DOTALL)
+def _scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
+    """Return the root elements of a scene file and of all that it includes."""
+    return check_scene_file(Path(scene) if Path(scene).exists() else scene_path(scene), parameters)
 
 
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
@@ -317,15 +315,14 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
-    text = _scene_text(scene, parameters)
-    formats = []
-    for film in re.findall(r"<film\b[^>]*/>|<film\b.*?</film>", text, re.DOTALL) or ["hdrfilm"]:
-        tags = [tag for tag in re.findall(r"<string\b[^>]*>", film) if re.search(r"""name=["']pixel_format["']""", tag)]
-        named = [found[1] for tag in tags if (found := re.search(r"""value=["']([^"']*)""", tag))]
-        formats += named or (["rgb"] if "hdrfilm" in film else [])
-    defaults = dict(re.findall(r"""<default\s+name=["'](\w+)["']\s+value=["']([^"']*)""", text)[::-1]) | parameters
+    roots = _scene_roots(scene, parameters)
+    formats: list[str] = []
+    for film in [each for root in roots for each in root.iter("film")] or [Element("film", type="hdrfilm")]:
+        named = [each.get("value", "") for each in film.iter("string") if each.get("name") == "pixel_format"]
+        formats += named or (["rgb"] if film.get("type") == "hdrfilm" else [])
+    values = scene_defaults(roots) | parameters
     for name in formats:
-        colours = str(defaults.get(name.removeprefix("$"), name)).lower()
+        colours = values.get(name.removeprefix("$"), name).lower()
         if colours in ("rgb", "rgba"):
             return colours
     return None

@@ -282,7 +282,7 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
 def write_checksums(path: Path, layout: Layout) -> None:
     """Write the SHA-256 of every file of a data set, in the form that ``sha256sum -c`` reads."""
     files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
-    files += [layout.shard(number) for number in range(layout.shards)]
+    files += [layout.shard(index) for index in range(layout.shards)]
     lines = [f"{checksum(file)}  {file.relative_to(layout.folder).as_posix()}\n" for file in files]
     write_text(path, "".join(lines))
 

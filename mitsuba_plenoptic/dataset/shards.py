@@ -14,7 +14,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_count, short_repr
-from ..io.checkpoints import digest
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
+from ..io.checkpoints import digest, flattened
 from ..io.files import atomic_output, h5py_module, read_text, require_file, stored_array
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import require_memory, software
@@ -74,8 +74,8 @@ class Layout:
 def facts_of(recipe: Recipe) -> dict[str, Any]:
     """Return what the bits of a data set depend on, in plain JSON values."""
     scenes = {
-        f"scene {number + 1}": scene_fingerprint(source.scene, {})
-        for number, source in enumerate(recipe.scenes)
+        f"scene {index + 1}": scene_fingerprint(source.scene, {})
+        for index, source in enumerate(recipe.scenes)
         if source.scene
     }
     facts = {"recipe": dict(recipe.content), "files": scenes, "software": software()}
@@ -86,11 +86,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read which recipe made a data set."""
     path = folder / MANIFEST
     text = read_text(path, LARGEST_LIST)
-    try:
+    with refusing(f"{path}: it is not the manifest of a data set", *NO_RECORD):
         content = json.loads(text)
         numbers = [content["count"], content["samples_per_shard"]]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise InputError(f"{path}: it is not the manifest of a data set") from None
     refuse_if(
         not all(isinstance(number, int) and number > 0 for number in numbers),
         f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0",
@@ -132,7 +130,7 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
     facts = facts_of(recipe)
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
-        before, now = _flat(found), _flat(facts)
+        before, now = flattened(found), flattened(facts)
         for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
             if before.get(name) != now.get(name) and name != _GROWING:
                 kind = "made by other software" if name.startswith("software.") else "of another recipe"
@@ -172,20 +170,6 @@ def checksum(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _flat(values: Any, name: str = "") -> dict[str, Any]:
-    """Return nested values by dotted names."""
-    if isinstance(values, Mapping):
-        pairs = list(values.items())
-    elif isinstance(values, list):
-        pairs = list(enumerate(values))
-    else:
-        return {name: values}
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        found |= _flat(value, f"{name}.{key}" if name else str(key))
-    return found
-
-
 _FACTS, _DIGESTS = "facts", "digests"
 
 _log = logging.getLogger(__name__)
@@ -219,10 +203,8 @@ def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
 def open_shard(path: Path) -> Any:
     """Open a file of samples for reading."""
     h5py = h5py_module("a data set")
-    try:
+    with refusing(f"{path}: it is damaged:", OSError):
         return h5py.File(require_file(path), "r")
-    except OSError as error:
-        raise InputError(f"{path}: it is damaged: {' '.join(str(error).split())}") from None
 
 
 def read_sample(
@@ -233,7 +215,8 @@ def read_sample(
     Data sets of version 0.2.0 have no digests.
     """
     h5py = h5py_module("a data set")
-    try:
+    damaged = OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, RecursionError
+    with naming(path), refusing(f"sample {index} is damaged:", *damaged):
         refuse_if(not isinstance(file.get(group_name(index), getlink=True), h5py.HardLink), f"it has no sample {index}")
         group = file[group_name(index)]
 
@@ -256,10 +239,6 @@ def read_sample(
             if compared and digest(arrays[name]) != digests[name]:
                 raise ValueError(f"{name} is not what was written")
         facts = json.loads(arrays.pop(_FACTS).tobytes())
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: sample {index} is damaged: {' '.join(str(error).split())}") from None
     return Sample(index, arrays, facts)
 
 
@@ -305,10 +284,10 @@ class DataSet:
         self._layout = Layout(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
-        for number in range(self._layout.shards):
+        for index in range(self._layout.shards):
             refuse_if(
-                not self._layout.shard(number).is_file(),
-                f"{self._layout.shard(number)}: it is missing: run the command that makes the data set again",
+                not self._layout.shard(index).is_file(),
+                f"{self._layout.shard(index)}: it is missing: run the command that makes the data set again",
             )
 
     def __len__(self) -> int:

@@ -29,12 +29,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import require_number
+from ..errors import require_number, require_wavelength
+from ..lens_data import image_distance
 from ..objective import Objective
 from ..optics.waves import in_millimetres
-from ..thin_lens import image_distance
 from .focus import pixel_footprint
 
 _SPARROW = 0.94

@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
-from ..lenses.factory import main_lens
+from ..errors import refuse_if, require_wavelength
+from ..lenses.common import main_lens
 from ..optics.waves import in_millimetres
 
 MOST_OVERLAP = 100_000

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import InputError, refuse_if, require_wavelength
 from ..objective import Objective
 from ..optics.waves import in_millimetres
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
+from ..errors import require_wavelength
 from ..lightfield.grid_estimation import estimate_lens_grid
 from .light import View, check_views
 from .model import RayModels, check_numbers, vector_of

@@ -11,13 +11,19 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
-from ..errors import InputError, refuse_if, require_choice, require_number, suggest_keywords
+from ..errors import (
+    InputError,
+    refuse_if,
+    require_accuracy,
+    require_choice,
+    require_number,
+    require_wavelength,
+    suggest_keywords,
+)
 from ..io.captures import MODELS
 from ..io.checkpoints import Checkpoint, digest
-from ..operator.accuracy import check_accuracy
 from ..operator.pupil_weights import PupilWeights
 from .light import PixelNoise, Pixels, View, by_model, check_views
 from .model import RayModel, RayModels, WaveModel, check_numbers, vector_of
@@ -109,7 +115,7 @@ def fit(
         check_numbers(vector)
     check_views(camera, given, default)
     images = np.stack([view.image for view in given]).astype(np.float64)
-    model_of = _model_of(model, camera, given, require_wavelength(wavelength), check_accuracy(accuracy))
+    model_of = _model_of(model, camera, given, require_wavelength(wavelength), require_accuracy(accuracy))
     trial = _Trials(vector, model_of, progress)
     x = start
     if checkpoint:

@@ -10,13 +10,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.render import chosen_integrator, plenoptic_sensor
 from ..capture.scene_light import SceneLight
 from ..capture.scene_points import find_points, require_matte
 from ..detector import require_demosaiced
-from ..errors import InputError, put, refuse_if, require_count, require_number
+from ..errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
 from ..io.captures import Capture, as_array, require_pixels, response_of
 from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera

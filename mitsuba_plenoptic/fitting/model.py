@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_known_to, require_no_glass
 from ..camera.entry import Captures
+from ..camera.plenoptic_camera import require_known_to, require_no_glass
 from ..camera.vector import CameraVector
 from ..errors import refuse_if, short_repr
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens
-from ..operator.derivatives import NUMBERS, WAVELENGTH, check_names, light_slopes
+from ..operator.derivatives import DIFFERENTIABLE, WAVELENGTH, check_names, light_slopes
 from ..operator.operator import CaptureOperator
 from ..operator.pupil_weights import PupilWeights
 from ..operator.units import brightness_at
@@ -39,7 +39,7 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
     given = (names,) if isinstance(names, str) else tuple(names)
     chosen = check_names(dict.fromkeys(given))
     refuse_if(WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others")
-    refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(NUMBERS)}")
+    refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(DIFFERENTIABLE)}")
     return CameraVector.by_names(camera, chosen)
 
 
@@ -349,10 +349,10 @@ class RayModel:
         own = vector.of(self._camera)
         x, steps = own.values, _STEP * own.scales
         rows = np.empty((len(x), *images.shape))
-        for number, step in enumerate(steps.tolist()):
-            sides = (x + side * step * (np.arange(len(x)) == number) for side in (1, -1))
+        for index, step in enumerate(steps.tolist()):
+            sides = (x + side * step * (np.arange(len(x)) == index) for side in (1, -1))
             more, less = (self._models.images(own.at(side)) for side in sides)
-            rows[number] = (more - less) / (2 * step)
+            rows[index] = (more - less) / (2 * step)
         return rows
 
     def slopes(
@@ -366,12 +366,12 @@ class RayModel:
         """
         own, images = vector.of(self._camera), self.images()
         moved, rows = np.empty_like(steps), np.empty((len(steps), *images.shape))
-        for number, step in enumerate(steps):
+        for index, step in enumerate(steps):
             sides = [(side * step, self._models.images(own.at(own.values + side * step))) for side in (1, -1)]
             nearest, changed = min(sides, key=lambda side: distance(side[1]))
             for _ in range(_LENGTHENED):
                 most = 1 / np.linalg.norm(nearest / own.scales)
                 nearest = nearest * min(1 / max(distance(changed), 1e-9), most)
                 changed = self._models.images(own.at(own.values + nearest))
-            moved[number], rows[number] = nearest, changed - images
+            moved[index], rows[index] = nearest, changed - images
         return np.tensordot(np.linalg.inv(moved), rows, 1)

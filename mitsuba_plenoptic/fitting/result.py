@@ -120,11 +120,11 @@ def summary(
             parts = np.zeros(len(x))
             parts[free] = vector
             directions.append(Direction(deviation, dict(zip(labels, parts.tolist(), strict=True))))
-    for number in np.flatnonzero(held):
-        with_it = np.append(free, number)
+    for index in np.flatnonzero(held):
+        with_it = np.append(free, index)
         deviation = float(_one_sided(rows[:, with_it], slope[with_it], [len(free)])[0])
-        covariance[number, number] = deviation**2
-        directions.append(Direction(deviation, {label: float(label == labels[number]) for label in labels}))
+        covariance[index, index] = deviation**2
+        directions.append(Direction(deviation, {label: float(label == labels[index]) for label in labels}))
     covariance *= np.outer(unit, unit)
 
     def by_label(given: NDArray[np.float64]) -> dict[str, float]:
@@ -141,7 +141,7 @@ def summary(
         covariance,
         by_label(unit),
         tuple(sorted(directions, key=lambda direction: -direction.deviation)),
-        {labels[number]: "lowest" if slope[number] > 0 else "highest" for number in np.flatnonzero(held)},
+        {labels[index]: "lowest" if slope[index] > 0 else "highest" for index in np.flatnonzero(held)},
         float(residuals @ residuals) / expected,
         float(np.sqrt(pixels.spread.sum())) / expected,
         int(np.isfinite(pixels.weight).sum()),

@@ -20,12 +20,24 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError, naming, put, refuse_if, require_choice, require_number, short_repr, suggest_keywords
+from ..errors import (
+    NO_ARRAY,
+    NO_RECORD,
+    InputError,
+    naming,
+    put,
+    refuse_if,
+    refusing,
+    require_choice,
+    require_number,
+    require_wavelength,
+    short_repr,
+    suggest_keywords,
+)
 from ..runtime.limits import require_memory
 from .exr import read_exr, write_exr
-from .files import atomic_output, reading_as, require_file, require_writable
+from .files import atomic_output, require_file, require_writable
 
 MODELS = ("ray", "wave")
 
@@ -126,10 +138,8 @@ class Capture:
 
 def as_array(name: str, values: Any) -> np.ndarray:
     """Return an array of real numbers, or refuse what is not a regular one."""
-    try:
+    with refusing(f"{name}: it must be an array:", *NO_ARRAY):
         array = np.asarray(values)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name}: it must be an array: {error}") from None
     refuse_if(array.dtype.kind not in "fiu", f"{name} of type {array.dtype}: it must hold real numbers")
     return array
 
@@ -191,16 +201,31 @@ def write_capture(path: str | Path, capture: Capture) -> None:
         If it is not a capture, its metadata are not plain data, or the file cannot be written.
     """
     refuse_if(not isinstance(capture, Capture), f"capture of type {type(capture).__name__}: it must be a Capture")
-    camera = capture.camera
-    attributes = {
-        "kind": "capture",
-        "camera": camera.to_dict(),
+    window = {"offset": capture.camera.crop_offset, "full_size": capture.camera.resolution}
+    write_exr(path, capture.image, _record(capture, "capture"), noise=capture.noise, **window)
+
+
+def _record(capture: Capture, kind: str) -> dict[str, Any]:
+    """Return all about a capture but its pixels, as files have it."""
+    return {
+        "kind": kind,
+        "camera": capture.camera.to_dict(),
         "wavelength": capture.wavelength,
         "model": capture.model,
         "metadata": capture.metadata,
     }
-    window = {"offset": camera.crop_offset, "full_size": camera.resolution}
-    write_exr(path, capture.image, attributes, noise=capture.noise, **window)
+
+
+def _capture_of(record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None) -> Capture:
+    """Make a capture of its pixels and all else about it."""
+    return Capture(
+        image,
+        PlenopticCamera.from_dict(record["camera"]),
+        record.get("wavelength"),
+        record.get("model", ""),
+        record.get("metadata", {}),
+        noise,
+    )
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -222,14 +247,7 @@ def read_capture(path: str | Path) -> Capture:
             attributes.get("kind") != "capture", f"it holds a {short_repr(attributes.get('kind'))}, not a capture"
         )
         refuse_if(not isinstance(attributes.get("camera"), dict), "its header has no camera")
-        return Capture(
-            image=image,
-            camera=PlenopticCamera.from_dict(attributes["camera"]),
-            wavelength=attributes.get("wavelength"),
-            model=attributes.get("model", ""),
-            metadata=attributes.get("metadata", {}),
-            noise=noise,
-        )
+        return _capture_of(attributes, image, noise)
 
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
@@ -258,14 +276,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     """
     path = require_writable(path, *RAW_SUFFIXES)
     numbers = digital_numbers(capture)
-    about = {
-        "kind": "raw",
-        "camera": capture.camera.to_dict(),
-        "wavelength": capture.wavelength,
-        "model": capture.model,
-        "metadata": capture.metadata,
-    }
-    text = json.dumps({_KEY: about})
+    text = json.dumps({_KEY: _record(capture, "raw")})
     if path.suffix.lower() == ".png":
         refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
@@ -293,21 +304,13 @@ def read_raw(path: str | Path) -> Capture:
     """
     path = require_file(path)
     numbers, text = _read(path)
-    try:
+    with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
         about = json.loads(text)[_KEY]
         given = about["camera"], about["metadata"]["exposure"]
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
-    except (ValueError, TypeError, KeyError, RecursionError):
-        raise InputError(f"{path}: it states no camera and detector; a raw picture needs its camera") from None
     with naming(path):
-        return Capture(
-            image=_values(numbers, about["metadata"]["exposure"]),
-            camera=PlenopticCamera.from_dict(about["camera"]),
-            wavelength=about.get("wavelength"),
-            model=about.get("model", ""),
-            metadata=about["metadata"],
-        )
+        return _capture_of(about, _values(numbers, about["metadata"]["exposure"]))
 
 
 def states_detector(path: str | Path) -> bool:
@@ -350,7 +353,7 @@ def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
 def _read(path: Path) -> tuple[NDArray[Any], str]:
     """Return the pixels of a picture and its description."""
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
-    with reading_as(path, "a picture"):
+    with refusing(f"{path}: it cannot be read as a picture:"):
         if path.suffix.lower() == ".png":
             with Image.open(path, formats=["PNG"]) as picture:
                 require_memory(_PIXEL_BYTES * picture.width * picture.height, f"{path}: its pixels")

@@ -14,7 +14,7 @@ import os
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, TypeVar, get_args
@@ -322,7 +322,7 @@ def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
     """Return what differs between the run of a checkpoint and this one."""
-    found, wanted = dict(_flat(there)), dict(_flat(here))
+    found, wanted = flattened(there), flattened(here)
     return [
         f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"
         for name in {**wanted, **found}
@@ -330,10 +330,10 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]
     ]
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield names with dots, and values."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
+def flattened(values: Any, name: str = "") -> dict[str, Any]:
+    """Return nested values by dotted names."""
+    if not isinstance(values, (Mapping, list)) or not values:
+        return {name: values}
+    pairs = values.items() if isinstance(values, Mapping) else enumerate(values)
+    parts = (flattened(value, f"{name}.{key}" if name else str(key)) for key, value in pairs)
+    return {key: value for part in parts for key, value in part.items()}

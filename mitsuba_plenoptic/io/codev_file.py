@@ -163,7 +163,7 @@ class _CodevReader:
         self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
 
     def _take_wl(self, line: Line) -> None:
-        self.wavelengths = [line.value(number) for number in range(1, len(line.words))]
+        self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
 
     def _take_ref(self, line: Line) -> None:
         self.primary = int(line.value(1))

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError, advice, refuse_if
+from ..errors import InputError, advice, refuse_if, refusing
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
 
@@ -95,17 +96,12 @@ def _write(
             "displayWindow": _window(0, 0, *full_size),
         }
         if not written:
-            try:
+            with refusing(f"{path}: its attributes must be plain data for JSON:", TypeError, ValueError):
                 header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
-            except (TypeError, ValueError) as error:
-                raise InputError(f"{path}: its attributes must be plain data for JSON: {error}") from None
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
-    try:
-        with atomic_output(path, ".exr") as temporary:
-            OpenEXR.File(written).write(str(temporary))
-    except (RuntimeError, OSError) as error:
-        raise InputError(f"{path}: it cannot be written: {error}") from None
+    with refusing(f"{path}: it cannot be written:", RuntimeError, OSError), atomic_output(path, ".exr") as temporary:
+        OpenEXR.File(written).write(str(temporary))
 
 
 def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +119,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes."""
     path = require_file(path)
     parts = read_parts(path)
-    try:
+    with _undamaged(path):
         part, names = parts[0], _image_channels(parts[0])
         refuse_if(
             ATTRIBUTE not in part.header,
@@ -141,9 +137,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
         samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
         samples += part.columns * part.rows * len(names) * len(layers)
         require_memory(4 * samples, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
-        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
-            if len(file.parts) < len(parts):
-                raise ValueError("its pixels are damaged or incomplete")
+        with _opened(path, parts) as file:
             found = file.channels()
             images = []
             for layer in layers:
@@ -151,10 +145,6 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
                 for index, name in enumerate(layer):
                     image[..., index] = found.pop(name).pixels.reshape(part.rows, part.columns)
                 images.append(image if len(layer) == 3 else image[..., 0])
-    except InputError:
-        raise
-    except Exception as error:
-        raise _damaged(path, error) from None
     return images[0], images[1] if len(images) == 2 else None, attributes
 
 
@@ -162,24 +152,18 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes."""
     path = require_file(path)
     parts = read_parts(path)
-    try:
+    with _undamaged(path):
         attributes = _attributes(parts[0])
         for part in parts:
             _require_lossless(part)
         samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
         require_memory(8 * samples, f"{path}: {len(parts)} parts of {samples} values")
-        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
-            if len(file.parts) < len(parts):
-                raise ValueError("its pixels are damaged or incomplete")
+        with _opened(path, parts) as file:
             found = {}
             for part, read in zip(parts, file.parts, strict=True):
                 shape = part.rows, part.columns
                 planes = {name: np.asarray(one.pixels, np.float32).copy() for name, one in read.channels.items()}
                 found[read.name()] = {name: plane.reshape(shape) for name, plane in planes.items()}
-    except InputError:
-        raise
-    except Exception as error:
-        raise _damaged(path, error) from None
     return found, attributes
 
 
@@ -194,11 +178,12 @@ def _attributes(part: ExrPart) -> dict[str, Any]:
 def read_parts(path: Path) -> list[ExrPart]:
     """Read the headers of an OpenEXR file, without its pixels."""
     _require_small_header(path)
-    try:
-        with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
-            return [_part(part.header) for part in file.parts]
-    except Exception as error:
-        raise _damaged(path, error) from None
+    with (
+        _undamaged(path),
+        native_output_dropped(),
+        OpenEXR.File(str(path), separate_channels=True, header_only=True) as file,
+    ):
+        return [_part(part.header) for part in file.parts]
 
 
 def _require_small_header(path: Path) -> None:
@@ -230,17 +215,30 @@ def _part(header: dict[str, Any]) -> ExrPart:
     return ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(header))
 
 
-def _damaged(path: Path, error: Exception) -> InputError:
-    """Return the error for a damaged file, whichever exception OpenEXR, JSON or NumPy raised."""
-    reason = str(error)
-    if reason.startswith("Unable to open"):
-        # What OpenEXR says of all files that are there but that it cannot make out.
-        with path.open("rb") as file:
-            whole = file.read(len(_MAGIC)) == _MAGIC
-        reason = (
-            "its header or the table of its lines is cut off or wrong" if whole else "it does not begin as one does"
-        )
-    return InputError(f"{path}: it cannot be read as an OpenEXR image, or is damaged: {reason}")
+@contextlib.contextmanager
+def _undamaged(path: Path) -> Iterator[None]:
+    """Refuse a damaged file, whichever exception OpenEXR, JSON or NumPy raises."""
+    with refusing(f"{path}: it cannot be read as an OpenEXR image, or is damaged:"):
+        try:
+            yield
+        except RuntimeError as error:
+            if not str(error).startswith("Unable to open"):
+                raise
+            # What OpenEXR says of all files that are there but that it cannot make out.
+            with path.open("rb") as file:
+                whole = file.read(len(_MAGIC)) == _MAGIC
+            raise ValueError(
+                "its header or the table of its lines is cut off or wrong" if whole else "it does not begin as one does"
+            ) from None
+
+
+@contextlib.contextmanager
+def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
+    """Open the pixels of a file with these parts."""
+    with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
+        if len(file.parts) < len(parts):
+            raise ValueError("its pixels are damaged or incomplete")
+        yield file
 
 
 def _require_lossless(part: ExrPart) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_module, short_repr
+from ..errors import InputError, naming, refuse_if, refusing, require_module, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -142,17 +142,6 @@ def remove_leftovers(path: str | Path) -> None:
 
 
 @contextlib.contextmanager
-def reading_as(path: Path, kind: str) -> Iterator[None]:
-    """Refuse a damaged file in one line, whichever type of exception a library raised."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{path}: it cannot be read as {kind}: {error}") from None
-
-
-@contextlib.contextmanager
 def native_output_dropped() -> Iterator[None]:
     """Suppress what C++ libraries print about damaged files, on Python's output and on the process's own.
 
@@ -207,12 +196,8 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 def read_yaml(path: str | Path) -> Any:
     """Read a YAML or JSON file of at most 64 KiB, without aliases."""
     text = read_text(path, _LARGEST_YAML)
-    try:
+    with naming(path), refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
         return yaml.load(text, Loader=_Loader)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: it is not YAML: {' '.join(str(error).split())}") from None
 
 
 _LARGEST_TABLE = 2**22
@@ -223,10 +208,8 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
     lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
     if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
         lines = lines[1:]
-    try:
+    with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
-    except ValueError as error:
-        raise InputError(f"{path}: it is no table of numbers: {error}") from None
     refuse_if(not len(rows), f"{path}: it has no rows of numbers")
     if not np.isfinite(rows).all():
         row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from ..errors import InputError
+from ..errors import NO_RECORD, InputError, refusing
 from ..lens_data import LensData, known_kind
 from ..objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
 from ..prescription import BUNDLED, Prescription, bundled_prescription
@@ -85,10 +85,8 @@ def lens_from_plain(value: Any) -> LensData:
 
 
 def _parsed(text: str) -> Any:
-    try:
+    with refusing("main_lens: it must be a JSON object:", *NO_RECORD):
         return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"main_lens: it must be a JSON object: {error}") from None
 
 
 def write_prescription(path: str | Path, lens: Prescription) -> None:

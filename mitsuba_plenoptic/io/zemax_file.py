@@ -167,7 +167,7 @@ class _ZemaxReader:
         self.wavelengths[int(line.value(1))] = line.value(2)
 
     def _header_wavl(self, line: Line) -> None:
-        self.wavelengths = {number: line.value(number) for number in range(1, len(line.words))}
+        self.wavelengths = {index: line.value(index) for index in range(1, len(line.words))}
 
     _header_wavn = _header_wavl
 

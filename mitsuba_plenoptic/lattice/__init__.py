@@ -5,10 +5,10 @@
 """
 
 # Importing a lattice's file registers it.
+from ..runtime.backend import turn
 from . import hexagonal as hexagonal
 from . import square as square
 from .apertures import APERTURES
 from .base import LATTICES, Lattice, make_lattice, register
-from .generic import turn
 
 __all__ = ["APERTURES", "LATTICES", "Lattice", "make_lattice", "register", "turn"]

@@ -6,7 +6,7 @@ import abc
 import math
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from .generic import minimum, module_of
+from ..runtime.backend import minimum, module_of
 
 if TYPE_CHECKING:
     from .base import Lattice

@@ -23,9 +23,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..runtime.backend import floor, is_zero, maximum, turn
 from ..runtime.limits import require_memory
 from .apertures import APERTURES
-from .generic import floor, is_zero, maximum, turn
 
 # Points across a sample for the fraction of it that is aperture.
 _POINTS = 8
@@ -318,17 +318,17 @@ class Lattice(abc.ABC):
         span = math.ceil((reach + scale * self.cell_reach) * np.hypot(*basis.T).max() / self.cell_area)
         steps = np.arange(-span, span + 1)
         index = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-        place = index @ basis
+        position = index @ basis
         # Distance from each of the cell's sides.
-        to_corner = place[:, None] - corners
+        to_corner = position[:, None] - corners
         along = np.clip((to_corner * edges).sum(-1) / (edges**2).sum(-1), 0, 1)
         distance = np.hypot(*np.moveaxis(to_corner - along[..., None] * edges, -1, 0)).min(1)
         # Centres inside an enlarged cell are to the left of all its sides.
         side = edges[:, 0] * to_corner[..., 1] - edges[:, 1] * to_corner[..., 0]
         distance[(side >= 0).all(1)] = 0
         inside = distance <= reach
-        index, place = index[inside], place[inside]
-        return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*place.T) / self.pitches[0], 6)))]
+        index, position = index[inside], position[inside]
+        return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*position.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
         """Find the lenses whose centre lies in the rectangle from `low` to `high`.

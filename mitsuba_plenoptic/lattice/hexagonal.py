@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ..runtime.backend import floor, select
 from .base import Lattice, register, regular_corners
-from .generic import floor, select
 
 # Distance of rows over the pitch.
 _ROW = math.sqrt(0.75)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..runtime.backend import floor
 from .base import Lattice, register, regular_corners
-from .generic import floor
 
 
 @register

@@ -98,13 +98,13 @@ class MainLens(Protocol):
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
         """Return points (n, 3) that `waves_of` needs to cover all light at finite distances that a detector sees."""
 
-    def chief_point(self, place: Any, detector_distance: Any) -> Any:
+    def chief_point(self, position: Any, detector_distance: Any) -> Any:
         """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
 
     def pupil_distance_from(self, behind: Any) -> Any:
         """Return the separation on the exit pupil, per difference in slope, of rays from a point `behind` the MLA."""
 
-    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
+    def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
         """Return one coordinate on the exit pupil of rays from positions at a height before the MLA.
 
         Parameters
@@ -117,7 +117,7 @@ class MainLens(Protocol):
             Distance of the positions before the MLA, towards the exit pupil.
         """
 
-    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
+    def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
         """Return the slope along one axis between points of the exit pupil and positions near the MLA.
 
         Parameters
@@ -134,7 +134,7 @@ class MainLens(Protocol):
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene.
 
         Parameters
@@ -157,7 +157,7 @@ class MainLens(Protocol):
     def convergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, in the form that `trace` returns."""
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> Light:

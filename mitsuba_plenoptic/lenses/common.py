@@ -1,18 +1,23 @@
-"""Base classes of main lenses: a pupil at a finite distance, and a pupil that is the same for all points."""
+"""Base classes of main lenses, and the function that makes a lens from plain parameters or Dr.Jit arrays.
+
+The base classes are for a pupil at a finite distance and for one that is the same for all points.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Self
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..errors import InputError
 from ..optics import rays
-from .base import Entrance, Pair
+from ..runtime.backend import sqrt
+from .base import Entrance, MainLens, Pair
 
 
 class UniformLens:
@@ -81,21 +86,21 @@ class FiniteDistance:
 
     pupil_distance: Any
 
-    def chief_point(self, place: Any, detector_distance: Any) -> Any:
+    def chief_point(self, position: Any, detector_distance: Any) -> Any:
         """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
-        return rays.chief_point(place, self.pupil_distance, detector_distance)
+        return rays.chief_point(position, self.pupil_distance, detector_distance)
 
     def pupil_distance_from(self, behind: Any) -> Any:
         """Return the distance to the pupil from a plane at a distance `behind` the MLA."""
         return self.pupil_distance + behind
 
-    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
+    def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
         """Return one coordinate on the exit pupil of rays from positions at a height before the MLA."""
-        return place + (self.pupil_distance - height) * slope
+        return position + (self.pupil_distance - height) * slope
 
-    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
+    def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
         """Return the slope, along one axis, between positions as in `pupil_point` and points of the exit pupil."""
-        return (pupil - place) / (self.pupil_distance - height)
+        return (pupil - position) / (self.pupil_distance - height)
 
 
 class FinitePupil(FiniteDistance, ABC):
@@ -119,8 +124,8 @@ class FinitePupil(FiniteDistance, ABC):
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
         r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R less that of the chief ray."""
         (sx, sy), (x, y), b = cosine, image, self.pupil_distance
-        R = b / _sqrt(1 - sx * sx - sy * sy)
-        return (x - R * sx, y - R * sy), R, R - _sqrt(x * x + y * y + b * b)
+        R = b / sqrt(1 - sx * sx - sy * sy)
+        return (x - R * sx, y - R * sy), R, R - sqrt(x * x + y * y + b * b)
 
     def to_array(self, pupil: NDArray[np.float64], image: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the direction cosines from points of the pupil to positions on the MLA."""
@@ -133,8 +138,82 @@ class FinitePupil(FiniteDistance, ABC):
 
     def curvature(self, square: Any) -> Any:
         """Return the reciprocal of the distance."""
-        return 1 / _sqrt(square)
+        return 1 / sqrt(square)
 
 
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)
+@dataclass(frozen=True)
+class LensNumbers:
+    """Parameters from which a main lens is built.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, for all parameters without gradients.
+    wavelength : float, optional
+        Wavelength in nanometres. None selects the wavelength for which the main lens is specified.
+    focal_length, aperture_radius, mla_distance : float or Dr.Jit array
+        Values of the camera, possibly with gradients.
+    wavefront : floats or Dr.Jit arrays
+        Coefficients of the aberrations.
+    model : {"ideal", "parabolic"}
+        Refraction model of rays, see `PlenopticCamera`.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float | None
+    focal_length: Any
+    aperture_radius: Any
+    mla_distance: Any
+    wavefront: Any
+    model: str
+
+
+Builder = TypeVar("Builder", bound=Callable[[LensNumbers], Any])
+
+BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
+"""Functions that make a main lens, by the type of the camera's `main_lens`."""
+
+
+def builds(description: type) -> Callable[[Builder], Builder]:
+    """Mark the function that builds main lenses from a `main_lens` of some type; `type(None)` selects the thin lens."""
+
+    def mark(function: Builder) -> Builder:
+        BUILDERS[description] = function
+        return function
+
+    return mark
+
+
+def main_lens(
+    camera: PlenopticCamera,
+    wavelength: float | None = None,
+    *,
+    varying: Mapping[str, Any] | None = None,
+    model: str | None = None,
+) -> Any:
+    """Return a camera's main lens.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: that for which the main lens is specified.
+    varying : mapping, optional
+        Values that replace the camera's, such as Dr.Jit arrays with gradients: ``focal_length``,
+        ``aperture_radius``, ``mla_distance`` and ``wavefront``.
+    model : {"ideal", "parabolic"}, optional
+        Refraction model of rays. Default: the camera's `lens_model`.
+
+    Raises
+    ------
+    InputError
+        If no function is registered for a main lens of this type.
+    """
+    given = varying or {}
+    names = "focal_length", "aperture_radius", "mla_distance", "wavefront"
+    numbers = {name: given.get(name, getattr(camera, name)) for name in names}
+    build = BUILDERS.get(type(camera.main_lens))
+    if build is None:
+        raise InputError(f"main_lens = {camera.main_lens!r}: no function is marked to build a lens of this kind")
+    return build(LensNumbers(camera, wavelength, **numbers, model=model or camera.lens_model))

@@ -55,7 +55,7 @@ def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.n
     k1, k2, k3, p1, p2 = distortion
     x, y = m.T
     square = x * x + y * y
-    place = np.stack(undistort(x, y, distortion), axis=-1)
+    position = np.stack(undistort(x, y, distortion), axis=-1)
     radial = 1 + square * (k1 + square * (k2 + square * k3))
     growth = 2 * (k1 + square * (2 * k2 + square * 3 * k3))
     by_place = growth[:, None, None] * m[:, :, None] * m[:, None]
@@ -67,4 +67,4 @@ def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.n
         by_numbers[:, :, power] = m * (square ** (power + 1))[:, None]
     by_numbers[:, 0, 3], by_numbers[:, 1, 4] = square + 2 * x * x, square + 2 * y * y
     by_numbers[:, 0, 4] = by_numbers[:, 1, 3] = 2 * x * y
-    return place, by_place, by_numbers
+    return position, by_place, by_numbers

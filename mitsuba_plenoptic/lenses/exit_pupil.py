@@ -16,13 +16,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..optics import guards
 from ..optics.waves import in_millimetres
+from ..runtime.backend import minimum, safe_sqrt
 from . import sequential
 from .base import Pair
 from .lens_system import LensSystem
@@ -120,14 +120,14 @@ class ExitPupil:
         elements = lens.forwards
         wider = [sequential.widened(element, _BEYOND) for element in elements]
         heights: list[Any] = []
-        (x, y, z), (L, M, N), kept, path = sequential.follow(wider, start, direction, heights)
+        (x, y, z), (L, M, N), valid, path = sequential.follow(wider, start, direction, heights)
         left = (numbers.exit_pupil - z) / N
         stops = [square / element.semi_aperture**2 for square, element in zip(heights, elements, strict=True)]
         found = scale * np.array([x + left * L, y + left * M]), scale * np.array([Ex, Ey]), np.array([L / N, M / N])
-        P, E, slopes = (values[:, kept] for values in found)
-        stops = [stop[kept] for stop in stops]
+        P, E, slopes = (values[:, valid] for values in found)
+        stops = [stop[valid] for stop in stops]
         is_open = np.all(np.array(stops) <= 1, axis=0)
-        return P, E, slopes, scale * (before + path + left)[kept], stops, is_open
+        return P, E, slopes, scale * (before + path + left)[valid], stops, is_open
 
     def _image(self, P: NDArray, slopes: NDArray, is_open: NDArray) -> tuple[float, float, float]:
         """Return the reference sphere's centre from the exit pupil's: at the paraxial distance, on a central ray."""
@@ -197,17 +197,17 @@ class ExitPupil:
     def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the nearest surface's edge, positive inside; accurate near the edges."""
         x, y = (P - float(m) for P, m in zip(pupil, self._middle, strict=True))
-        least = self._radius - _sqrt(x * x + y * y)
+        least = self._radius - safe_sqrt(x * x + y * y)
         step = 1e-4 * self._radius
         for coefficients in self._stops:
 
             def ratio(x: Any, y: Any, coefficients: NDArray = coefficients) -> Any:
-                return _sqrt(self._polynomial(coefficients, (x, y)))
+                return safe_sqrt(self._polynomial(coefficients, (x, y)))
 
             x, y = pupil
             here = ratio(x, y)
             along = (ratio(x + step, y) - here) / step, (ratio(x, y + step) - here) / step
-            least = _minimum(least, (1 - here) / _sqrt(along[0] * along[0] + along[1] * along[1]))
+            least = minimum(least, (1 - here) / safe_sqrt(along[0] * along[0] + along[1] * along[1]))
         return least
 
 
@@ -216,7 +216,7 @@ def _sphere_path(pupil: Any, image: tuple[float, float, float]) -> Any:
     (x, y), (mx, my, mz) = pupil, image
     axis = math.sqrt(mx * mx + my * my + mz * mz)
     dx, dy = x - mx, y - my
-    length = _sqrt(dx * dx + dy * dy + mz * mz)
+    length = safe_sqrt(dx * dx + dy * dy + mz * mz)
     return math.copysign(1.0, mz) * (2 * (x * mx + y * my) - x * x - y * y) / (length + axis)
 
 
@@ -224,11 +224,3 @@ def _fit(basis: NDArray, values: NDArray) -> NDArray:
     """Return the coefficients of the least-squares polynomials of values (n,) or (n, m)."""
     Q, R = np.linalg.qr(basis)
     return np.linalg.solve(R, Q.T @ values)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(dr.maximum(value, 1e-30)) if dr.is_array_v(value) else np.sqrt(np.maximum(value, 1e-30))
-
-
-def _minimum(a: Any, b: Any) -> Any:
-    return dr.minimum(a, b) if dr.is_array_v(a) else np.minimum(a, b)

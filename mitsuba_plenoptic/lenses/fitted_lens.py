@@ -97,13 +97,13 @@ class FittedLens(FinitePupil):
         """Return the reciprocal of the distance from the exit pupil to the image of an object plane."""
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
-        return self.system.trace(place, slope)
+        return self.system.trace(position, slope)
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point, as `MainLens.ray` does."""
-        return self.system.ray(pupil, place)
+        return self.system.ray(pupil, position)
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the open fraction of the pupil, seen from positions on the MLA, as `MainLens.open_fraction` does."""
@@ -121,10 +121,12 @@ class FittedLens(FinitePupil):
             Float64 = dr.float64_array_t(type(which))
             return dr.gather(Float64, Float64(np.ascontiguousarray(column)), which)
 
-        places = lanes(field[:, 0]), lanes(field[:, 1])
+        positions = lanes(field[:, 0]), lanes(field[:, 1])
 
         def over_pupil(polynomial: Polynomial) -> Any:
-            return polynomial.over_pupil([lanes(column) for column in polynomial.at(field, inverse_distance).T], places)
+            return polynomial.over_pupil(
+                [lanes(column) for column in polynomial.at(field, inverse_distance).T], positions
+            )
 
         slope = pupils.slope(field)
         return LensLight(
@@ -169,16 +171,16 @@ class FittedLens(FinitePupil):
         near = float(self.inverse_distance(np.array([[0.0, 0.0, g]]))[0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
         corner = min(corner, WITHIN * self.fitted.aberration.scales.field / near * camera.mla_distance / g)
-        places = np.linspace(0, corner, _STRETCHED)[1:]
-        points = np.column_stack([0 * places, -places * g / camera.mla_distance, np.full(len(places), g)])
+        positions = np.linspace(0, corner, _STRETCHED)[1:]
+        points = np.column_stack([0 * positions, -positions * g / camera.mla_distance, np.full(len(positions), g)])
         images = self.images(points)[:, 1]
-        growth = np.gradient(np.append(0, images), np.append(0, places))[1:]
+        growth = np.gradient(np.append(0, images), np.append(0, positions))[1:]
         refuse_if(
             images.min() <= 0 or growth.min() <= 0,
             f"distance = {distance:g}: the main_lens distorts so that the image of this plane folds",
         )
-        ratio = images / places
-        return ImageStretch(places, ratio, ratio * growth)
+        ratio = images / positions
+        return ImageStretch(positions, ratio, ratio * growth)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays through the centre of the exit pupil."""
@@ -227,8 +229,8 @@ class FittedLens(FinitePupil):
 
         The motion of vignetting edges contributes, too.
         """
-        places, paths, edges = self._changes
-        path, edge = np.interp(radius, places, paths), np.interp(radius, places, edges)
+        positions, paths, edges = self._changes
+        path, edge = np.interp(radius, positions, paths), np.interp(radius, positions, edges)
         across = _EDGE_WEIGHT * edge * step / self.pupil_distance
         return (_AS_TOLD * path + across) * (step / in_millimetres(wavelength))
 
@@ -244,13 +246,13 @@ class FittedLens(FinitePupil):
         circle = _RIM * self.pupil_radius * np.stack([np.cos(angle), np.sin(angle)])
         x, y = (circle[:, None] * (np.arange(1, _RADII + 1) / _RADII)[:, None]).reshape(2, 1, -1)
         heights, middle = np.linspace(0, scales.field, _HEIGHTS), (0.0, 0.0)
-        places, paths, edges = np.zeros((3, _HEIGHTS))
+        positions, paths, edges = np.zeros((3, _HEIGHTS))
         for inverse_distance in scales.middle + scales.half * np.array([-1.0, 0.0, 1.0]):
             distance = 1 / (inverse_distance or 1e-12)
             points = np.column_stack([0 * heights, heights * distance, np.full(_HEIGHTS, distance)])
             points[:, 2] += self.fitted.pupils.entrance
             images, here = self.images(points), self.bind(points)
-            places = np.maximum(places, np.hypot(*images.T))
+            positions = np.maximum(positions, np.hypot(*images.T))
             step = 1e-3 * float(np.hypot(*images.T).max())
             edge = here.inside((x, y))
             for aside in (np.array([0.0, step]), np.array([step, 0.0])):
@@ -260,7 +262,7 @@ class FittedLens(FinitePupil):
                 paths = np.maximum(paths, np.abs(np.where(edge > 0, path, 0)).max(1) / step)
                 moved = np.where(np.abs(edge) < _NEAR_EDGE * self.pupil_radius, there.inside((x, y)) - edge, 0)
                 edges = np.maximum(edges, np.abs(moved).max(1) / step)
-        return places, paths, edges
+        return positions, paths, edges
 
 
 _ACROSS, _EDGE = 192, 4.0

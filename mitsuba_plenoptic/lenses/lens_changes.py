@@ -58,11 +58,11 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
     sides = [replace(system, **{name: getattr(system, name) + amount}) for amount in (step, -step)]
     depths = scales.middle - scales.half, scales.middle + scales.half
     start = nodes(float(system.aperture_radius), scales.field, depths)
-    rays, kept = trace_all(system, *start)
+    rays, valid = trace_all(system, *start)
     moved = [_seen_from(system, side, *start) for side in sides]
     for side in moved:
-        kept &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
-    rays, (more, less) = rays.take(kept), [side.take(kept) for side in moved]
+        valid &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
+    rays, (more, less) = rays.take(valid), [side.take(valid) for side in moved]
     # All refer to the field and inverse distance of the point with respect to the unchanged lens.
     more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
     shift = (more.place - less.place) / (2 * step)
@@ -111,12 +111,12 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
         stop, least = edges(light, pupil)
         fields, inverse_distance = lens.fitted.pupils.field(some)
         moved = np.zeros_like(least)
-        for number, change in enumerate(changes):
+        for index, change in enumerate(changes):
             lanes = [column[:, None] for column in change.at(fields, inverse_distance).T]
-            _, x, y = light.stops[number].gradient(pupil)
+            _, x, y = light.stops[index].gradient(pupil)
             # An edge is where the squared height is 1; it moves by the change of that square over its slope.
             value = change.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
-            moved = np.where(stop == number, -value / np.sqrt(np.maximum(x * x + y * y, 1e-20)), moved)
+            moved = np.where(stop == index, -value / np.sqrt(np.maximum(x * x + y * y, 1e-20)), moved)
         area = np.clip(least / edge + 0.5, 0, 1).sum(1)
         return np.asarray(np.where(np.abs(least) < edge / 2, moved, 0).sum(1) / (edge * area))
 
@@ -233,13 +233,13 @@ class VaryingLight:
     def inside(self, pupil: Pair) -> Any:
         """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
         least, held = None, dr.detach(pupil)
-        for number, stop in enumerate(self.base.stops):
+        for index, stop in enumerate(self.base.stops):
             away = replace(self.base, stops=[stop]).inside(pupil)
             if self.changes:
                 _, x, y = stop.gradient(held)
                 slope = dr.detach(dr.rsqrt(dr.maximum(x * x + y * y, 1e-20)))
                 for change in self.changes:
                     # An edge is where the squared height is 1; it moves by the change of that square over its slope.
-                    away -= change.amount * change.stops[number].value(held) * slope
+                    away -= change.amount * change.stops[index].value(held) * slope
             least = away if least is None else dr.minimum(least, away)
         return least

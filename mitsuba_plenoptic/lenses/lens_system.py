@@ -11,19 +11,18 @@ surfaces or the stop block is dark. Vignetting and pupil aberrations affect only
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
+from ..lens_data import vergence
 from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.data import height
-from ..thin_lens import vergence
+from ..runtime.backend import rsqrt
 from . import sequential
 from .base import Pair, Traced
 from .common import FiniteDistance
@@ -173,9 +172,9 @@ class LensSystem(FiniteDistance):
         own = vergence(self.scale * here.focal_length, distance + front)
         return own / (1 + rear * own)
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
-        point, direction, is_open, _ = self._follow(place, slope)
+        point, direction, is_open, _ = self._follow(position, slope)
         return *self._in_camera(point, direction), is_open
 
     def _in_camera(self, point: Any, direction: Any) -> tuple[tuple[Any, Any, Any], Pair]:
@@ -183,10 +182,10 @@ class LensSystem(FiniteDistance):
         L, M, N = direction
         return (x, y, self.front + z), (L / N, M / N)
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
-        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
-        return self.trace(place, (tx, ty))
+        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
+        return self.trace(position, (tx, ty))
 
     def beside(self, point: tuple[Any, Any, Any], slope: Pair, change: Pair) -> tuple[tuple[Any, Any, Any], Pair]:
         """Return the ray that leaves the MLA from the same position with slightly different slopes.
@@ -232,11 +231,11 @@ class LensSystem(FiniteDistance):
             slope, other = slope - step, slope
         return slope
 
-    def _follow(self, place: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
+    def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
         """Return the result of `sequential.follow` for rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
-        N = _rsqrt(1 + tx * tx + ty * ty)
-        x, y = (m / self.scale for m in place)
+        N = rsqrt(1 + tx * tx + ty * ty)
+        x, y = (m / self.scale for m in position)
         return sequential.follow(
             self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares
         )
@@ -278,20 +277,10 @@ class LensSystem(FiniteDistance):
             Optical path from the point to the MLA, in millimetres.
         """
         (x, y, z), (tx, ty) = (tuple(value / self.scale for value in point), slope)
-        N = _rsqrt(1 + tx * tx + ty * ty)
+        N = rsqrt(1 + tx * tx + ty * ty)
         # In the direction of the light z decreases, whereas the lens counts it in the opposite sense.
         start = (x, y, self.numbers.front_principal - z)
         (x, y, z), (L, M, N), is_open, path = sequential.follow(self.forwards, start, (-tx * N, -ty * N, N))
         left = (self.back_distance / self.scale - z) / N
-        place = (self.scale * (x + left * L), self.scale * (y + left * M))
-        return place, (-L / N, -M / N), is_open, self.scale * (path + left)
-
-
-def _rsqrt(value: Any) -> Any:
-    if dr.is_array_v(value):
-        return dr.rsqrt(value)
-    return 1 / math.sqrt(value) if isinstance(value, float) else 1 / np.sqrt(value)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)
+        position = (self.scale * (x + left * L), self.scale * (y + left * M))
+        return position, (-L / N, -M / N), is_open, self.scale * (path + left)

@@ -65,8 +65,8 @@ def entrance_place(lens: LensSystem) -> float:
 
 def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
     """Trace rays as `trace_all` does, and drop those that miss a surface or pass one far beyond its edge."""
-    rays, kept = trace_all(lens, field, inverse_distance, entrance)
-    return rays.take(kept)
+    rays, valid = trace_all(lens, field, inverse_distance, entrance)
+    return rays.take(valid)
 
 
 def trace_all(
@@ -80,7 +80,7 @@ def trace_all(
 
     `field` and `inverse_distance` have the shape (n,), `entrance` (2, n), the mask (n,).
     """
-    place, path, stops, slope = _follow(lens, field, inverse_distance, entrance)
+    position, path, stops, slope = _follow(lens, field, inverse_distance, entrance)
     middle = _follow(lens, field, inverse_distance, np.zeros_like(entrance))[1]
     step = _STEP * float(lens.aperture_radius)
     (ax, ay), (bx, by) = (
@@ -94,9 +94,9 @@ def trace_all(
     with np.errstate(all="ignore"):
         away = (entrance[0] * inverse_distance) ** 2 + (entrance[1] * inverse_distance - field) ** 2 + 1
         amplitude = 1 / (away * np.sqrt(np.abs(ax * by - ay * bx)))
-        finite = np.isfinite([*place, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
-        kept = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
-    return PupilRays(field, inverse_distance, place, entrance, path - middle, amplitude, stops), kept
+        finite = np.isfinite([*position, path - middle, amplitude]).all(0) & np.isfinite(stops).all(0)
+        valid = finite & (stops <= _BEYOND**2).all(0) & (slope < _STEEPEST)
+    return PupilRays(field, inverse_distance, position, entrance, path - middle, amplitude, stops), valid
 
 
 def _follow(
@@ -120,12 +120,12 @@ def _follow(
             elements, start, (x / length, y / length, 1 / length), heights
         )
         left = (numbers.exit_pupil - z) / N
-        place = scale * np.array([x + left * L, y + left * M])
+        position = scale * np.array([x + left * L, y + left * M])
         path = before + scale * (path + left)
         stops = np.array([h / float(e.semi_aperture) ** 2 for h, e in zip(heights, lens.forwards, strict=True)])
         slope = np.hypot(L, M) / N
     lost = np.where(met, 0.0, np.nan)
-    return place + lost, path + lost, stops + lost, np.where(met, slope, np.inf)
+    return position + lost, path + lost, stops + lost, np.where(met, slope, np.inf)
 
 
 _DEGREES = (Degrees(6, 4, 4), Degrees(8, 6, 4), Degrees(10, 8, 5))

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
+from ..runtime.backend import minimum, safe_sqrt
 from .base import Pair
 
 
@@ -83,7 +83,7 @@ class Polynomial:
 def fit(
     scales: Scales,
     degrees: Degrees,
-    place: NDArray[np.float64],
+    position: NDArray[np.float64],
     field: NDArray[np.float64],
     inverse_distance: NDArray[np.float64],
     values: NDArray[np.float64],
@@ -108,7 +108,7 @@ def fit(
     list of k Polynomial
     """
     f, d = scales.of_points(field**2, inverse_distance)
-    s, t = scales.of_pupil((place**2).sum(0)), place[1] * field * scales.mixed
+    s, t = scales.of_pupil((position**2).sum(0)), position[1] * field * scales.mixed
     own = [(b, c, a) for b, c in degrees.pairs for a in range((degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)
     powers = [np.vander(x, n + 1, increasing=True).T for x, n in zip((s, t, f), highest, strict=True)]
@@ -197,7 +197,7 @@ class LensLight:
         """Return the path to a position on the exit pupil, less a constant of the point, in millimetres."""
         (x, y), (sx, sy), w = pupil, self.slope, self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
-        return sphere / (self._secant(pupil) + _sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
+        return sphere / (self._secant(pupil) + safe_sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
 
     def path(self, pupil: Pair, point: Any, wavelength: float) -> Any:
         """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
@@ -213,9 +213,9 @@ class LensLight:
         for stop in self.stops:
             square, along_x, along_y = stop.gradient(pupil)
             # (1 - r) / |grad r| with r the root; the centre of the stop has no gradient
-            root = _sqrt(square)
-            away = (1 - root) * 2 * root / _sqrt(along_x * along_x + along_y * along_y)
-            least = away if least is None else _minimum(least, away)
+            root = safe_sqrt(square)
+            away = (1 - root) * 2 * root / safe_sqrt(along_x * along_x + along_y * along_y)
+            least = away if least is None else minimum(least, away)
         return least
 
     def is_open(self, pupil: Pair) -> Any:
@@ -237,18 +237,10 @@ class LensLight:
     def land(self, pupil: Pair, point: Any) -> Pair:
         """Return the positions on the MLA of rays through positions of the exit pupil, as `Light.land` does."""
         cosines = self.cosines(pupil, point)
-        along = self.pupil_distance / _sqrt(1 - cosines[0] * cosines[0] - cosines[1] * cosines[1])
+        along = self.pupil_distance / safe_sqrt(1 - cosines[0] * cosines[0] - cosines[1] * cosines[1])
         x, y = (P + along * c for P, c in zip(pupil, cosines, strict=True))
         return x, y
 
     def _secant(self, pupil: Pair) -> Any:
         x, y = (P * self.convergence - s for P, s in zip(pupil, self.slope, strict=True))
-        return _sqrt(x * x + y * y + 1)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(dr.maximum(value, 1e-20)) if dr.is_array_v(value) else np.sqrt(np.maximum(value, 1e-20))
-
-
-def _minimum(a: Any, b: Any) -> Any:
-    return dr.minimum(a, b) if dr.is_array_v(a) else np.minimum(a, b)
+        return safe_sqrt(x * x + y * y + 1)

@@ -21,8 +21,8 @@ from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
 from .base import Entrance
+from .common import LensNumbers, builds
 from .exit_pupil import ExitPupil
-from .factory import LensNumbers, builds
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
 from .pupil_fit import Pupils, covered, fit_pupil, trace
@@ -57,7 +57,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     # The initial value is a point outside the round pupil.
     result = np.full((_FIELDS, len(nodes), 2), 2 * radius, np.float32)
-    for number, height in enumerate(heights):
+    for index, height in enumerate(heights):
         edge = _edge(lens, height, half)
         if edge is None:
             continue
@@ -66,9 +66,9 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
         _, nearest = cKDTree(edge).query(nodes)
         outward = normals[nearest]
         inside = ((edge[nearest] - nodes) * outward).sum(1)
-        result[number] = outward * (radius - inside)[:, None]
+        result[index] = outward * (radius - inside)[:, None]
         # The round pupil has no points farther from its edge than its centre.
-        result[number][inside > radius] = 0
+        result[index][inside > radius] = 0
     refuse_if(
         not (np.hypot(*result[0].T) <= radius).any(), "main_lens: no ray gets through it to the middle of the array"
     )
@@ -188,8 +188,8 @@ class RealLens(LensSystem):
         lens = self._over_field(float(largest.max()), (float(inverse_distance.min()), float(inverse_distance.max())))
         beyond = largest > lens.fitted.aberration.scales.field
         if beyond.any():
-            place = ", ".join(f"{c:g}" for c in points[beyond][0])
-            raise InputError(f"position = ({place}): no light of it passes the main_lens")
+            position = ", ".join(f"{c:g}" for c in points[beyond][0])
+            raise InputError(f"position = ({position}): no light of it passes the main_lens")
         return _checked(lens)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> ExitPupil:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..prescription import Prescription
-from ..prescription.data import height, safe_sqrt
+from ..prescription.data import LEAST, height
+from ..runtime.backend import safe_sqrt
 
 NEWTON_STEPS = 5
 """Newton iterations that find the intersection of a ray with an asphere from that with its conic."""
@@ -159,7 +160,7 @@ def follow(
             A, B, C = c * (1 + surface.conic * N * N), N - c * (x * L + y * M), c * (x * x + y * y)
             root = B * B - A * C
             is_open = is_open & (root > 0)
-            t = C / (B + safe_sqrt(root))
+            t = C / (B + safe_sqrt(root, LEAST))
             if surface.asphere:
                 t = _meet(surface, (x, y), (L, M, N), t)
             x, y, z = x + t * L, y + t * M, t * N
@@ -173,13 +174,13 @@ def follow(
         is_open = is_open & (square <= surface.semi_aperture * surface.semi_aperture)
         if surface.refracts:
             slope = _slope(surface, square)
-            scale = 1 / safe_sqrt(1 + slope * slope * square)
+            scale = 1 / safe_sqrt(1 + slope * slope * square, LEAST)
             nx, ny, nz = -slope * x * scale, -slope * y * scale, scale
             eta = surface.before / surface.after
             cosine = L * nx + M * ny + N * nz
             root = 1 - eta * eta * (1 - cosine * cosine)
             is_open = is_open & (root > 0)
-            turn = safe_sqrt(root) - eta * cosine
+            turn = safe_sqrt(root, LEAST) - eta * cosine
             L, M, N = eta * L + turn * nx, eta * M + turn * ny, eta * N + turn * nz
     return (x, y, z), (L, M, N), is_open, path
 
@@ -187,7 +188,7 @@ def follow(
 def _slope(surface: Element, square: Any) -> Any:
     """Return the derivative of a surface's height by the distance from the axis, over that distance."""
     c = surface.curvature
-    slope = c / safe_sqrt(1 - (1 + surface.conic) * c * c * square) if c else 0.0 * square
+    slope = c / safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST) if c else 0.0 * square
     power = square
     for order, coefficient in enumerate(surface.asphere, start=2):
         slope = slope + 2 * order * coefficient * power
@@ -195,9 +196,9 @@ def _slope(surface: Element, square: Any) -> Any:
     return slope
 
 
-def _meet(surface: Element, place: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
+def _meet(surface: Element, position: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
     """Return the parameter along a ray, measured from the vertex's plane, at which it meets an asphere."""
-    (x, y), (L, M, N) = place, direction
+    (x, y), (L, M, N) = position, direction
     for _ in range(NEWTON_STEPS):
         X, Y = x + t * L, y + t * M
         square = X * X + Y * Y

@@ -24,15 +24,14 @@ import math
 from dataclasses import dataclass
 from typing import Any, cast
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..optics.waves import in_millimetres
+from ..runtime.backend import rsqrt, safe_sqrt, sqrt
 from .base import Pair, Traced
-from .common import UniformLens
-from .factory import LensNumbers, builds
+from .common import LensNumbers, UniformLens, builds
 
 _ROUNDING = 1e-9
 """Distance outside the stop, over its radius, up to which a point counts as on its edge."""
@@ -78,7 +77,7 @@ class TelecentricLens(UniformLens):
         """Return the cosine of that angle, continued by a small constant where the sine would exceed 1."""
         x, y = self._sines(pupil)
         square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
-        return dr.sqrt(dr.maximum(square, 1e-6)) if dr.is_array_v(square) else np.sqrt(np.maximum(square, 1e-6))
+        return safe_sqrt(square, 1e-6)
 
     def vergence(self, distance: Any) -> Any:
         r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
@@ -103,19 +102,19 @@ class TelecentricLens(UniformLens):
         steepest = math.tan(self.objective.half_angle)
         return field / self.objective.magnification - self.front * steepest, (self.front,)
 
-    def chief_point(self, place: Any, detector_distance: Any) -> Any:
+    def chief_point(self, position: Any, detector_distance: Any) -> Any:
         """Return the position itself: chief rays are parallel to the axis."""
-        return place
+        return position
 
     def pupil_distance_from(self, behind: Any) -> float:
         """Return the focal length of the tube lens for every plane: the stop is imaged to infinity."""
         return self.pupil_distance
 
-    def pupil_point(self, place: Any, slope: Any, height: Any = 0.0) -> Any:
+    def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
         """Return one coordinate on the stop, which does not depend on the position."""
         return self.pupil_distance * slope
 
-    def slope_to(self, pupil: Any, place: Any, height: Any = 0.0) -> Any:
+    def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
         """Return the slope of light from a point of the stop, which is the same at all positions."""
         return pupil / self.pupil_distance
 
@@ -166,29 +165,28 @@ class TelecentricLens(UniformLens):
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`\cos^{-1/2}\theta`, the same for all points of the object."""
-        cosine = self._cosine(pupil)
-        return dr.rsqrt(cosine) if dr.is_array_v(cosine) else 1 / np.sqrt(cosine)
+        return rsqrt(self._cosine(pupil))
 
     @property
     def front(self) -> float:
         """Coordinate z in the camera frame of the plane where rays start: the objective's front principal plane."""
         return -self.objective.immersion * self.objective.focal_length
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the array to the scene; the image side is paraxial."""
         if self.objective.images_stop:
             f = self.objective.last_focal_length
-            place, slope = (f * slope[0], f * slope[1]), (-place[0] / f, -place[1] / f)
+            position, slope = (f * slope[0], f * slope[1]), (-position[0] / f, -position[1] / f)
         pupil = slope[0] * self.pupil_distance, slope[1] * self.pupil_distance
-        return self.ray(pupil, place)
+        return self.ray(pupil, position)
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position in the native image plane through a point of the stop."""
-        behind = self.aim(pupil, place)
-        x, y = (t * self.front - m / self.objective.magnification for m, t in zip(place, behind, strict=True))
+        behind = self.aim(pupil, position)
+        x, y = (t * self.front - m / self.objective.magnification for m, t in zip(position, behind, strict=True))
         return (x, y, self.front), behind, self.is_open(pupil)
 
-    def aim(self, pupil: Pair, place: Pair) -> Pair:
+    def aim(self, pupil: Pair, position: Pair) -> Pair:
         """Return the slopes in the scene of the ray through a point of the stop, the same for all image positions."""
         x, y = self._sines(pupil)
         scale = -1 / (self.objective.immersion * self._cosine(pupil))
@@ -202,8 +200,7 @@ class TelecentricLens(UniformLens):
 
     def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the stop, positive inside."""
-        square = pupil[0] * pupil[0] + pupil[1] * pupil[1]
-        return self.pupil_radius - (dr.sqrt(square) if dr.is_array_v(square) else np.sqrt(square))
+        return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the stop or, up to rounding, on its edge."""

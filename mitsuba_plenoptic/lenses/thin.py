@@ -17,21 +17,21 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import WAVEFRONT_UNIT
+from ..errors import WAVEFRONT_UNIT
+from ..lens_data import vergence
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
-from ..thin_lens import vergence
+from ..runtime.backend import sqrt
 from .base import Pair, Traced
-from .common import FinitePupil, UniformLens
+from .common import FinitePupil, LensNumbers, UniformLens, builds
 from .distortion import undistort
-from .factory import LensNumbers, builds
 
 
 def noll(j: int) -> tuple[int, int]:
     """Return radial order n and azimuthal order m, negative for sines, of the Zernike polynomial with Noll index j."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
-    place = j - n * (n + 1) // 2 - 1
-    m = (-1) ** j * (n % 2 + 2 * ((place + (n + 1) % 2) // 2))
+    position = j - n * (n + 1) // 2 - 1
+    m = (-1) ** j * (n % 2 + 2 * ((position + (n + 1) % 2) // 2))
     return n, m
 
 
@@ -142,9 +142,9 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
         return vergence(self.focal_length, distance)
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene."""
-        Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(place, slope, strict=True))
+        Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
         if self.model == "ideal":
             behind = self.refract(slope, (Px, Py))
         else:
@@ -163,9 +163,9 @@ class ThinLens(UniformLens, FinitePupil):
         """Return `vergence`: the lens is its own pupil."""
         return self.vergence(distance)
 
-    def ray(self, pupil: Pair, place: Pair) -> Traced:
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the MLA through a pupil point; the pupil's edge is not applied."""
-        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, place, strict=True))
+        tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return (*pupil, 0.0), self.refract((tx, ty), pupil), True
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
@@ -222,7 +222,7 @@ class ThinLens(UniformLens, FinitePupil):
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
-        axis = _signed(_sqrt(X * X + Y * Y + g * g), g)
+        axis = _signed(sqrt(X * X + Y * Y + g * g), g)
         difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
@@ -234,7 +234,7 @@ class ThinLens(UniformLens, FinitePupil):
 
     def inside(self, pupil: Pair) -> Any:
         """Return the distance of a point from the edge of the pupil, positive inside."""
-        return self.pupil_radius - _sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
+        return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
@@ -268,15 +268,11 @@ class ThinLens(UniformLens, FinitePupil):
 def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
     """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
     dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
-    return _signed(_sqrt(dx * dx + dy * dy + g * g), g)
+    return _signed(sqrt(dx * dx + dy * dy + g * g), g)
 
 
 def _signed(length: Any, g: Any) -> Any:
     return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
-
-
-def _sqrt(value: Any) -> Any:
-    return dr.sqrt(value) if dr.is_array_v(value) else np.sqrt(value)
 
 
 @dataclass(frozen=True)
@@ -291,10 +287,10 @@ class DistortedLens(ThinLens):
 
     distortion: tuple[float, ...] = (0.0,) * 5
 
-    def trace(self, place: Pair, slope: Pair) -> Traced:
+    def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA through the same pupil point to the scene."""
-        source = undistort(*place, self.distortion)
-        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, place, source, strict=True))
+        source = undistort(*position, self.distortion)
+        moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, position, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))
 
 

@@ -40,27 +40,13 @@ _COARSE, _FINE = 0.33, 0.37
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which part of the variance views leave unexplained, moved so that points of one disparity coincide.
 
-    The variance of the views in each bin and the one that their mean has among the neighbouring bins are what is to be
-    explained; the former is left unexplained. Interpolation lessens both alike. Where it is less than half as great for
-    the upper, lower, left or right half of the pupil, twice that counts: next to an occluder's edge, one half of the
-    pupil sees past it.
+    The results, each (t, s): that ratio, from 0 to 1, which noise alone reaches, and NaN where too few views see a bin;
+    the variance that is to be explained; and the samples, over which 1 is the variance of the ratio of noise alone.
 
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field.
-    slope : float
-        Disparity in lenses per view.
-
-    Returns
-    -------
-    ratio : (t, s) float32 array
-        From 0 to 1, where the views have nothing in common but noise; NaN where too few views see a bin, near the
-        border.
-    whole : (t, s) float32 array
-        The variance that is to be explained.
-    samples : (t, s) float32 array
-        Of noise alone, the ratio has a variance of 1 over this.
+    To be explained are the variance of the views in each bin, which is left unexplained, and that of their mean among
+    the neighbouring bins. Interpolation lessens both alike. Where the ratio is less than half as great for the upper,
+    lower, left or right half of the pupil, twice that counts: next to an occluder's edge, one half of the pupil sees
+    past it.
     """
     variance, mean, count = _moved_views(lf, slope)
     seen, parts, means, squares = (
@@ -81,7 +67,7 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
 
 
 def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Return how probably what a view shows are stripes finer than two lenses.
+    """Return how probably an image in focus everywhere, (rows, columns), shows stripes finer than two lenses.
 
     Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
     1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
@@ -89,14 +75,8 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     sinc(1 - f). With any complex amplitude up to these alike before, one that both can have is that of the finer ones
     with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. Texture of many frequencies agrees only
     at its depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These
-    are recognised by a mean frequency that is higher than moving views leaves of any other texture.
-
-    Parameters
-    ----------
-    image : (rows, columns) array
-        The image in focus everywhere: the mean of the views, of less noise than each.
-    moved : (rows, columns) bool array
-        Where views were moved by more than a lens.
+    are recognised by a mean frequency that is higher than moving views by more than a lens, where `moved`, leaves of
+    any other texture.
     """
     if min(image.shape) < 3:
         return np.zeros(image.shape)
@@ -123,17 +103,10 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
 
 
 def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Variance and mean over the views, moved so that points of one disparity, in lenses per view, coincide.
+    """Return variance, mean and count of the views that see each bin, moved so that points of one disparity coincide.
 
-    Returns
-    -------
-    variance : (5, t, s) float32 array
-        Of the whole pupil and of its upper, lower, left and right half; samples at the pupil's edge left out, mean
-        over the channels.
-    mean : array like it
-        Of the same parts.
-    count : array like it
-        Views that see the bin.
+    Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, a mean over the channels.
+    Samples at the pupil's edge are left out.
     """
     weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")

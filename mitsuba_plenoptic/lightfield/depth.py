@@ -111,8 +111,8 @@ def depth_map(
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
-    found = np.interp(choice.place, np.arange(planes), slopes)
-    nearest_plane = np.rint(choice.place).astype(np.int64)
+    found = np.interp(choice.plane, np.arange(planes), slopes)
+    nearest_plane = np.rint(choice.plane).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
     for index in np.unique(nearest_plane):
         here = nearest_plane == index
@@ -210,23 +210,9 @@ def disagreement_of_planes(
     progress: Progress | None = None,
     micro_images: MicroImages | None = None,
 ) -> tuple[Disagreement, float]:
-    """Measure how badly the views agree about planes of some disparities, and how many samples that counts for.
+    """Measure how badly views agree about planes of rising disparities, and return how many samples that counts for.
 
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field of a camera.
-    slopes : (planes,) array
-        Disparities in lenses per view, rising.
-    progress : callable, optional
-        Called with the planes done and their number.
-    micro_images : MicroImages, optional
-        Of a focused camera.
-
-    Raises
-    ------
-    InputError
-        If views have nothing in common on any plane, or micro-images lack or are those of another camera.
+    `micro_images` are those of a focused camera; those of another camera are refused.
     """
     central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):

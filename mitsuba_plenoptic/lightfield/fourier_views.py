@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..objective import Objective
 from ..runtime.limits import require_memory
 from .geometry import DIMS, labelled

@@ -24,10 +24,10 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, refuse_if, require_number, short_repr
+from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
 from ..io.captures import require_pixels
+from ..lens_data import image_distance
 from ..optics import rays
-from ..thin_lens import image_distance
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
@@ -154,12 +154,10 @@ def grid_of(lf: xr.DataArray) -> LensGrid | None:
 
 def _record(lf: xr.DataArray, name: str) -> dict[str, Any]:
     """Return what an attribute holds as JSON."""
-    try:
+    with refusing(
+        f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON:", TypeError, ValueError
+    ):
         return dict(json.loads(lf.attrs[name]))
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON: {error}"
-        ) from None
 
 
 def require_light_field(lf: Any) -> xr.DataArray:

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
-from ..errors import put, refuse_if, require_count, require_number, require_pair
+from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair
 from ..optics import rays
 from ..runtime.limits import require_memory
 

@@ -57,13 +57,7 @@ _POINTS = 32
 
 
 class LensComparison:
-    """Micro-images of a capture, compared plane by plane.
-
-    Parameters
-    ----------
-    images : MicroImages
-        The micro-images.
-    """
+    """Micro-images of a capture, compared plane by plane."""
 
     def __init__(self, images: MicroImages) -> None:
         self._images = images
@@ -73,23 +67,9 @@ class LensComparison:
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return which part of the variance neighbouring lenses leave unexplained, moved so that a disparity coincides.
 
-        The variance that samples of a bin have is what is to be explained, the one between those of neighbouring lenses
-        is left unexplained. Interpolation lessens both alike.
-
-        Parameters
-        ----------
-        slope : float
-            Disparity in lenses per view.
-
-        Returns
-        -------
-        ratio : (t, s) float32 array
-            Of the bins of the light field; 1 where lenses have nothing in common but noise, NaN where they compare
-            nothing.
-        whole : (t, s) float32 array
-            The variance that is to be explained.
-        samples : (t, s) float32 array
-            Of noise alone, the ratio has a variance of 1 over this.
+        The results are those of `agreement.view_disagreement`; the ratio is NaN where lenses compare nothing. The
+        variance that samples of a bin have is to be explained, and that between samples of neighbouring lenses is left
+        unexplained. Interpolation lessens both alike.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
@@ -163,8 +143,8 @@ class LensComparison:
         images = self._images
         values, weight = np.empty_like(self._values), np.empty_like(images.weight)
         types = images.types
-        place = np.indices(images.weight.shape[2:], dtype=np.float64)
-        last = place[:, -1:, -1:]
+        position = np.indices(images.weight.shape[2:], dtype=np.float64)
+        last = position[:, -1:, -1:]
         camera = images.camera
         for lens_type, (mean, inwards) in enumerate(self._rims):
             here = types == lens_type
@@ -172,9 +152,9 @@ class LensComparison:
             views = kappa / camera.pupil_step + 1 / (slope * camera.mla_pitch)
             # What each sample shows belongs so far from it, the other way; `at` shows what belongs at a place.
             away = mean * views - inwards
-            at = place
+            at = position
             for _ in range(_REPEATED):
-                at = place + [scipy.ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in away]
+                at = position + [scipy.ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in away]
             inside = np.all((at >= 0) & (at <= last), axis=0)[..., None]
             whole = at.clip(0, last - 1).astype(np.int64)
             part = (at - whole).clip(0, 1).astype(np.float32)
@@ -190,14 +170,14 @@ class LensComparison:
 
     @cached_property
     def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """What the pupil's rim does to the samples of a lens of each type, two arrays (2, v, u) along v and u.
+        """Effects of the pupil's rim on the samples of a lens of each type, two arrays (2, v, u) along v and u.
 
         Mean point, in mm, of the part of the lens that a sample sees the pupil through; and by how many pixels the
         light of the sample was recorded off it: inwards, as less comes from where less of the lens is open.
         """
         camera = self._images.camera
-        place = (np.arange(_POINTS) + 0.5) / _POINTS
-        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, place)])
+        position = (np.arange(_POINTS) + 0.5) / _POINTS
+        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, position)])
         found = []
         reach = len(_SPREAD) // 2
         offset = np.arange(-reach, reach + 1)
@@ -239,9 +219,9 @@ def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
 
 
-def _aperture_points(camera: PlenopticCamera, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points that lie evenly on a lens's aperture, in mm from its centre."""
-    s, t = np.meshgrid(place, place)
+    s, t = np.meshgrid(position, position)
     x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
     return np.asarray(x), np.asarray(y)
 

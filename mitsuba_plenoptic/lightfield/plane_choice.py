@@ -62,63 +62,38 @@ WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 @dataclass(frozen=True)
 class Choice:
-    """The plane of each bin.
+    """The plane of each bin."""
 
-    Attributes
-    ----------
-    place : (rows, columns) float64 array
-        Index of the plane, with fractions.
-    probability : (rows, columns) float64 array
-        That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
-        may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes
-        explain repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge
-        the edge may be all the evidence that a bin has.
-    agreed : (rows, columns) bool array
-        Where most neighbours agree.
-    """
-
-    place: np.ndarray
+    # Index of the plane, with fractions, (rows, columns).
+    plane: np.ndarray
+    # That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
+    # may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes explain
+    # repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge the edge
+    # may be all the evidence that a bin has.
     probability: np.ndarray
+    # Where most neighbours agree.
     agreed: np.ndarray
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How badly views agree about planes.
+    """How badly views agree about planes."""
 
-    Attributes
-    ----------
-    ratio : (planes, rows, columns) array
-        Variance about each plane over the variance that is to be explained, 1 of noise; NaN where nothing can be
-        compared.
-    samples : (planes, rows, columns) array
-        Of noise alone, the ratio has a variance of 1 over this.
-    contrast : (rows, columns) array
-        Deviation that is to be explained, over the brightness.
-    inverse : (planes,) array
-        Inverse distances of the planes, falling or rising.
-    """
-
+    # Variance about each plane over the variance that is to be explained, 1 of noise, (planes, rows, columns); NaN
+    # where nothing can be compared.
     ratio: np.ndarray
+    # Of noise alone, the ratio has a variance of 1 over this.
     samples: np.ndarray
+    # Deviation that is to be explained, over the brightness, (rows, columns).
     contrast: np.ndarray
+    # Inverse distances of the planes, falling or rising.
     inverse: np.ndarray
 
 
 def disagreement(
     ratio: np.ndarray, whole: np.ndarray, samples: np.ndarray, brightness: np.ndarray, inverse: np.ndarray
 ) -> Disagreement:
-    """Judge how badly views agree by the brightness: deviations that mean nothing make every ratio 1.
-
-    Parameters
-    ----------
-    ratio, whole, samples : (planes, rows, columns) array
-        As of `agreement.view_disagreement`, for all planes.
-    brightness : (rows, columns) array
-        Of the bins.
-    inverse : (planes,) array
-        Inverse distances of the planes, falling or rising.
-    """
+    """Judge how badly views agree by the brightness of bins: deviations that mean nothing make every ratio 1."""
     bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -128,25 +103,18 @@ def disagreement(
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
-    """Choose the most probable plane of each bin.
+    """Choose the most probable plane of each bin, whose surroundings have some samples, `VIEWS` or `LENSES`.
 
-    Parameters
-    ----------
-    found : Disagreement
-        About all planes.
-    samples : float
-        N of the bin's surroundings: `VIEWS` or `LENSES`.
-    tolerance : float
-        Relative error of a distance that counts as right.
+    `tolerance` is the relative error of a distance that counts as right.
     """
-    place, told, agreeing = indications(found, samples, tolerance)
-    probability = expit(np.tensordot(WEIGHTS, told, 1))
+    plane, evidence, agreeing = indications(found, samples, tolerance)
+    probability = expit(np.tensordot(WEIGHTS, evidence, 1))
     probability = np.minimum(probability, 1 - np.square(1 - agreeing))
-    probability = np.where(at_an_end(found, place, tolerance), 0, probability)
-    return Choice(place, probability, agreeing >= _MAJORITY)
+    probability = np.where(at_an_end(found, plane, tolerance), 0, probability)
+    return Choice(plane, probability, agreeing >= _MAJORITY)
 
 
-def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.ndarray:
+def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
     """Return where the right plane may be beyond the last one.
 
     That is so within the tolerance of the first or the last plane, and where no valley of the disagreement is closed at
@@ -155,19 +123,19 @@ def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.nd
     by less.
     """
     ratio = found.ratio
-    low, high = _around(found.inverse, place, tolerance)
+    low, high = _around(found.inverse, plane, tolerance)
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         energy = 0.5 * np.log(ratio)
         typical = np.nanmedian(energy, axis=0)
     planes = np.arange(len(energy))[:, None, None]
-    least = np.where(np.abs(planes - place) <= 1, np.nan_to_num(energy, nan=np.inf), np.inf).min(axis=0)
+    least = np.where(np.abs(planes - plane) <= 1, np.nan_to_num(energy, nan=np.inf), np.inf).min(axis=0)
     # Planes that can be compared without a gap between them and the chosen one.
     gaps = np.cumsum(np.isnan(energy), axis=0)
-    row, column = np.indices(place.shape)
-    joined = np.isfinite(energy) & (gaps == gaps[np.rint(place).astype(np.int64), row, column])
+    row, column = np.indices(plane.shape)
+    joined = np.isfinite(energy) & (gaps == gaps[np.rint(plane).astype(np.int64), row, column])
     beyond = (low <= 0) | (high >= len(energy) - 1)
-    for side in (planes < place, planes > place):
+    for side in (planes < plane, planes > plane):
         wall = np.where(joined & side, energy, -np.inf).max(axis=0)
         before_gap = (np.isfinite(energy) & side & ~joined).any(axis=0)
         needed = np.where(before_gap, _CLOSED_AT_GAP, _CLOSED)
@@ -176,63 +144,50 @@ def at_an_end(found: Disagreement, place: np.ndarray, tolerance: float) -> np.nd
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the most probable planes, and what indicates whether they are right.
+    """Return the most probable planes, with fractions, the evidence on whether they are right, and who agrees.
 
-    Parameters
-    ----------
-    found, samples, tolerance
-        As for `choose`.
+    Evidence, (4, rows, columns), is logarithms but for the first: one; the log odds that the plane is right, if the
+    evidence of the bin's surroundings, on average, is taken at its word, as repeated texture agrees at several
+    distances about as well; the deviation on the best plane over the brightness, or 0.06 where it is less, since at
+    edges of what is in front, on gloss and on steep surfaces no plane explains the views; and by how many deviations of
+    noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone would leave on the best of
+    all planes.
 
-    Returns
-    -------
-    place : (rows, columns) array
-        Index of the plane, with fractions.
-    told : (4, rows, columns) array
-        What indicates whether the plane is right, logarithms but for the first:
-
-        - one;
-        - the log odds that it is, if the evidence of the bin's surroundings, on average, is taken at its word: repeated
-          texture agrees at several distances about as well;
-        - the deviation on the best plane over the brightness, or 0.06 where it is less: at edges of what is in front,
-          on gloss and on steep surfaces no plane explains the views;
-        - how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone
-          would leave on the best of all planes.
-    agreeing : (rows, columns) array
-        Fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
+    Last comes the fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
     """
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(found.ratio, axis=0)
     ratio = np.where(np.isnan(found.ratio), np.where(np.isnan(worst), 1, worst), found.ratio)
     energy = 0.5 * np.log(ratio)
-    place = _summit(_with_neighbours(_normalised(-_SHARED * energy)))
-    low, high = _around(found.inverse, place, _NEAR_BY * tolerance)
+    plane = _summit(_with_neighbours(_normalised(-_SHARED * energy)))
+    low, high = _around(found.inverse, plane, _NEAR_BY * tolerance)
     own = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
     asked = scipy.ndimage.gaussian_filter(own.astype(np.float32), (0, _ASKED, _ASKED), mode="nearest")
     # However far apart planes are, the next ones agree.
-    agreeing = _mass(asked, np.minimum(low, place - 1), np.maximum(high, place + 1))
+    agreeing = _mass(asked, np.minimum(low, plane - 1), np.maximum(high, plane + 1))
     del own, asked
     misfit = energy.min(axis=0) + np.log(found.contrast + np.finfo(np.float32).tiny)
     averaged, explained, independent = (
         scipy.ndimage.gaussian_filter(part, (0, _AVERAGED, _AVERAGED), mode="nearest")
         for part in (energy, 1 - ratio, _MORE * found.samples)
     )
-    here = np.rint(place).astype(np.int64)[None]
+    here = np.rint(plane).astype(np.int64)[None]
     significance = np.take_along_axis(explained * np.sqrt(independent), here, 0)[0]
-    mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, place, tolerance))
-    told = (
-        np.ones_like(place),
+    mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, plane, tolerance))
+    evidence = (
+        np.ones_like(plane),
         logit(mass.clip(_SURE, 1 - _SURE)),
         misfit.clip(np.log(_STILL)),
         np.log((significance - _BY_CHANCE).clip(_INSIGNIFICANT, _SIGNIFICANT)),
     )
-    return place, np.stack(told), agreeing
+    return plane, np.stack(evidence), agreeing
 
 
-def _around(inverse: np.ndarray, place: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places between which distances are within the tolerance of the one at a place, or the ends."""
+def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the planes, with fractions, between which distances are within the tolerance of one, or the ends."""
     planes = np.arange(len(inverse))
     order = np.argsort(inverse)
-    at = np.interp(place, planes, inverse)
+    at = np.interp(plane, planes, inverse)
     ends = [np.interp(at / (1 + sign * tolerance), inverse[order], planes[order]) for sign in (-1, 1)]
     return np.minimum(*ends), np.maximum(*ends)
 
@@ -252,7 +207,7 @@ def _with_neighbours(own: np.ndarray) -> np.ndarray:
     for axis in (1, 2):
         for step in (1, -1):
             lines = np.moveaxis(own, axis, 0)[::step]
-            told = np.moveaxis(total, axis, 0)[::step]
+            evidence = np.moveaxis(total, axis, 0)[::step]
             message = np.full(lines.shape[1:], 1 / len(own))
             for index in range(1, len(lines)):
                 belief = lines[index - 1] * message
@@ -261,7 +216,7 @@ def _with_neighbours(own: np.ndarray) -> np.ndarray:
                 spread[1:] += _NEXT * belief[:-1]
                 spread[:-1] += _NEXT * belief[1:]
                 message = (1 - _ANY) * spread / spread.sum(axis=0) + _ANY / len(own)
-                told[index] += np.log(message)
+                evidence[index] += np.log(message)
     return _normalised(total)
 
 
@@ -277,14 +232,14 @@ def _summit(probability: np.ndarray) -> np.ndarray:
 
 
 def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the probability between two places; each plane's own is spread evenly over its neighbourhood."""
+    """Return the probability between two planes; each plane's own is spread evenly over its neighbourhood."""
     below = np.concatenate([np.zeros((1, *low.shape)), np.cumsum(probability, axis=0)])
     row, column = np.indices(low.shape)
 
-    def up_to(place: np.ndarray) -> np.ndarray:
-        place = (place + 0.5).clip(0, len(probability))
-        whole = np.minimum(place.astype(np.int64), len(probability) - 1)
+    def up_to(plane: np.ndarray) -> np.ndarray:
+        plane = (plane + 0.5).clip(0, len(probability))
+        whole = np.minimum(plane.astype(np.int64), len(probability) - 1)
         left, right = below[whole, row, column], below[whole + 1, row, column]
-        return np.asarray(left + (place - whole) * (right - left))
+        return np.asarray(left + (plane - whole) * (right - left))
 
     return up_to(high) - up_to(low)

@@ -33,21 +33,9 @@ _BLURRED, _SLOPE, _LEAST, _MOST = 2.5, 3.0, 0.25, 0.87
 
 
 def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
-    """Return how probably the depth of a bin is wrong because its texture repeats.
+    """Return how probably the depth of a bin, (t, s), is wrong because its texture repeats, by the searched planes.
 
     It is 0 where no plane of the search is a whole period from another one.
-
-    Parameters
-    ----------
-    images : MicroImages
-        The micro-images.
-    slopes : (planes,) array
-        Disparities of the searched planes, in lenses per view.
-
-    Returns
-    -------
-    (t, s) array
-        Of the bins of the light field.
     """
     rise, period = _repetition(images)
     # Neighbouring lenses show the same so many pixels apart.

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if, require_number
+from ..errors import refuse_if, require_accuracy
 from ..lenses.base import MainLens
 from ..optics.waves import in_millimetres
 from .grid import Band
@@ -65,18 +65,11 @@ _MANY = 1600
 """Number of overlapping point spreads above which `WAVES_PER_ERROR` gives the allowed error."""
 
 
-def check_accuracy(accuracy: Any, name: str = "accuracy") -> float:
-    """Return an allowed error as a float."""
-    number = require_number(name, accuracy)
-    refuse_if(not 0 <= number < 1, f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
-    return number
-
-
 def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
     """Return the allowed error of a method, by default its own, and refuse one that the method would ignore."""
     if accuracy is None:
         return default if method == "patch" else 0.0
-    checked = check_accuracy(accuracy)
+    checked = require_accuracy(accuracy)
     refuse_if(
         checked and method != "patch",
         f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",
@@ -198,21 +191,21 @@ def find_patterns(
         off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
-    place = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
+    position = np.column_stack([np.bincount(pattern, part) for part in (image - cell).T]) / count[:, None] + middle
     mean = np.bincount(pattern, lens.inverse_distance(positions)) / count
     slant = None
     if pupil_weights is not None:
         slant = np.column_stack([np.bincount(pattern, part) for part in pupil_weights.slant.T]) / count[:, None]
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
     inverse_distance = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    found = lens.points(_in_pitches(camera, place) * camera.mla_pitch, inverse_distance)
+    found = lens.points(_in_pitches(camera, position) * camera.mla_pitch, inverse_distance)
     return Patterns(found, slant, pattern, cell - middle[pattern])
 
 
-def _lattice_steps(camera: PlenopticCamera, place: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Express positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
     (width, _), (aside, height) = camera.lattice.basis
-    x, y = (place - np.array(camera.mla_offset)).T
+    x, y = (position - np.array(camera.mla_offset)).T
     j = y / height
     return np.stack([(x - j * aside) / width, j], axis=-1)
 

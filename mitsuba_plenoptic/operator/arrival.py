@@ -75,8 +75,8 @@ def field_grids(
     p, lam = camera.pixel_size, in_millimetres(wavelength)
     radius = lens.pupil_radius
     if isinstance(lens, ExitPupil):
-        places, cosines = lens.bundle
-        image = bundle_footprint(places.T[:, None], cosines.T[:, None], lens.pupil_distance)
+        positions, cosines = lens.bundle
+        image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil_distance)
     else:
         image = footprint(system.lens, position[None])
     place, half_width = image.centre[0], image.half_width[0]
@@ -254,18 +254,18 @@ def _at_native_image(
     types, count = backend().types, grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
     step = in_millimetres(wavelength) / (count * pitch)
-    numbers = []
+    frequencies = []
     row, column = rows_and_columns(types, count, count)
-    for place in (column, row):
+    for sample in (column, row):
         # Zero frequency comes first, as in transforms.
-        number = types.Float64(place)
-        numbers.append(dr.select(number < (count + 1) // 2, number, number - count))
+        index = types.Float64(sample)
+        frequencies.append(dr.select(index < (count + 1) // 2, index, index - count))
     reach = lens.pupil_distance * step
-    pupil = -numbers[0] * dr.opaque(types.Float64, reach), -numbers[1] * dr.opaque(types.Float64, reach)
+    pupil = -frequencies[0] * dr.opaque(types.Float64, reach), -frequencies[1] * dr.opaque(types.Float64, reach)
     field = _stop_field(lens, position, wavelength, pupil, reach, weights)
     # The first sample is at the corner of the grid.
     to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.wide_origin]
-    spectrum = field * phasor(numbers[0] * to_corner[0] + numbers[1] * to_corner[1])
+    spectrum = field * phasor(frequencies[0] * to_corner[0] + frequencies[1] * to_corner[1])
     # The field on the stop is a density in position; the density in direction is larger by the focal length.
     scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
     shape = count, count
@@ -289,8 +289,8 @@ def _at_stop_image(
     origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     row, column = rows_and_columns(types, rows, columns)
     pupil = tuple(
-        (types.Float64(number) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * growth
-        for number, start in zip((column, row), origin, strict=True)
+        (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * growth
+        for sample, start in zip((column, row), origin, strict=True)
     )
     sample = grids.pitch * abs(growth)
     field = as_field(pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))

@@ -128,8 +128,8 @@ def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> Non
             continue
         (axis,) = factor.axes
         count, start = grids.count[axis], grids.wide_origin[axis] + grids.offset[axis] * grids.pitch
-        place = backend().types.Float64(dr.arange(backend().types.UInt32, count)) * grids.pitch + start
-        line = as_field(pack(factor.at(place)), (count,))
+        position = backend().types.Float64(dr.arange(backend().types.UInt32, count)) * grids.pitch + start
+        line = as_field(pack(factor.at(position)), (count,))
         samples *= line if axis == 0 else line[:, None]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import NO_ARRAY, InputError, refuse_if, refusing
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from ..system.optical_system import OpticalSystem
@@ -41,10 +41,10 @@ class SpectralSum:
         powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
         left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
         dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
-        kept = vectors[:, min(dropped, len(vectors) - 1) :]
-        if kept.shape[1] == len(vectors):
+        retained = vectors[:, min(dropped, len(vectors) - 1) :]
+        if retained.shape[1] == len(vectors):
             return self
-        return SpectralSum(self.wavelength, self.before @ kept, (self.after @ kept).astype(np.float32))
+        return SpectralSum(self.wavelength, self.before @ retained, (self.after @ retained).astype(np.float32))
 
 
 class WeightChannels:
@@ -94,10 +94,8 @@ class WeightChannels:
 
     def check_image(self, image: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels), or refuse it."""
-        try:
+        with refusing("image: it must be numbers, (rows, columns) or (rows, columns, channels)", *NO_ARRAY):
             pixels = np.asarray(image, np.float32)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError("image: it must be numbers, (rows, columns) or (rows, columns, channels)") from None
         rows, columns = shape
         refuse_if(
             pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all(),
@@ -110,10 +108,8 @@ class WeightChannels:
 
     def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
         """Return the weights of `count` points as (count, columns), or refuse them."""
-        try:
+        with refusing(f"weights: they must be numbers, ({count},) or ({count}, channels)", *NO_ARRAY):
             factors = np.asarray(weights, np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(f"weights: they must be numbers, ({count},) or ({count}, channels)") from None
         refuse_if(
             factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0),
             f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)",

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal, require_no_glass
-from ..errors import InputError, refuse_if, require_choice, require_flag, suggest_keywords
+from ..camera.plenoptic_camera import require_ideal, require_no_glass
+from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io.checkpoints import digest
 from ..optics import guards
 from ..optics.spectrum import Spectrum

@@ -136,25 +136,25 @@ class PatchFactors:
         """Distances of directions along x and y."""
         return (in_millimetres(self._grid.wavelength) / (self.samples * self._grid.pitch)).tolist()
 
-    def _constant(self, number: Any) -> Any:
+    def _constant(self, value: Any) -> Any:
         """Return a value that is not compiled into kernels."""
-        return number if dr.is_array_v(number) else dr.opaque(self._types.Float64, number)
+        return value if dr.is_array_v(value) else dr.opaque(self._types.Float64, value)
 
-    def _each(self, numbers: Any, number: Any) -> Any:
-        """Return for each lane the value of its point."""
-        if isinstance(numbers, np.ndarray):
-            numbers = self._types.Float64(np.ascontiguousarray(numbers, np.float64))
-        return dr.gather(self._types.Float64, numbers, number)
+    def _each(self, values: Any, patch: Any) -> Any:
+        """Return for each lane the value of its patch's point."""
+        if isinstance(values, np.ndarray):
+            values = self._types.Float64(np.ascontiguousarray(values, np.float64))
+        return dr.gather(self._types.Float64, values, patch)
 
     def _pupil(self, elements: Elements) -> tuple[Any, Any]:
         """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
         types, lens, grid, placement = self._types, elements.lens(), self._grid, self._placement
         _, size, _ = self.shapes[0]
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
-        number, row, column = split(types, index, size, size)
+        patch, row, column = split(types, index, size, size)
 
-        def value(numbers: NDArray[Any]) -> Any:
-            return self._each(numbers, number)
+        def value(values: NDArray[Any]) -> Any:
+            return self._each(values, patch)
 
         steps, growth = self._steps, elements.growth
         start = grid.origin + placement.corner * grid.pitch - placement.image
@@ -165,7 +165,7 @@ class PatchFactors:
         image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
         pupil, R, length = lens.from_array((sx, sy), image)
         X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
-        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, number)
+        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, patch)
         waves = self._path(elements, lens.is_round, light, pupil, point)
         waves += length / self._constant(in_millimetres(elements.wavelength))
         start[:, 1] *= grid.pitch[0] / grid.pitch[1]
@@ -179,7 +179,7 @@ class PatchFactors:
         power = types.Float64(bright * bright * cover)
         if self._weights is not None:
             in_camera = self._in_camera(elements, *pupil)
-            passed, amplitude = self._weights.at(number, *in_camera, lens.pupil_radius, sample)
+            passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil_radius, sample)
             power *= types.Float64(passed)
             cover *= types.Float(amplitude)
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
@@ -217,12 +217,12 @@ class PatchFactors:
         scale = self._types.Float64(self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
         return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
-    def _position(self, number: Any, sample: Any, axis: int) -> Any:
+    def _position(self, patch: Any, sample: Any, axis: int) -> Any:
         """Return the coordinate on the MLA of samples of points."""
         grid = self._grid
         corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
         step = float(self.samples * grid.pitch[axis] / self.mla_samples)
-        return self._each(corner, number) + self._types.Float64(sample) * self._constant(step)
+        return self._each(corner, patch) + self._types.Float64(sample) * self._constant(step)
 
     def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
         """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
@@ -231,29 +231,29 @@ class PatchFactors:
         """
         types, placement = self._types, self._placement
         shape = len(self._positions), self.mla_samples
-        _, number, sample = split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
-        m = self._position(number, sample, axis)
-        image, growth = self._each(placement.image[:, axis], number), elements.growth
+        _, patch, sample = split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
+        m = self._position(patch, sample, axis)
+        image, growth = self._each(placement.image[:, axis], patch), elements.growth
         mu = (m - image) * growth
         # path from the pupil: (mu^2 - (s mu)^2) / 2 R, where the part along the other axis is negligible
         lens = elements.lens()
         b = self._constant(lens.pupil_distance)
-        square = self._each((placement.image**2).sum(1), number) * growth * growth + b * b
+        square = self._each((placement.image**2).sum(1), patch) * growth * growth + b * b
         own = image * image * growth * growth
         spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
         curvature = spread * lens.curvature(square)
         shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
-        product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, number))
+        product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, patch))
         for factor in elements.array(self._highest):
             if factor.axes == (axis,):
                 product *= factor.at(m * growth)
-        return product * types.Float(self._each(scale, number)) if axis else product
+        return product * types.Float(self._each(scale, patch)) if axis else product
 
     def _on_plane(self, elements: Elements) -> Any:
         """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
         types, size, (factor,) = self._types, self.mla_samples, elements.array(self._highest)
-        number, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
-        x, y = (self._position(number, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
+        patch, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
+        x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
         return factor.at(x, y)
 
     def _transfer(self, elements: Elements) -> Any:

@@ -96,10 +96,10 @@ class PatchPlan:
         order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
         self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
         self._shifts = shifts[order]
-        kept, self._first = np.unique(patterns.pattern[order], return_index=True)
+        used, self._first = np.unique(patterns.pattern[order], return_index=True)
         self._last = np.append(self._first[1:], len(order))
-        self._positions, self._placement = patterns.positions[kept], placement.take(kept)
-        self._slant = None if patterns.slant is None else patterns.slant[kept]
+        self._positions, self._placement = patterns.positions[used], placement.take(used)
+        self._slant = None if patterns.slant is None else patterns.slant[used]
         self._chunks = self._sort()
 
     def _sort(self) -> list[NDArray[np.int64]]:
@@ -133,13 +133,13 @@ class PatchPlan:
 
         Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
         """
-        kept, amplitudes, copies = [], [], []
+        used, amplitudes, copies = [], [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             largest = float(np.abs(factors).max()) or 1.0
-            kept.append(pattern)
+            used.append(pattern)
             amplitudes.append((largest * self.gain) ** 0.5)
             copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
-        return Scatter(self._fields(np.array(kept, np.int64)), np.array(amplitudes), copies)
+        return Scatter(self._fields(np.array(used, np.int64)), np.array(amplitudes), copies)
 
     def _lit_copies(
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64]

@@ -56,15 +56,15 @@ class PixelAxis:
         nodes, node_weights = np.polynomial.legendre.leggauss(_NODES)
         inside = ((np.arange(pieces)[:, None] + (nodes + 1) / 2) * (width / pieces)).ravel()
         node_weights = np.tile(node_weights / 2 * (self.pixel_size / pieces), pieces)
-        place = start + np.arange(self.count)[:, None] * width + inside
+        position = start + np.arange(self.count)[:, None] * width + inside
         if moment:
-            node_weights = node_weights * (self.edge - self.start + place * self.pitch)
-        return _interpolation(place, node_weights, self.samples)
+            node_weights = node_weights * (self.edge - self.start + position * self.pitch)
+        return _interpolation(position, node_weights, self.samples)
 
     def at_edges(self, speed: NDArray[np.float64]) -> scipy.sparse.csr_array:
         """Return the weights of the intensity at each pixel's last edge less that at its first, times edge speeds."""
-        place = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
-        both = np.stack([place[:-1], place[1:]], -1)
+        position = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
+        both = np.stack([position[:-1], position[1:]], -1)
         return _interpolation(both, np.stack([-speed[:-1], speed[1:]], -1), self.samples)
 
     def edges_from(self, origin: float) -> NDArray[np.float64]:
@@ -72,16 +72,16 @@ class PixelAxis:
         return np.asarray(self.edge + np.arange(self.count + 1) * self.pixel_size - origin, np.float64)
 
 
-def _interpolation(place: NDArray[np.float64], factors: NDArray[np.float64], samples: int) -> scipy.sparse.csr_array:
+def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], samples: int) -> scipy.sparse.csr_array:
     """Return the weights (rows, samples) of sums along rows of interpolated values at positions, times factors."""
-    below = np.floor(place).astype(np.int64)
-    pixel = np.broadcast_to(np.arange(len(place))[:, None], place.shape)
+    below = np.floor(position).astype(np.int64)
+    pixel = np.broadcast_to(np.arange(len(position))[:, None], position.shape)
     entries = []
     for offset in range(1 - HALF_WIDTH, 1 + HALF_WIDTH):
-        entries.append((windowed_sinc(place - (below + offset)) * factors, pixel, below + offset))
+        entries.append((windowed_sinc(position - (below + offset)) * factors, pixel, below + offset))
     values, rows, columns = (np.concatenate([entry[k].ravel() for entry in entries]) for k in range(3))
     held = (columns >= 0) & (columns < samples)
-    matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=(len(place), samples))
+    matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=(len(position), samples))
     return matrix.tocsr().astype(np.float32)
 
 
@@ -256,13 +256,13 @@ class TurnedSamples:
             )
             first, entry = [], []
             active = dr.full(types.Bool, True, count)
-            for axis, (place, size) in enumerate(zip(turn(x, y, -self._degrees), (columns, rows), strict=True)):
-                place = (place - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
+            for axis, (position, size) in enumerate(zip(turn(x, y, -self._degrees), (columns, rows), strict=True)):
+                position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
                     types.Float64, 1 / self._pitch[axis]
                 ) + HALF_WIDTH
-                below = dr.floor(place)
+                below = dr.floor(position)
                 active &= (below >= HALF_WIDTH - 1) & (below < HALF_WIDTH + size)
-                entry.append(types.UInt32(dr.clip((place - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
+                entry.append(types.UInt32(dr.clip((position - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
                 first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, size + HALF_WIDTH - 1)) - (HALF_WIDTH - 1))
             across = [dr.gather(types.Float, table, entry[0] + k) for k in range(_TAPS)]
             start = first[1] * dr.opaque(types.UInt32, self._padded[1]) + first[0]

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera, require_camera
-from ..errors import refuse_if, suggest_keywords
+from ..errors import refuse_if, require_wavelength, suggest_keywords
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Threads

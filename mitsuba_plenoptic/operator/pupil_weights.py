@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ..errors import refuse_if
 
 
-def spline_parts(place: Any) -> tuple[Any, Any, Any, Any]:
+def spline_parts(position: Any) -> tuple[Any, Any, Any, Any]:
     """Return the cubic B-splines of the four nearest knots, at positions from 0 to 1 between the middle two."""
-    left = 1 - place
-    return left**3 / 6, 2 / 3 - place**2 + place**3 / 2, 2 / 3 - left**2 + left**3 / 2, place**3 / 6
+    left = 1 - position
+    return left**3 / 6, 2 / 3 - position**2 + position**3 / 2, 2 / 3 - left**2 + left**3 / 2, position**3 / 6
 
 
 STEEPEST = 0.98
@@ -76,8 +76,8 @@ class PupilWeights:
 
     def take(self, which: NDArray[Any] | slice) -> PupilWeights:
         """Return the weights of a selection of points."""
-        kept, index = np.unique(self.index[which], return_inverse=True)
-        return replace(self, table=self.table[kept], index=index.reshape(-1), slant=self.slant[which])
+        used, index = np.unique(self.index[which], return_inverse=True)
+        return replace(self, table=self.table[used], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
         """Return for each point whether any light passes its pupil."""
@@ -96,8 +96,8 @@ class PupilWeights:
         half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
         sides = []
         for P in (Px, Py):
-            place = (P + radius) * (cells / (2 * radius))
-            near = _splines(place) if self.sampled else _border(place, half, cells)
+            position = (P + radius) * (cells / (2 * radius))
+            near = _splines(position) if self.sampled else _border(position, half, cells)
             sides.append([(UInt32(dr.clip(cell, 0, cells - 1)), Float(part)) for cell, part in near])
         table = Float(self.table.reshape(-1))
         power, amplitude = dr.zeros(Float), dr.zeros(Float)
@@ -114,32 +114,32 @@ class PupilWeights:
     def means(self, points: int) -> NDArray[np.float64]:
         """Return the mean of each point's weights over the pupil, (n,)."""
         cells = self.table.shape[1]
-        place = (np.arange(cells * points) + 0.5) / points
-        near = _splines(place) if self.sampled else [(np.floor(place), 1.0)]
-        share = np.zeros((len(place), cells))
+        position = (np.arange(cells * points) + 0.5) / points
+        near = _splines(position) if self.sampled else [(np.floor(position), 1.0)]
+        share = np.zeros((len(position), cells))
         for cell, part in near:
-            np.add.at(share, (np.arange(len(place)), np.clip(cell, 0, cells - 1).astype(int)), part)
-        place = place * (2 / cells) - 1
-        inside = np.hypot(place, place[:, None]) < 1
+            np.add.at(share, (np.arange(len(position)), np.clip(cell, 0, cells - 1).astype(int)), part)
+        position = position * (2 / cells) - 1
+        inside = np.hypot(position, position[:, None]) < 1
         flat, along_x, along_y = (
             np.tensordot(self.table.astype(np.float64), share.T @ part @ share / inside.sum(), 2)[self.index]
-            for part in (inside * 1.0, inside * place, inside * place[:, None])
+            for part in (inside * 1.0, inside * position, inside * position[:, None])
         )
         return np.asarray(flat + self.slant[:, 0] * along_x + self.slant[:, 1] * along_y)
 
 
-def _border(place: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
+def _border(position: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
     """Return the two cells that a sample of some half width overlaps, and the fraction of the sample on each."""
-    low, high = (dr.floor(dr.clip(place + side * half, 0, cells - 1)) for side in (-1, 1))
+    low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
     # The fraction of the sample beyond the border between the two cells.
-    beyond = dr.clip((place + half - high) / (2 * half), 0, 1)
+    beyond = dr.clip((position + half - high) / (2 * half), 0, 1)
     return [(low, 1 - beyond), (high, beyond)]
 
 
-def _splines(place: Any) -> list[tuple[Any, Any]]:
+def _splines(position: Any) -> list[tuple[Any, Any]]:
     """Return the four cells around a position, and the cubic B-splines centred on them, evaluated there."""
-    before = np.floor(place - 0.5) if isinstance(place, np.ndarray) else dr.floor(place - 0.5)
-    parts = spline_parts(place - 0.5 - before)
+    before = np.floor(position - 0.5) if isinstance(position, np.ndarray) else dr.floor(position - 0.5)
+    parts = spline_parts(position - 0.5 - before)
     return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]
 
 

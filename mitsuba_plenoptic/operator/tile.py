@@ -86,7 +86,7 @@ class CellSum:
         self._held: dict[int, int] = {}
         self._entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
 
-    def plane(self, pattern: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
+    def plane(self, pattern: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
         """Return the buffer for the intensity of a pattern, along x and y, with some samples to spare.
 
         `places` are the first samples of each copy along x and y. When another part of the pattern is written, its
@@ -94,14 +94,14 @@ class CellSum:
         """
         if pattern not in self._held:
             self._held[pattern] = len(self._held)
-            self._enter(self._held[pattern], places // self._cells.width, weights)
-        x, y = (places[0] % self._cells.width).tolist()
+            self._enter(self._held[pattern], positions // self._cells.width, weights)
+        x, y = (positions[0] % self._cells.width).tolist()
         return self._planes[self._held[pattern], x:, y:]
 
-    def _enter(self, number: int, places: NDArray[np.int64], weights: NDArray[np.float32]) -> None:
+    def _enter(self, number: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> None:
         """Add the copies of a plane to the matrix."""
         inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
-        x, y = places.T[..., None] + inner[:, None]
+        x, y = positions.T[..., None] + inner[:, None]
         copy, channel = np.nonzero(weights)
         # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
         rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
@@ -155,15 +155,20 @@ class CopySum:
     def __init__(
         self,
         copies: Sequence[Copies],
-        places: list[NDArray[np.int64]],
+        positions: list[NDArray[np.int64]],
         samples: int,
         size: NDArray[np.int64],
         together: int,
     ) -> None:
-        self._places, self._weights, self._together, self._last = places, [own.weights for own in copies], together, 0
+        self._places, self._weights, self._together, self._last = (
+            positions,
+            [own.weights for own in copies],
+            together,
+            0,
+        )
         channels, self._arrays = self._weights[0].shape[1], backend().arrays
         # Cells depend only on the distances between copies, along the axes of `places`.
-        cells = CopyCells.of([place - place[0] for place in places], samples)
+        cells = CopyCells.of([position - position[0] for position in positions], samples)
         self._cells = None if cells is None else cells.sum(size, channels, together)
         self._sums: Any = None if self._cells else self._arrays.zeros((channels, *size.tolist()), np.float32)
 
@@ -175,8 +180,10 @@ class CopySum:
             self._last = pattern // self._together
             self._cells.plane(pattern, self._places[pattern], self._weights[pattern])[part] = intensity
             return
-        for place, weights in zip(self._places[pattern].tolist(), self._weights[pattern], strict=True):
-            window = tuple(slice(first + own.start, first + own.stop) for first, own in zip(place, part, strict=True))
+        for position, weights in zip(self._places[pattern].tolist(), self._weights[pattern], strict=True):
+            window = tuple(
+                slice(first + own.start, first + own.stop) for first, own in zip(position, part, strict=True)
+            )
             for channel in np.flatnonzero(weights).tolist():
                 target, weight = self._sums[(channel, *window)], weights[channel]
                 target += intensity if weight == 1 else self._arrays.multiply(intensity, weight, out=work)
@@ -210,7 +217,7 @@ class PatchTile:
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Multiply each copy's intensity with the samples of the tile, and sum the products, (copies, channels)."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
-        products = [np.zeros((len(places), len(turned))) for places in self._places]
+        products = [np.zeros((len(positions), len(turned))) for positions in self._places]
         for point, along_x, along_y, intensity, _ in self._intensities():
             for copy, (x, y) in enumerate(self._places[point].tolist()):
                 part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
@@ -239,7 +246,7 @@ class PatchTile:
 
 def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
     """Return the rectangle of a grid, `finer` than the patches by a factor, that patches and their copies cover."""
-    corners = np.concatenate([place + copy.shifts for place, copy in zip(corner, copies, strict=True)])
+    corners = np.concatenate([position + copy.shifts for position, copy in zip(corner, copies, strict=True)])
     return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
 

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, short_repr, suggest_keywords
+from ..errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
 
 
 @suggest_keywords
@@ -35,10 +35,8 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
     InputError
         If the values are not finite or have a wrong shape, or the corners do not define a box.
     """
-    try:
+    with refusing(f"values = {short_repr(values)}: they must be numbers, (planes, rows, columns)", *NO_ARRAY):
         grid = np.array(values, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"values = {short_repr(values)}: they must be numbers, (planes, rows, columns)") from None
     if isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]
     refuse_if(

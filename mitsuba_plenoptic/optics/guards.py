@@ -123,7 +123,7 @@ PUPIL = Guard(
 # The planned window is wider than the geometric image by bins that only light diffracted by the pupil's edge reaches.
 OBJECT = Guard(
     "object_window",
-    "of the light through the main lens misses the window that is kept of the object plane, or comes to its rim",
+    "of the light through the main lens misses the computed window of the object plane, or comes to its rim",
     "its aperture is so small that diffraction blurs over many bins",
     warn=0.05,
     refuse=0.5,

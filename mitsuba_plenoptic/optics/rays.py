@@ -20,7 +20,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..thin_lens import defocus_factor
+from ..lens_data import defocus_factor
+from ..runtime.backend import rsqrt
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
@@ -78,18 +79,14 @@ def follow_back(
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
     """Turn slopes into direction cosines, t / sqrt(1 + tx^2 + ty^2)."""
-    scale = _rsqrt(1 + tx * tx + ty * ty)
+    scale = rsqrt(1 + tx * tx + ty * ty)
     return tx * scale, ty * scale
 
 
 def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
     """Turn direction cosines into slopes, s / sqrt(1 - sx^2 - sy^2)."""
-    scale = _rsqrt(1 - sx * sx - sy * sy)
+    scale = rsqrt(1 - sx * sx - sy * sy)
     return sx * scale, sy * scale
-
-
-def _rsqrt(value: Any) -> Any:
-    return dr.rsqrt(value) if dr.is_array_v(value) else 1 / np.sqrt(value)
 
 
 _ANGLES = 1025
@@ -107,9 +104,9 @@ def angular_response(pairs: tuple[float, ...]) -> Callable[[Any], Any] | None:
     step = math.radians(float(fine[1]))
 
     def response(angle: Any) -> Any:
-        place = dr.clip(angle / step, 0, _ANGLES - 1)
-        low = mi.UInt32(dr.minimum(dr.floor(place), _ANGLES - 2))
+        position = dr.clip(angle / step, 0, _ANGLES - 1)
+        low = mi.UInt32(dr.minimum(dr.floor(position), _ANGLES - 2))
         first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-        return first + (place - mi.Float(low)) * (second - first)
+        return first + (position - mi.Float(low)) * (second - first)
 
     return response

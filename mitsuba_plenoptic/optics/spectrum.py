@@ -10,16 +10,24 @@ wavelengths by the polynomial through the nodes (Berrut and Trefethen 2004, "Bar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
-from ..errors import InputError, refuse_if, require_count, require_number, suggest_keywords
+from ..errors import (
+    InputError,
+    refuse_if,
+    refusing,
+    require_count,
+    require_number,
+    require_wavelength,
+    suggest_keywords,
+)
 from ..io.files import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -82,10 +90,8 @@ class Spectrum:
     def __post_init__(self) -> None:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
         object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
-        try:
+        with refusing("spectrum: responses must be numbers, as many for every channel", TypeError, ValueError):
             matrix = np.array(self.responses, np.float64)
-        except (TypeError, ValueError):
-            raise InputError("spectrum: responses must be numbers, as many for every channel") from None
         refuse_if(
             matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
             f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
@@ -138,8 +144,8 @@ class Spectrum:
         """
         half = require_number("spectrum: width", width, positive=True) / 2
         count = require_count("spectrum: count", count, maximum=MOST_WAVELENGTHS)
-        places, weights = np.polynomial.legendre.leggauss(count)
-        wavelengths = [float(centre + half * place) for centre in centres for place in places]
+        nodes, weights = np.polynomial.legendre.leggauss(count)
+        wavelengths = [float(centre + half * node) for centre in centres for node in nodes]
         responses = np.kron(np.eye(len(centres)), weights / 2)
         return cls(tuple(wavelengths), tuple(map(tuple, responses.tolist())))
 
@@ -202,7 +208,7 @@ class Spectrum:
         table = path if isinstance(path, np.ndarray) else read_responses(path)
         wavelengths, columns = table[:, 0], table[:, 1:].T
         made = cls.smooth(
-            lambda places: np.stack([np.interp(places, wavelengths, column) for column in columns]),
+            partial(interpolated, wavelengths, columns),
             float(wavelengths[0]),
             float(wavelengths[-1]),
             count,
@@ -255,9 +261,9 @@ class Spectrum:
         """Return the values (nodes, wavelengths) of each node's Lagrange polynomial at every wavelength."""
         nodes, wavelengths = np.array(self.nodes), np.array(self.wavelengths)
         factors = np.ones((len(nodes), len(wavelengths)))
-        for number, node in enumerate(nodes):
-            for other in np.delete(nodes, number):
-                factors[number] *= (wavelengths - other) / (node - other)
+        for index, node in enumerate(nodes):
+            for other in np.delete(nodes, index):
+                factors[index] *= (wavelengths - other) / (node - other)
         return factors
 
     def centroids(self) -> tuple[float, ...]:
@@ -303,22 +309,22 @@ def _nodes(
     between the rows of all tables and a grid of half a nanometre.
     """
 
-    def products(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        spectra = np.stack([np.interp(places, *table, left=0, right=0) for table in tables])
-        return (np.asarray(responses(places)) * spectra[:, None]).reshape(-1, len(places))
+    def products(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        spectra = np.stack([np.interp(at, *table, left=0, right=0) for table in tables])
+        return (np.asarray(responses(at)) * spectra[:, None]).reshape(-1, len(at))
 
     def rule(first: float, last: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         share = (last - first) / (high - low)
-        places, weights = np.polynomial.legendre.leggauss(max(2, math.ceil(count * share)) if share < 1 else count)
-        return (first + last) / 2 + (last - first) / 2 * places, weights * (last - first) / 2
+        nodes, weights = np.polynomial.legendre.leggauss(max(2, math.ceil(count * share)) if share < 1 else count)
+        return (first + last) / 2 + (last - first) / 2 * nodes, weights * (last - first) / 2
 
     if not tables:
         return rule(low, high)
     rows = np.concatenate([np.linspace(low, high, math.ceil((high - low) / _FINE) + 1), *(x for x, _ in tables)])
     edges = np.unique(rows[(rows >= low) & (rows <= high)])
-    places, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = np.polynomial.legendre.leggauss(3)
     half = np.diff(edges)[:, None] / 2
-    fine = products((edges[:-1, None] + half + half * places).ravel()).reshape(-1, len(half), 3) @ weights * half[:, 0]
+    fine = products((edges[:-1, None] + half + half * nodes).ravel()).reshape(-1, len(half), 3) @ weights * half[:, 0]
     upto = np.hstack([np.zeros((len(fine), 1)), np.cumsum(fine, axis=1)])
     # The error of each table's products is relative to its largest product with any channel.
     whole = np.abs(fine).sum(axis=1).reshape(len(tables), -1).max(axis=1, keepdims=True)
@@ -341,7 +347,7 @@ def _nodes(
         del parts[first, last]
         parts |= {part: errors(*part) for part in ((first, between), (between, last))}
     rules = [rule(edges[first], edges[last]) for first, last in sorted(parts)]
-    found = np.concatenate([places for places, _ in rules]), np.concatenate([weights for _, weights in rules])
+    found = np.concatenate([nodes for nodes, _ in rules]), np.concatenate([weights for _, weights in rules])
     refuse_if(
         len(found[0]) > MOST_WAVELENGTHS,
         f"spectrum: the spectra of the scene and the responses need more than {MOST_WAVELENGTHS} wavelengths: "
@@ -350,14 +356,14 @@ def _nodes(
     return found
 
 
-def _gauss_nodes(places: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Return the nodes of the Gauss rule for weights at given positions: the zeros of the orthogonal polynomial.
 
     They are the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
     repeated orthogonalisation for stability.
     """
-    middle, half = (places.max() + places.min()) / 2, np.ptp(places) / 2
-    x = (places - middle) / half
+    middle, half = (wavelengths.max() + wavelengths.min()) / 2, np.ptp(wavelengths) / 2
+    x = (wavelengths - middle) / half
     known = [np.sqrt(weights / weights.sum())]
     for _ in range(count - 1):
         new = x * known[-1]
@@ -367,3 +373,10 @@ def _gauss_nodes(places: NDArray[np.float64], weights: NDArray[np.float64], coun
         known.append(new / np.linalg.norm(new))
     basis = np.array(known)
     return np.asarray(middle + half * np.linalg.eigvalsh((basis * x) @ basis.T))
+
+
+def interpolated(
+    wavelengths: NDArray[np.float64], columns: Iterable[NDArray[np.float64]], at: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Interpolate each column of a table linearly at some wavelengths."""
+    return np.stack([np.interp(at, wavelengths, column) for column in columns])

@@ -18,8 +18,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
-from ..errors import refuse_if, require_number
+from ..errors import refuse_if, require_number, require_wavelength
 from ..runtime.backend import array_module, backend, backend_of, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
 from . import guards
@@ -180,8 +179,8 @@ class StepGuard:
         """Total power, and power in the rim of the window."""
         rows = _some_rows(field)
         high, wide = (rim(size) for size in field.shape)
-        place = np.arange(len(rows)) * self._step
-        outer = (place < high) | (place >= len(field) - high)
+        position = np.arange(len(rows)) * self._step
+        outer = (position < high) | (position >= len(field) - high)
         sides = sum(weighted(~outer, side) for side in (rows[:, :wide], rows[:, -wide:]))
         return self._step * power(rows), self._step * (weighted(outer, rows) + sides)
 
@@ -288,8 +287,8 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
 
 def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:
     """Direction cosine of a plane wave, from its index in a spectrum with zero frequency first."""
-    place, size = types.Int32(index), dr.opaque(types.Int32, count)
-    order = dr.select(2 * place < size, place, place - size)
+    position, size = types.Int32(index), dr.opaque(types.Int32, count)
+    order = dr.select(2 * position < size, position, position - size)
     return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))
 
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..errors import InputError, did_you_mean, refuse_if, require_count, require_number
+from ..errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
 from ..operator.accuracy import chosen_accuracy
 from ..operator.operator import CaptureOperator
 from ..reconstruction import RayRefocus

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens, Pair, Traced
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
@@ -88,9 +88,9 @@ class Dispersion:
     def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
         """Choose the wavelength of each ray; return its optics, the rest of the sample, and the channels' weights."""
         if mi.is_spectral:
-            place = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
-            low = mi.UInt32(dr.minimum(dr.floor(place), len(self.wavelengths) - 2))
-            part = place - mi.Float(low)
+            position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
+            low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
+            part = position - mi.Float(low)
             share = dr.zeros(mi.UnpolarizedSpectrum)
             share[0] = mi.Float(len(share))
 
@@ -224,10 +224,10 @@ class CameraRays:
             mx, my = mx - height * slope[0], my - height * slope[1]
         return lens.trace((mx, my), slope)
 
-    def from_pupil(self, pupil: Pair, place: Pair) -> Traced:
+    def from_pupil(self, pupil: Pair, position: Pair) -> Traced:
         """Trace the rays through points of the array and points of the pupil."""
-        slope = tuple((P - m) / self.lens.pupil_distance for P, m in zip(pupil, place, strict=True))
-        return self.lens.trace(place, slope)
+        slope = tuple((P - m) / self.lens.pupil_distance for P, m in zip(pupil, position, strict=True))
+        return self.lens.trace(position, slope)
 
     def _height(self, x: Any, y: Any) -> Any:
         """Return the distance by which a lens of a tilted array is nearer to the main lens than the one on the axis."""

@@ -10,23 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal, require_known_to
 from ..camera.entry import Captures
+from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
 from ..capture.signed_camera import require_parameters
 from ..capture.signed_capture import SignedCapture, SignedGradients
-from ..errors import InputError, refuse_if
-from ..operator.accuracy import DEFAULT_ACCURACY, check_accuracy
-from ..operator.derivatives import NUMBERS
+from ..errors import InputError, naming, refuse_if, require_accuracy
+from ..operator.accuracy import DEFAULT_ACCURACY
+from ..operator.derivatives import DIFFERENTIABLE
 from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from .colours import NAME, SHARED, develop, develop_back, put, read_colours
-from .properties import read_choice, read_plain
+from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -42,7 +41,7 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         if isinstance(node, mi.Shape) or name == "to_world":
             raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
         if isinstance(node, (mi.Sensor, mi.Film)):
-            refuse_if(name not in NUMBERS, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
+            refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
             if node is sensor:
                 names.append(name)
         else:
@@ -180,7 +179,7 @@ def make_class() -> type:
                     f"{NAME}: {name}: there are no radiators now; leave it out, and give spp, rays a pixel",
                 )
             self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
-            self.accuracy = check_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
+            self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             nested = [value for _, value in props.objects()]
             refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
@@ -236,11 +235,9 @@ def make_class() -> type:
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._signed(scene, sensor)
-            try:
+            with naming(NAME):
                 require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
                 light = LightDerivatives.of(capture.light, forward) if others or not names else None
-            except InputError as error:
-                raise InputError(f"{NAME}: {error}") from None
             return names, SignedGradients(capture, light, seed, spp)
 
         def record(

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..capture.scene import mitsuba_sentence
+from ..capture.scene import loading
 from ..errors import InputError
 from ..runtime.backend import one_at_a_time
 
@@ -43,10 +43,10 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     # Area emitters are part of their shapes.
     lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
     objects: dict[str, Any] = {}
-    for number, item in enumerate((*scene.shapes(), *lamps)):
+    for index, item in enumerate((*scene.shapes(), *lamps)):
         # Objects without a name in the file have none here, or one that Mitsuba generated and would refuse.
         named = re.fullmatch(r"[A-Za-z]\w*", item.id()) and item.id() not in objects
-        objects[item.id() if named else f"object_{number}"] = item
+        objects[item.id() if named else f"object_{index}"] = item
     sensor = camera.to_sensor()
     if mi.is_rgb:
         sensor["film"]["pixel_format"] = "rgb"
@@ -57,9 +57,7 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
             sensor["medium"] = old.get_medium()
     if scene.integrator() is not None:
         objects["integrator"] = scene.integrator()
-    try:
+    with loading():
         made = mi.load_dict({"type": "scene", **objects, "camera": sensor}, optimize=False)
-    except RuntimeError as error:
-        raise InputError(mitsuba_sentence(error)) from None
     made.set_id(scene.id())
     return made

@@ -16,7 +16,7 @@ from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair, Traced
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays
@@ -205,9 +205,9 @@ def make_class() -> type:
             passage, _ = self._rays.pass_array(pixel, mi.Point2f(0.5), [mi.Float(0), mi.Float(0)])
             return self._in_world(self._rays.trace(pixel, passage._replace(point=passage.centre)))
 
-        def pupil_ray(self, pupil: Pair, place: Pair) -> tuple[Any, Any]:
+        def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
             """Return the ray through points of the microlens array and the pupil, and whether it is transmitted."""
-            return self._in_world(self._rays.from_pupil(pupil, place))
+            return self._in_world(self._rays.from_pupil(pupil, position))
 
         def _in_world(self, traced: Traced) -> tuple[Any, Any]:
             """Transform a traced ray to the world frame, at the time at which the shutter opens."""

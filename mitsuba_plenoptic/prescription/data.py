@@ -9,14 +9,23 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-import drjit as dr
 import numpy as np
 import yaml
 
-from ..bounds import LONGEST, SHORTEST, require_length, require_wavelength
-from ..errors import InputError, did_you_mean, refuse_if, require_known, require_number, short_repr
-from ..lens_data import SINGLE, LensData, require_alone
-from ..thin_lens import vergence
+from ..errors import (
+    LONGEST,
+    SHORTEST,
+    InputError,
+    did_you_mean,
+    refuse_if,
+    require_known,
+    require_length,
+    require_number,
+    require_wavelength,
+    short_repr,
+)
+from ..lens_data import SINGLE, LensData, require_alone, vergence
+from ..runtime.backend import safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 
@@ -26,7 +35,7 @@ if TYPE_CHECKING:
 MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
 
-_LEAST = 1e-12
+LEAST = 1e-12
 """Least argument of square roots, so that rays that miss have numbers and gradients."""
 
 _HEIGHTS = 129
@@ -289,10 +298,10 @@ class Prescription(LensData):
             gaps = sum(surface.thickness for surface in self.surfaces[first:second])
             gaps = gaps + height(back, squares) - height(front, squares)
             if gaps.min() < -_TOUCHING * edge:
-                place = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
+                position = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
                 raise InputError(
-                    f"main_lens: surfaces {first + 1} and {second + 1} cross {place:.4g} mm from the axis: they must "
-                    f"stay apart within the smaller of their semi-apertures, {edge:.4g}"
+                    f"main_lens: surfaces {first + 1} and {second + 1} cross {position:.4g} mm from the axis: they "
+                    f"must stay apart within the smaller of their semi-apertures, {edge:.4g}"
                 )
 
     def _before(self, index: int) -> Glass | None:
@@ -303,20 +312,12 @@ class Prescription(LensData):
 def height(surface: Any, square: Any) -> Any:
     """Return a surface's height over the plane of its vertex."""
     c = surface.curvature
-    height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square))
+    height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST))
     power = square * square
     for coefficient in surface.asphere:
         height = height + coefficient * power
         power = power * square
     return height
-
-
-def safe_sqrt(value: Any) -> Any:
-    """Square root, of what is below zero that of nearly nothing."""
-    if dr.is_array_v(value):
-        return dr.sqrt(dr.maximum(value, _LEAST))
-    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
-    return math.sqrt(max(value, _LEAST)) if isinstance(value, float) else np.sqrt(np.maximum(value, _LEAST))
 
 
 BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")

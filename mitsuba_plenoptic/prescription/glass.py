@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..bounds import require_wavelength
-from ..errors import InputError, refuse_if, require_known, require_number, short_repr
+from ..errors import InputError, refuse_if, refusing, require_known, require_number, require_wavelength, short_repr
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -221,13 +220,12 @@ def catalogue_glass(
     maker, _, own = name.rpartition(":")
     if maker:
         makers = [maker]
-    try:
+    with refusing(
+        f"{where} = {short_repr(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', "
+        "or give index and abbe",
+        ImportError,
+    ):
         importlib.import_module("optiland.materials")
-    except ImportError:
-        raise InputError(
-            f"{where} = {short_repr(name)}: glasses by name need Optiland; pip install 'mitsuba-plenoptic[lenses]', "
-            "or give index and abbe"
-        ) from None
     plain = own.lower() if with_hyphens else own.lower().replace("-", "")
     found = {
         entry.maker: entry

@@ -68,11 +68,11 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
     indices = [1.0, *prescription.indices(prescription.wavelength if wavelength is None else wavelength)]
     whole, before, after = np.eye(2), np.eye(2), np.eye(2)
     length = 0.0
-    for number, surface in enumerate(prescription.surfaces):
-        if number == prescription.stop:
+    for index, surface in enumerate(prescription.surfaces):
+        if index == prescription.stop:
             before, after = whole, np.eye(2)
-        power = (indices[number + 1] - indices[number]) * surface.curvature
-        gap = surface.thickness / indices[number + 1] if number < len(prescription.surfaces) - 1 else 0.0
+        power = (indices[index + 1] - indices[index]) * surface.curvature
+        gap = surface.thickness / indices[index + 1] if index < len(prescription.surfaces) - 1 else 0.0
         length += surface.thickness if gap else 0.0
         step = np.array([[1, gap], [0, 1]]) @ np.array([[1, 0], [-power, 1]])
         whole, after = step @ whole, step @ after

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal
+from ..camera.plenoptic_camera import require_ideal
 from ..detector import require_demosaiced
 from ..errors import (
     InputError,

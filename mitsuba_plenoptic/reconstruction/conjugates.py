@@ -94,7 +94,7 @@ class ThinConjugates:
         """The camera."""
         return self.system.camera
 
-    def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
+    def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of the centres of some lenses, for an object plane before the thin lens of `camera`.
 
         Each lane has its lens's centre (x, y) and its index in `places`, the centres as a float64 array (n, 2).
@@ -150,14 +150,16 @@ class RealConjugates:
     def _inverse_distance(self, distance: float) -> float:
         return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
 
-    def _bound(self, places: NDArray[np.float64], distance: float, which: Any = None) -> Light:
+    def _bound(self, positions: NDArray[np.float64], distance: float, which: Any = None) -> Light:
         """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
-        points = self.lens.points(self.lens.within(places), np.full(len(places), self._inverse_distance(distance)))
+        points = self.lens.points(
+            self.lens.within(positions), np.full(len(positions), self._inverse_distance(distance))
+        )
         return self.lens.bind(points, which)
 
-    def at(self, x: Any, y: Any, places: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
+    def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
         """Return the conjugates of the centres of some lenses, as `ThinConjugates.at` does."""
-        return Conjugate(self._bound(places, distance, lens), _NO_POINT, self.wavelength)
+        return Conjugate(self._bound(positions, distance, lens), _NO_POINT, self.wavelength)
 
     def zones(self, distance: float) -> Iterator[Zone]:
         """Yield zones so small that the path of the middle of each serves all of it."""
@@ -192,9 +194,9 @@ class RealConjugates:
             worst = max(worst, float(np.hypot(*(corner - at_middle)).max()))
         return worst * self.camera.pupil_distance
 
-    def _astray(self, places: NDArray[np.float64], pupil: Any, distance: float) -> NDArray[np.float64]:
+    def _astray(self, positions: NDArray[np.float64], pupil: Any, distance: float) -> NDArray[np.float64]:
         """Return the directions of rays from pupil points relative to the chief ray, an array (2, n, rays)."""
-        light = self._bound(places, distance)
+        light = self._bound(positions, distance)
         rim, chief = (np.stack(light.cosines(where, _NO_POINT)) for where in (pupil, _MIDDLE))
         return np.asarray(rim - chief)
 

@@ -48,14 +48,14 @@ def refocus(task: Task, **options: Any) -> list[Found]:
         _require_different(task.distances)
     groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
     channels, planes = task.image.shape[2], len(task.distances)
-    kept = SolverCheckpoint(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
-    work, done = channels * planes, len(kept.solved)
+    checkpoint = SolverCheckpoint(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
+    work, done = channels * planes, len(checkpoint.solved)
     refuse_if(done > work or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {work}")
-    for number in range(done // len(groups[0]), channels * len(groups)):
-        channel, group = divmod(number, len(groups))
-        report = portion(task.progress, number, channels * len(groups))
-        kept.solved += list(_solve(task, groups[group], channel, options, noise, kept, report))
-    found = [[kept.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
+    for index in range(done // len(groups[0]), channels * len(groups)):
+        channel, group = divmod(index, len(groups))
+        report = portion(task.progress, index, channels * len(groups))
+        checkpoint.solved += list(_solve(task, groups[group], channel, options, noise, checkpoint, report))
+    found = [[checkpoint.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
         Found(np.stack([one.image for one in of_plane], axis=-1), _facts(task, distance, of_plane))
         for distance, of_plane in zip(task.distances, found, strict=True)
@@ -68,7 +68,7 @@ def _solve(
     channel: int,
     options: dict[str, Any],
     noise: Noise | None,
-    kept: SolverCheckpoint,
+    checkpoint: SolverCheckpoint,
     report: Progress,
 ) -> Iterator[Solved]:
     """Yield the result of each plane for one channel."""
@@ -91,8 +91,8 @@ def _solve(
             misfit=noise.misfit if known and noise else None,
             shift=noise.shift if noise else 0.0,
             penalty=(made.variation(), variation) if variation else None,
-            state=kept.state(made.shapes),
-            keep=kept.keep,
+            state=checkpoint.state(made.shapes),
+            keep=checkpoint.keep,
             progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
         )
     for plane, parts in enumerate(zip(solution.values, solution.seen, strict=True)):
@@ -129,9 +129,9 @@ def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
 
 def _require_different(distances: Sequence[float]) -> None:
     """Refuse a volume with coinciding planes, between which the light is undetermined."""
-    for number, distance in enumerate(distances):
+    for index, distance in enumerate(distances):
         refuse_if(
-            distance in distances[:number],
+            distance in distances[:index],
             f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
         )
 

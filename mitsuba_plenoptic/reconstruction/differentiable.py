@@ -8,16 +8,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal
-from ..errors import InputError, refuse_if, require_choice, require_count, require_number
+from ..camera.plenoptic_camera import require_ideal
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
 from ..io.captures import as_array, require_pixels
+from ..lens_data import image_distance
 from ..optics import guards
 from ..runtime.backend import backend, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
-from ..thin_lens import image_distance
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields, squared
 from .lens_tiles import fine_bins
@@ -282,7 +281,7 @@ class _BinnedPower:
         with resting_drjit():
             for field in chain.at_pupil(amplitude):
                 passed += chain.power(field)
-                found.append(backend().arrays.empty((step.x.kept, step.y.kept), np.complex64))
+                found.append(backend().arrays.empty((step.x.new_padded, step.y.new_padded), np.complex64))
                 for lines, part in chain.to_object(field, self._refocus._zone, step):
                     found[-1][lines] = part
         return found, passed

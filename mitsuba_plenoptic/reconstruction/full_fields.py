@@ -133,7 +133,9 @@ class BackwardFields:
             steps += [step.reversed for step in steps]
             columns = max(math.prod(step.columns) for step in steps)
             # The gradients on the array are held whole, and so are the fields at the directions.
-            at_object = sum(8.0 * (interleave**2 + 1) * step.x.kept * step.y.kept for step in grids.to_objects)
+            at_object = sum(
+                8.0 * (interleave**2 + 1) * step.x.new_padded * step.y.new_padded for step in grids.to_objects
+            )
             memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
             require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
         self._workspace = FieldWorkspace(steps)

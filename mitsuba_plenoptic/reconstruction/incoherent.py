@@ -34,7 +34,7 @@ from .ray import white_pixels, white_sums
 def refocus(task: Task) -> list[np.ndarray]:
     """Weigh the capture with that of every bin by itself."""
     count = len(task.distances)
-    parts = (portion(task.progress, number, count) for number in range(count))
+    parts = (portion(task.progress, index, count) for index in range(count))
     return [
         _plane(dataclasses.replace(task, distances=[distance], progress=progress))
         for distance, progress in zip(task.distances, parts, strict=True)
@@ -51,8 +51,8 @@ def _plane(task: Task) -> np.ndarray:
     response_type = FourierResponse if camera.lens_data.images_stop else Response
     # For each channel the bins of the captures and of white.
     bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
-    for number, wavelength in enumerate(lights):
-        job = Job(progress=_fraction(portion(task.progress, number, len(lights))))
+    for index, wavelength in enumerate(lights):
+        job = Job(progress=_fraction(portion(task.progress, index, len(lights))))
         with response_type(camera, task.distances, wavelength=wavelength, oversample=task.oversample, job=job) as made:
             by_waves = task.recorded is not None or not camera.lens_data.converges
             ones = [np.ones(shape, np.float32) for shape in made.shapes]

@@ -78,9 +78,9 @@ class LensSet:
         half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
-        place = self.centre / camera.mla_pitch
-        bins = np.floor(place).astype(np.int64)
-        self._aside = place - bins - 0.5
+        position = self.centre / camera.mla_pitch
+        bins = np.floor(position).astype(np.int64)
+        self._aside = position - bins - 0.5
         self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
         self.bin = bins - np.array(self.first)
         self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
@@ -221,8 +221,8 @@ def reconstruct_lens_by_lens(
     shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
     totals = [arrays.zeros(shape) for _ in distances]
     in_rim = [0.0 for _ in distances]
-    for place in range(0, len(lit), tile.batch):
-        batch = lenses.batch(lit[place : place + tile.batch])
+    for position in range(0, len(lit), tile.batch):
+        batch = lenses.batch(lit[position : position + tile.batch])
         fields = pupil_fields(amplitude, tile, batch, relay=relay)
         for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             patches = object_patches(fields, tile, batch, distance, conjugates)
@@ -231,7 +231,7 @@ def reconstruct_lens_by_lens(
             for column, row, patch in zip(*batch.bin.T, patches, strict=True):
                 top, left = row * oversample, column * oversample
                 total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
-        progress((place + len(batch.bin)) / len(lit))
+        progress((position + len(batch.bin)) / len(lit))
     if checked and len(lit):
         guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
         for total, rim in zip(totals, in_rim, strict=True):
@@ -347,9 +347,9 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     for axis, count in ((1, rows), (0, columns)):
         first = lenses.first[axis] + count // 2 - reach
         end = first + lenses.bins[axis] + 2 * reach
-        kept = slice(max(first, 0), min(end, count))
-        into.append(slice(kept.start * tile.oversample, kept.stop * tile.oversample))
-        out.append(slice((kept.start - first) * tile.oversample, (kept.stop - first) * tile.oversample))
+        inside = slice(max(first, 0), min(end, count))
+        into.append(slice(inside.start * tile.oversample, inside.stop * tile.oversample))
+        out.append(slice((inside.start - first) * tile.oversample, (inside.stop - first) * tile.oversample))
     # Integrals of dark bins are zero up to rounding, on either side.
     image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
     return image

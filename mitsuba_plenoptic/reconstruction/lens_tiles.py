@@ -23,7 +23,7 @@ from .planning import GUARD, field_subsamples
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 
 _FINE_GUARD = 2 * GUARD
-"""What `GUARD` is for one bin per lens: several resolve the power, which has twice the frequencies of the field."""
+"""`GUARD` for several bins per lens: they resolve the power, which has twice the frequencies of the field."""
 
 _BLURRED = 1.0
 """Blur in lenses from which on the samples of the field suffice for sums over lenses."""

@@ -11,10 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..detector import require_demosaiced
-from ..errors import InputError, argument, refuse_if, require_choice, require_count, require_number, short_repr
+from ..errors import (
+    InputError,
+    argument,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_number,
+    require_wavelength,
+    short_repr,
+)
 from ..io.captures import Capture, as_array
 from ..io.checkpoints import Checkpoint
 from ..optics.waves import in_millimetres

@@ -156,7 +156,7 @@ def propagate_vjp(
 ) -> Rows:
     """Take the gradient by the destination samples of `propagate` back to its source samples."""
     back = step.reversed
-    scale = step.x.kept * step.y.kept / (step.x.padded * step.y.padded)
+    scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
     for rows, samples in propagate(gradient, ThinElement(back), back, -distance, wavelength, workspace):
         yield rows, element.back(rows, samples, scale)
 
@@ -216,9 +216,9 @@ def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
     """Turn columns into rows, transform these back and take their first samples."""
     x, y = step.x, step.y
     block = workspace.array("next rows", (workspace.block, x.held))
-    for place in range(0, y.wanted, workspace.block):
-        rows = slice(place, min(place + workspace.block, y.wanted))
-        part = block[: rows.stop - place]
+    for position in range(0, y.wanted, workspace.block):
+        rows = slice(position, min(position + workspace.block, y.wanted))
+        part = block[: rows.stop - position]
         for first in range(0, x.held, _TILE):
             tile = slice(first, min(first + _TILE, x.held))
             part[:, tile] = columns[tile, rows].T
@@ -227,9 +227,9 @@ def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
 
 def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
     """Transform rows of the lowest frequencies to the destination samples."""
-    if axis.held < axis.kept:
-        low, high = _lowest(axis.kept, axis.held)
-        wide = workspace.array("wide", (len(part), axis.kept))
+    if axis.held < axis.new_padded:
+        low, high = _lowest(axis.new_padded, axis.held)
+        wide = workspace.array("wide", (len(part), axis.new_padded))
         wide[:, low.stop : high.start] = 0
         wide[:, low], wide[:, high] = part[:, : low.stop], part[:, low.stop :]
         part = wide
@@ -266,21 +266,21 @@ def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> N
 class Integrals:
     """Integrals of lines of samples between neighbouring edges, the lower of which comes last.
 
-    Edges, (lines, bins + 1), count samples from the middle one; of the `kept` samples of a line, an odd number, zero
+    Edges, (lines, bins + 1), count samples from the middle one; of the `count` samples of a line, an odd number, zero
     comes first and the negative ones last.
     """
 
-    def __init__(self, edges: NDArray[np.float64], kept: int) -> None:
-        self._half, self._size = kept // 2, kept + 2 * _MARGIN
+    def __init__(self, edges: NDArray[np.float64], count: int) -> None:
+        self._half, self._size = count // 2, count + 2 * _MARGIN
         # Beyond the samples all is dark; an edge there is as good as one just outside.
-        place = np.clip(edges, -self._half - 2, self._half + 2) + self._half + _MARGIN
-        before = np.floor(place).astype(np.int64)
+        position = np.clip(edges, -self._half - 2, self._half + 2) + self._half + _MARGIN
+        before = np.floor(position).astype(np.int64)
         arrays = backend().arrays
         self._before = arrays.asarray(before)
-        self._weights = [arrays.asarray(_beyond(place - before, *unit)) for unit in np.eye(len(_NEAR))]
+        self._weights = [arrays.asarray(_beyond(position - before, *unit)) for unit in np.eye(len(_NEAR))]
 
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
-        """Integrate some of the lines of samples, (lines, kept), over bins, (lines, bins)."""
+        """Integrate some of the lines of samples, (lines, count), over bins, (lines, bins)."""
         arrays, before = backend().arrays, self._before[lines]
         padded = arrays.zeros((len(values), self._size))
         middle = _MARGIN + self._half
@@ -293,14 +293,14 @@ class Integrals:
         return total[:, :-1] - total[:, 1:]
 
     def vjp(self, bins: Any) -> Any:
-        """Apply the transpose of `forward` to all lines, from (lines, bins) to (lines, kept)."""
+        """Apply the transpose of `forward` to all lines, from (lines, bins) to (lines, count)."""
         arrays = backend().arrays
         total = arrays.pad(bins, ((0, 0), (0, 1))) - arrays.pad(bins, ((0, 0), (1, 0)))
         lines = arrays.arange(len(bins))[:, None] * self._size
 
         def scattered(offset: int, values: Any) -> Any:
-            places = (lines + self._before + offset).ravel()
-            return arrays.bincount(places, values.ravel(), lines.size * self._size).reshape(-1, self._size)
+            positions = (lines + self._before + offset).ravel()
+            return arrays.bincount(positions, values.ravel(), lines.size * self._size).reshape(-1, self._size)
 
         padded = arrays.cumsum(scattered(0, total)[:, ::-1], axis=1)[:, ::-1].copy()
         for offset, weight in zip(_NEAR, self._weights, strict=True):
@@ -321,13 +321,16 @@ class BinSums:
         # The object is upside down in camera coordinates: bins grow with -X.
         slope_x, slope_y = ((np.arange(count + 1) - count / 2) * -width for count in (columns, rows))
         middle = (slope_y[:-1, None] + slope_y[1:, None]) / 2
-        cosine = (np.fft.fftfreq(step.x.kept, 1 / step.x.kept) * across)[:, None]
+        cosine = (np.fft.fftfreq(step.x.new_padded, 1 / step.x.new_padded) * across)[:, None]
         along_y = slope_y * np.sqrt((1 - cosine * cosine) / (1 + slope_y * slope_y))
         along_x = slope_x / np.sqrt(1 + slope_x * slope_x + middle * middle)
-        self._along_y, self._along_x = Integrals(along_y / down, step.y.kept), Integrals(along_x / across, step.x.kept)
+        self._along_y, self._along_x = (
+            Integrals(along_y / down, step.y.new_padded),
+            Integrals(along_x / across, step.x.new_padded),
+        )
         # Parseval, of transforms that were divided by their lengths, over the area of a pixel.
         self._scale = step.x.window * step.y.window / camera.pixel_size**2
-        self._shape = step.x.kept, rows
+        self._shape = step.x.new_padded, rows
 
     def forward(self, power: Iterable[tuple[slice, Any]]) -> Any:
         """Sum blocks of a power that is not negative, (directions along x, along y); note which sums are cut."""

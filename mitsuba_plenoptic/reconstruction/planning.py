@@ -63,7 +63,7 @@ those from many more samples; ten bins per lens, each as narrow as two samples, 
 """
 
 OBJECT_MARGIN = 6.0
-"""Bins around the geometric image in which light is kept: the pupil's edge diffracts half a percent beyond three."""
+"""Bins around the geometric image in which light is retained; beyond three the edge of the pupil diffracts 0.5 %."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ class AxisStep:
     """One axis of a propagation step, lengths in millimetres: its source samples, their window, and the next plane's.
 
     The field is zero beyond `count` samples from `first` on. Of the frequencies of the window of `padded` samples the
-    lowest go to one of `kept` samples, `wanted` of which are taken from `start` on.
+    lowest go to one of `new_padded` samples, `wanted` of which are taken from `start` on.
     """
 
     first: float
     pitch: float
     count: int
     padded: int
-    kept: int
+    new_padded: int
     start: float
     wanted: int
 
@@ -90,12 +90,12 @@ class AxisStep:
     @property
     def held(self) -> int:
         """Frequencies that both windows have."""
-        return min(self.padded, self.kept)
+        return min(self.padded, self.new_padded)
 
     @property
     def new_pitch(self) -> float:
         """Distance between destination samples."""
-        return self.window / self.kept
+        return self.window / self.new_padded
 
     @property
     def source(self) -> np.ndarray:
@@ -110,7 +110,7 @@ class AxisStep:
     @property
     def reversed(self) -> AxisStep:
         """The step from the destination samples to the source samples."""
-        return AxisStep(self.start, self.new_pitch, self.wanted, self.kept, self.padded, self.first, self.count)
+        return AxisStep(self.start, self.new_pitch, self.wanted, self.new_padded, self.padded, self.first, self.count)
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class Step:
         return (
             (y.count, x.padded, False),
             (x.held, y.padded, False),
-            (x.held, y.kept, True),
-            (y.wanted, x.kept, True),
+            (x.held, y.new_padded, True),
+            (y.wanted, x.new_padded, True),
         )
 
 
@@ -305,11 +305,11 @@ def _main_lens_steps(
     count = max(step.wanted for step in detector)
     pitch = detector[0].pitch
     padded = fast_length(max((half_mla + b * steepest + radius) / pitch, count))
-    kept = min(fast_length(padded * pitch / (wave / (2 * steepest))), padded)
-    new_pitch = padded * pitch / kept
-    wanted = min(math.ceil(2 * radius / new_pitch) + 1, kept)
+    new_padded = min(fast_length(padded * pitch / (wave / (2 * steepest))), padded)
+    new_pitch = padded * pitch / new_padded
+    wanted = min(math.ceil(2 * radius / new_pitch) + 1, new_padded)
     start = -(wanted - 1) / 2 * new_pitch
-    ways = [AxisStep(step.start, pitch, step.wanted, padded, kept, start, wanted) for step in detector]
+    ways = [AxisStep(step.start, pitch, step.wanted, padded, new_padded, start, wanted) for step in detector]
 
     samples = _DIRECTION_SAMPLES if oversample == 1 else _FINE_DIRECTION_SAMPLES
     length = fast_length(max(samples * 2 * radius / new_pitch, wanted))

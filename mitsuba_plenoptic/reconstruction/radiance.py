@@ -29,8 +29,11 @@ Its Applications", section 3.1).
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Iterator, Sequence
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import scipy
@@ -102,6 +105,29 @@ _BLOCK = 2**18
 """Pixels that are looked at together."""
 
 
+_MOST_RESULTS = 32
+"""Results of a camera that are remembered by each function."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+
+
+def once_a_camera(function: _F) -> _F:
+    """Remember what a function returns of a camera for as long as the camera lives."""
+
+    @functools.wraps(function)
+    def known(camera: PlenopticCamera, *given: Any) -> Any:
+        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in own:
+            if len(own) == _MOST_RESULTS:
+                del own[next(iter(own))]
+            own[given] = function(camera, *given)
+        return own[given]
+
+    return cast(_F, known)
+
+
 def is_known(camera: PlenopticCamera) -> bool:
     """Return whether displacements are known: for unfocused cameras with thin lenses, whose pixels see pupil points."""
     return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
@@ -135,8 +161,8 @@ def tilted_whites(
     for distance, axis in itertools.product(distances, (0, 1)):
         slope, farthest, of_pupil = tilt(camera, distance)
         tilted = np.empty_like(white)
-        for rows, places in _places(camera, distance, axis, centroids, of_pupil):
-            for channel, u in enumerate(places):
+        for rows, positions in _places(camera, distance, axis, centroids, of_pupil):
+            for channel, u in enumerate(positions):
                 tilted[rows, :, channel] = white[rows, :, channel] * (1 + slope * u.clip(-farthest, farthest))
         yield distance, tilted
 
@@ -156,11 +182,11 @@ def _places(
         ]
         P = np.broadcast_arrays(found[0][0], found[1][0])
         u = np.broadcast_to(found[axis][1], P[0].shape)
-        places = []
+        positions = []
         for light in lights:
             moved = 0.0 if light is None else light(*P)[axis] - P[axis]
-            places.append(u + of_pupil * moved)
-        yield slice(first, first + height), places
+            positions.append(u + of_pupil * moved)
+        yield slice(first, first + height), positions
 
 
 def displacements(
@@ -171,9 +197,9 @@ def displacements(
     for axis, image in enumerate(tilted):
         count = image.shape[1 - axis]
         own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
-        place = (image - 1) / slope * (oversample / camera.mla_pitch)
+        position = (image - 1) / slope * (oversample / camera.mla_pitch)
         farthest = _FARTHEST * oversample
-        found.append(np.nan_to_num(place - own).clip(-farthest, farthest))
+        found.append(np.nan_to_num(position - own).clip(-farthest, farthest))
     return found
 
 
@@ -259,11 +285,11 @@ def to_radiance(
     light, *others = sums
     whites = white if task.white is None else others.pop(0)
     images = []
-    for number, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
+    for index, (distance, total, divisor, hits) in enumerate(zip(task.distances, light, whites, reach, strict=True)):
         divisor, reached = divisors(divisor, hits, distance, computed=task.white is None)
         image = _divided(total, divisor, reached)
         if others:
-            rising = [_divided(found, divisor, reached) for (found,) in others[2 * number : 2 * number + 2]]
+            rising = [_divided(found, divisor, reached) for (found,) in others[2 * index : 2 * index + 2]]
             moved = displacements(rising, tilt(task.camera, distance)[0], task.camera, task.oversample)
             image = brought_back(image, moved, np.broadcast_to(divisor, image.shape), task.oversample)
         images.append(image.astype(np.float32, copy=False))

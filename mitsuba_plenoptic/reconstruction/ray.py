@@ -11,11 +11,8 @@ threads there are.
 
 from __future__ import annotations
 
-import functools
-import weakref
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -29,7 +26,7 @@ from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.limits import require_memory
 from .methods import Task, method
-from .radiance import captures, to_radiance
+from .radiance import captures, once_a_camera, to_radiance
 from .splatting import Splat, traced_white
 
 
@@ -57,9 +54,9 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     sums: list[list[np.ndarray]] = []
     for image, distances, progress in captures(task):
         sums.append([])
-        for number, distance in enumerate(distances):
+        for index, distance in enumerate(distances):
             sums[-1].append(ray_sums(image, task.camera, distance, radius, footprint, task.oversample))
-            progress((number + 1) / len(distances))
+            progress((index + 1) / len(distances))
     return to_radiance(task, sums, reach, reach)
 
 
@@ -118,8 +115,8 @@ def _axis(
     chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
-    pupil, place = rays.follow_back(p, c, c, distance, camera)
-    centre = place * (oversample / camera.mla_pitch) + count / 2
+    pupil, position = rays.follow_back(p, c, c, distance, camera)
+    centre = position * (oversample / camera.mla_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, radius)
     width = max(
@@ -211,29 +208,6 @@ def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, strid
         return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
 
     return dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)[1]
-
-
-_MOST_RESULTS = 32
-"""Results of a camera that are remembered by each function."""
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
-
-
-def once_a_camera(function: _F) -> _F:
-    """Remember what a function returns of a camera for as long as the camera lives."""
-
-    @functools.wraps(function)
-    def known(camera: PlenopticCamera, *given: Any) -> Any:
-        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
-        if given not in own:
-            if len(own) == _MOST_RESULTS:
-                del own[next(iter(own))]
-            own[given] = function(camera, *given)
-        return own[given]
-
-    return cast(_F, known)
 
 
 @once_a_camera

@@ -159,9 +159,9 @@ class Volume:
         shape = len(planes), rows, columns, *planes[0].image.shape[2:]
         require_memory(12.0 * math.prod(shape), f"a volume of {len(planes)} planes of {columns} x {rows} voxels")
         values = np.empty(shape, np.float32)
-        for place, plane in zip(values, planes, strict=True):
+        for position, plane in zip(values, planes, strict=True):
             along_rows = _interpolated(plane.image, 0, plane.bin_size / size, rows)
-            place[...] = _interpolated(along_rows, 1, plane.bin_size / size, columns)
+            position[...] = _interpolated(along_rows, 1, plane.bin_size / size, columns)
         first = planes[0]
         attributes = {
             "camera": first.camera.to_dict(),
@@ -219,14 +219,14 @@ class Volume:
         """
         grey = np.nan_to_num(self.values if self.values.ndim == 3 else self.values.mean(-1), nan=-np.inf)
         brightest = np.unravel_index(int(grey.argmax()), grey.shape)
-        place = []
+        position = []
         for name, given, best, count in zip(
             ("plane", "row", "column"), (plane, row, column), brightest, grey.shape, strict=True
         ):
             if given is not None and not (isinstance(given, (int, np.integer)) and 0 <= given < count):
                 raise InputError(f"{name} = {given!r}: the volume's are numbered from 0 to {count - 1}")
-            place.append(int(best if given is None else given))
-        return self.values[place[0]], self.values[:, place[1]], self.values[:, :, place[2]]
+            position.append(int(best if given is None else given))
+        return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
         """Return it with its axes: ``distance``, ``y`` and ``x`` in scene units, from the axis, x to the right."""
@@ -296,7 +296,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
 def _ome(volume: Volume, axes: str) -> dict[str, Any]:
     """Return the description of a volume for OME's XML."""
     channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
-    places = [distance for distance in volume.distances for _ in range(channels)]
+    positions = [distance for distance in volume.distances for _ in range(channels)]
     spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
     return {
         "axes": axes,
@@ -305,7 +305,7 @@ def _ome(volume: Volume, axes: str) -> dict[str, Any]:
         "PhysicalSizeY": volume.voxel_size,
         "PhysicalSizeYUnit": "mm",
         **spacing,
-        "Plane": {"PositionZ": places, "PositionZUnit": ["mm"] * len(places)},
+        "Plane": {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)},
         "Description": json.dumps(volume.attributes),
     }
 
@@ -317,11 +317,11 @@ def _is_ome(path: Path) -> bool:
 def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
     """Take bins that are `width` voxels wide to voxels about the same middle, along one axis; NaN beyond the bins."""
     bins = image.shape[axis]
-    place = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
-    outside = np.abs(place - (bins - 1) / 2) > bins / 2 + 1e-6
-    place = np.clip(np.where(np.abs(place - np.rint(place)) < 1e-6, np.rint(place), place), 0, bins - 1)
-    low = np.floor(place).astype(np.int64)
-    share = np.expand_dims((place - low).astype(np.float32), tuple(range(1, image.ndim - axis)))
+    position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
+    outside = np.abs(position - (bins - 1) / 2) > bins / 2 + 1e-6
+    position = np.clip(np.where(np.abs(position - np.rint(position)) < 1e-6, np.rint(position), position), 0, bins - 1)
+    low = np.floor(position).astype(np.int64)
+    share = np.expand_dims((position - low).astype(np.float32), tuple(range(1, image.ndim - axis)))
     below, above = (np.take(image, np.minimum(some, bins - 1), axis) for some in (low, low + 1))
     # A bin that has no part in a voxel may be NaN.
     found = np.where(share > 0, (1 - share) * below + share * above, below)

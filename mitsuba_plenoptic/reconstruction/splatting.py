@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
 from ..lenses.base import MainLens
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.fft import rows_and_columns
@@ -108,8 +108,8 @@ class Splat:
 
     def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
         """Yield for each type of lens which of the pixels are its, and its footprint."""
-        for number, taps in enumerate(self.footprints):
-            yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == number), taps
+        for index, taps in enumerate(self.footprints):
+            yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
@@ -167,11 +167,11 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
     The footprint is drawn in fine samples; its sum is 1.
     """
     half = blur.shape[0] // 2
-    place = np.arange(fine) + np.arange(-half, half + 1)[:, None]
+    position = np.arange(fine) + np.arange(-half, half + 1)[:, None]
     reach = -(-half // fine)
     taps = np.arange(-reach, reach + 1)
     # Whether a sample of the footprint lies in the bin: (taps, size, fine).
-    there = (place // fine == taps[:, None, None]).astype(np.float64)
+    there = (position // fine == taps[:, None, None]).astype(np.float64)
     return np.einsum("iyr,yx,jxc->ijrc", there, blur, there, optimize=True)
 
 
@@ -184,11 +184,11 @@ def _landing(
     """
     lattice, columns, found = camera.lattice, camera.crop_size[0], []
     traced = _places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
-    for rows, *place, is_lit in traced:
+    for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
         x, y = (
             values[lit] * (oversample / camera.mla_pitch) + size / 2
-            for values, size in zip(place, shape[::-1], strict=True)
+            for values, size in zip(position, shape[::-1], strict=True)
         )
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
@@ -278,7 +278,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
                 shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, _STEPS, strict=True)
             )
             s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
-            place = (px + (s - 0.5) * p, py + (t - 0.5) * p)
+            position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
             dx, dy = lattice.aperture_point(u, v)
             for across, down in around:
                 cx, cy = lattice.centre(i + across, j + down)
@@ -286,7 +286,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
                 if several:
                     kind = types.UInt32(lattice.lens_type(i + across, j + down))
                     f2 = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), kind)
-                _, _, is_open = _back(camera, lens, place, (cx + dx, cy + dy), (cx, cy), f2)
+                _, _, is_open = _back(camera, lens, position, (cx + dx, cy + dy), (cx, cy), f2)
                 total += dr.select(is_open, 1.0, 0.0)
             dr.eval(total)
         image[rows] = (total / _WHITE_RAYS).numpy().reshape(-1, camera.crop_size[0])
@@ -314,13 +314,13 @@ def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
 
 
 def _back(
-    camera: PlenopticCamera, lens: MainLens, place: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
+    camera: PlenopticCamera, lens: MainLens, position: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
 ) -> Any:
     """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
     z = camera.detector_distance
     slope = [
         (m - p) / z if f2 is None else rays.microlens_slope(p, m, c, z, f2)
-        for p, m, c in zip(place, through, centre, strict=True)
+        for p, m, c in zip(position, through, centre, strict=True)
     ]
     return lens.trace(through, (slope[0], slope[1]))
 

@@ -45,10 +45,9 @@ from typing import Any
 
 import numpy as np
 
-from ..bounds import MOST_PIXELS
 from ..camera import PlenopticCamera
 from ..design import focus_type
-from ..errors import refuse_if
+from ..errors import MOST_PIXELS, refuse_if
 from ..lightfield.white import PupilFraction
 from ..optics import rays
 from ..optics.waves import soft_edge
@@ -70,8 +69,8 @@ from .lens_by_lens import (
 from .lens_tiles import LensTile, fine_bins, tile_lenses
 from .methods import Progress, Task, method, portion
 from .planning import plan
-from .radiance import captures, lens_scale, over_lenses, to_radiance
-from .ray import once_a_camera, ray_sums, white_pixels, white_sums
+from .radiance import captures, lens_scale, once_a_camera, over_lenses, to_radiance
+from .ray import ray_sums, white_pixels, white_sums
 
 _THROUGHPUT_LENSES = 25
 
@@ -93,12 +92,12 @@ def white_light(
     """Return the power that comes to each bin from a white scene, in pixel values times pixels."""
     fine = fine_bins(OpticalSystem(camera, wavelength), oversample)
     if camera.lens_data.traced_surfaces:
-        places, throughput = _traced_throughput(camera, wavelength, distance, relay)
+        positions, throughput = _traced_throughput(camera, wavelength, distance, relay)
         x, y = (
             (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
             for count in camera.bin_count
         )
-        share = np.interp(np.hypot(x, y[:, None]), places, throughput)
+        share = np.interp(np.hypot(x, y[:, None]), positions, throughput)
         return _white_rays(camera, distance, oversample, fine) * share
     if camera.lenses_are_bins and focus_type(camera) != "unfocused":
         return white_power(camera, wavelength, distance, relay, oversample)
@@ -162,10 +161,10 @@ def _traced_throughput(
         passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
         if sent > 0:
             found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
-    places, shares, light = np.array(found).T
+    positions, shares, light = np.array(found).T
     # Lenses whose micro-images are recorded in small part only say little.
     whole = light > _WHOLE * light.max()
-    return places[whole], shares[whole]
+    return positions[whole], shares[whole]
 
 
 def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
@@ -323,10 +322,10 @@ def _signed_power(
         real = RealConjugates.of(system, planes, oversample)
         seen, planes = real.camera, [real.distance(distance) for distance in distances]
     parts, found = signed_parts(image), [np.zeros(()) for _ in distances]
-    for number, (sign, part) in enumerate(parts):
+    for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
         options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
-        options |= {"progress": portion(progress, number, len(parts)), "conjugates": real or ThinConjugates(system)}
+        options |= {"progress": portion(progress, index, len(parts)), "conjugates": real or ThinConjugates(system)}
         period = full_field_period(part, seen, planes, wavelength) if isinstance(interleave, str) else interleave
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)

@@ -31,6 +31,7 @@ from .metrics import (
     lit_region,
     middle_of_micro_images,
     relative_error,
+    rounded,
     shape_window,
     square_sharpness,
     ssim_text,
@@ -88,7 +89,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
         "captures": {
-            **image_metrics(ray, wave).to_dict(),
+            **rounded(image_metrics(ray, wave)),
             "relative_error": round(relative_error(ray, wave), 5),
             "difference": _difference(experiment),
             "points": _against_points(experiment),
@@ -102,9 +103,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
 def _difference(experiment: Experiment) -> dict[str, Any]:
     middle = middle_of_micro_images(experiment.camera)
     pixels = {"all": None, "middle": middle, "rim": ~middle}
-    return {
-        name: capture_difference(experiment.ray, experiment.wave, where).to_dict() for name, where in pixels.items()
-    }
+    return {name: rounded(capture_difference(experiment.ray, experiment.wave, where)) for name, where in pixels.items()}
 
 
 def _against_points(experiment: Experiment) -> dict[str, float] | None:
@@ -134,7 +133,7 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
                 "distance": distance,
                 "bins": list(image.shape[::-1]),
                 "scale": round(scale, 5),
-                **image_metrics(scale * image, truth).to_dict(),
+                **rounded(image_metrics(scale * image, truth)),
                 "energy": round(image_metrics(image, truth).energy, 5),
             }
             if method.name in _COHERENT:

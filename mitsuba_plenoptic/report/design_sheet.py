@@ -8,10 +8,10 @@ from typing import NamedTuple
 from .. import design
 from ..camera import PlenopticCamera
 from ..errors import InputError
+from ..lens_data import image_distance
 from ..objective import Objective
 from ..prescription import Prescription, paraxial
 from ..prescription.glass import LINE_C, LINE_F
-from ..thin_lens import image_distance
 from .lens_drawing import field_figures, lateral_colour
 
 

@@ -14,7 +14,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..io.files import require_writable
 from ..lenses import sequential
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..prescription.data import height
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from .framing import Canvas

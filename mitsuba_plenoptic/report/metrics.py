@@ -6,6 +6,7 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import skimage.metrics
@@ -29,9 +30,10 @@ class ImageMetrics:
     # Sum over the reference's sum.
     energy: float
 
-    def to_dict(self) -> dict[str, float | None]:
-        """Return the values by name, rounded to what they mean."""
-        return {name: None if value is None else round(value, 5) for name, value in asdict(self).items()}
+
+def rounded(found: ImageMetrics | Difference) -> dict[str, Any]:
+    """Return figures by name, rounded to what they mean."""
+    return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(found).items()}
 
 
 def ssim_text(ssim: float | None) -> str:
@@ -232,10 +234,6 @@ class Difference:
     true: float | None
     # Whether noise is enough to explain what is measured.
     noise_alone: bool | None
-
-    def to_dict(self) -> dict[str, float | bool | None]:
-        """Return the values by name, rounded to what they mean."""
-        return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 
 def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None) -> Difference:

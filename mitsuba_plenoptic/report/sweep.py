@@ -16,17 +16,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..capture.render import is_wave_capture, refuse_by_rays, render_capture
-from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number
+from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number, require_wavelength
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..io.files import atomic_output, read_yaml, remove_leftovers, require_writable
+from ..lens_data import image_distance
 from ..reconstruction import METHODS
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from ..runtime.batches import BatchMap
-from ..thin_lens import image_distance
 from .experiment import load_with_sensor, refocused
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software
 

@@ -4,12 +4,15 @@ The active variant of Mitsuba chooses. The same code runs on both: it takes its 
 made on a CUDA device stay there until `Backend.to_host` fetches what is finished. Dr.Jit and CuPy share the memory of
 their arrays by DLPack, and CuPy's default stream and Dr.Jit's wait for each other, as CUDA defines it for the legacy
 default stream and streams that are not created otherwise.
+
+Floats, NumPy arrays and Dr.Jit arrays call a few operations by different names; here they have one.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib
+import math
 import os
 import threading
 from collections.abc import Callable
@@ -120,6 +123,12 @@ def array_module() -> Any:
     _started = True
     if (mi.variant() or "").startswith("cuda"):
         return dr.cuda
+    return _usable_llvm()
+
+
+# One for the process: Dr.Jit loads one LLVM.
+@functools.cache
+def _usable_llvm() -> Any:
     llvm.require()
     return dr.llvm
 
@@ -159,3 +168,62 @@ def set_variant(variant: str | None) -> None:
     )
     if mi.variant() != variant:
         mi.set_variant(variant)
+
+
+def module_of(value: Any) -> Any:
+    """Return the module whose functions take `value`: Dr.Jit or NumPy."""
+    return dr if dr.is_array_v(value) else np
+
+
+def floor(value: Any) -> Any:
+    """Return the largest integer that is not greater, as a float."""
+    return module_of(value).floor(value)
+
+
+def select(condition: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` where the condition holds, `no` elsewhere."""
+    return dr.select(condition, yes, no) if dr.is_array_v(condition) else np.where(condition, yes, no)
+
+
+def minimum(a: Any, b: Any) -> Any:
+    """Return the smaller of two numbers; of plain ones a plain one."""
+    return min(a, b) if isinstance(a, (int, float)) else module_of(a).minimum(a, b)
+
+
+def maximum(a: Any, b: Any) -> Any:
+    """Return the greater of two numbers; of plain ones a plain one."""
+    return max(a, b) if isinstance(a, (int, float)) else module_of(a).maximum(a, b)
+
+
+def sqrt(value: Any) -> Any:
+    """Return the square root."""
+    return module_of(value).sqrt(value)
+
+
+def safe_sqrt(value: Any, least: float = 1e-20) -> Any:
+    """Return the square root, of what is below `least` that of `least`, so that its derivative is finite."""
+    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
+    return math.sqrt(max(value, least)) if isinstance(value, float) else sqrt(maximum(value, least))
+
+
+def rsqrt(value: Any) -> Any:
+    """Return the reciprocal of the square root."""
+    if dr.is_array_v(value):
+        return dr.rsqrt(value)
+    return float(1 / np.sqrt(value)) if isinstance(value, float) else 1 / np.sqrt(value)
+
+
+def is_zero(value: Any) -> bool:
+    """Whether a number is plain and zero, so that what it multiplies can be left out."""
+    return isinstance(value, (int, float)) and value == 0
+
+
+def turn(x: Any, y: Any, degrees: Any) -> tuple[Any, Any]:
+    """Turn positions counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
+    if is_zero(degrees):
+        return x, y
+    angle = degrees * (math.pi / 180)
+    # A number of NumPy would turn Dr.Jit's arrays into its own.
+    module = dr if dr.is_array_v(angle) else math
+    cosine, sine = module.cos(angle), module.sin(angle)
+    return cosine * x - sine * y, sine * x + cosine * y

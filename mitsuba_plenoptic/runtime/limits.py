@@ -12,7 +12,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ..errors import InputError, require_number
+from ..errors import InputError, refusing, require_number
 
 GIB = 2**30
 
@@ -35,10 +35,8 @@ def memory_limit() -> float:
     text = os.environ.get(VARIABLE)
     if text is None:
         return _FRACTION * _machine_memory()
-    try:
+    with refusing(f"{VARIABLE} = {text!r}: it must be a number of GiB", ValueError):
         number = float(text)
-    except ValueError:
-        raise InputError(f"{VARIABLE} = {text!r}: it must be a number of GiB") from None
     return require_number(VARIABLE, number, positive=True) * GIB
 
 

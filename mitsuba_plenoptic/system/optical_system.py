@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.checks import require_ideal
+from ..camera.plenoptic_camera import require_ideal
 from ..lattice import Lattice
 from ..lenses.base import MainLens, PointLight
-from ..lenses.factory import main_lens
+from ..lenses.common import main_lens
 from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright

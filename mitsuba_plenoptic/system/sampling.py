@@ -14,9 +14,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..bounds import SHORTEST
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import SHORTEST, InputError, refuse_if
 from ..lenses.base import Light, MainLens
 from ..runtime.limits import memory_limit, require_memory
 

@@ -12,6 +12,7 @@ from scene_cases import write_scene
 
 from mitsuba_plenoptic import InputError, read_capture, reconstruct
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.cli.inputs import require_in_use
 from mitsuba_plenoptic.lightfield.exchange import open_light_field
 
 
@@ -62,6 +63,26 @@ def test_parameters_of_a_camera_that_is_replaced_are_refused(name, raw, tmp_path
     assert words in complaint(*fitted, *name)
 
 
+def test_parameters_are_followed_through_defaults_and_includes(tmp_path):
+    (tmp_path / "part.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="$of_part"/></shape></scene>'
+    )
+    scene = tmp_path / "scene.xml"
+    scene.write_text("""<scene version="3.0.0">
+        <default name="base" value="3"/><default name="size" value="$base"/><default name="of_part" value="$base"/>
+        <default name="only" value="4"/><default name="width" value="$only"/><default name="spp" value="2"/>
+        <!-- <float name="radius" value="$only"/> -->
+        <sensor type="plenoptic">
+            <float name="detector_width" value="$width"/>
+            <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+        </sensor>
+        <include filename="part.xml"/></scene>""")
+    require_in_use(str(scene), {"base": "1", "of_part": "1", "spp": "1"})
+    for name in ("only", "width"):
+        with pytest.raises(InputError, match=f"-D {name}: it is of the scene's own camera"):
+            require_in_use(str(scene), {name: "1"})
+
+
 def test_parameters_of_the_scene_remain_with_another_camera(raw, tmp_path, run):
     camera = tmp_path / "camera.json"
     camera.write_text(read_capture(raw).camera.to_json())
@@ -76,7 +97,7 @@ def test_a_fit_is_checked_before_light_is_found(raw, tmp_path, complaint, monkey
 
     monkeypatch.setattr("mitsuba_plenoptic.fitting.known_view", found)
     words = ["fit", raw, "-o", tmp_path / "camera.json", "--scene", "letters", "--parameter"]
-    assert "'zoom': it is none of the numbers" in complaint(*words, "zoom", "--photons", "9")
+    assert "'zoom': it is none of the parameters" in complaint(*words, "zoom", "--photons", "9")
     assert "photons = -1" in complaint(*words, "mla_pitch", "--photons", "-1")
 
 

@@ -12,7 +12,7 @@ from mitsuba_plenoptic.detector import Detector, expose
 from mitsuba_plenoptic.fitting import View, coarse_fit, kept_noise, lattice_from_white
 from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 

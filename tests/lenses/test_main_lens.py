@@ -5,7 +5,7 @@ import pytest
 from drjit.llvm import Float64
 
 from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.system.sampling import footprint

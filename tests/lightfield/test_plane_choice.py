@@ -28,7 +28,7 @@ def valley(least):
 @pytest.mark.parametrize("samples", [VIEWS, LENSES])
 def test_the_plane_of_least_disagreement_is_chosen(samples):
     chosen = choose(found(valley(0.05)), samples, 0.01)
-    assert np.abs(chosen.place - TRUE).max() < 0.5
+    assert np.abs(chosen.plane - TRUE).max() < 0.5
     assert chosen.probability.min() > 0.85
 
 

@@ -9,7 +9,7 @@ from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
 from mitsuba_plenoptic.operator.arrival import field_grids
-from mitsuba_plenoptic.operator.derivatives import NUMBERS
+from mitsuba_plenoptic.operator.derivatives import DIFFERENTIABLE
 from mitsuba_plenoptic.operator.full_field import full_field
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics.spectrum import Spectrum
@@ -42,7 +42,7 @@ def test_reverse_equals_forward(name):
         pupil_weights=rng.uniform(0.2, 1, (2, 3, 3)),
     )
     found = operator.gradient(weights, gradient)
-    assert set(found) == set(NUMBERS)
+    assert set(found) == set(DIFFERENTIABLE)
     assert len(found["wavefront"]) == 36 and len(found["mla_pitch"]) == 2
     change = {key: rng.choice([-1, 1]) * given / np.vdot(given, given) for key, given in found.items()}
     forward = operator.derivative(weights, change).astype(np.float64)
@@ -94,7 +94,7 @@ def test_aberrations_against_differences_of_the_full_field():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"f_number": 1.0}, "f_number.*: it is none of the numbers"),
+        ({"f_number": 1.0}, "f_number.*: it is none of the parameters"),
         ({"mla_offset": 1.0}, "^mla_offset = 1.0: its change must be 2 numbers"),
         ({"focal_length": float("nan")}, "^focal_length"),
         ([1.0], "^changes = "),

@@ -170,7 +170,7 @@ class TestReconstruction:
         monkeypatch.setattr("mitsuba_plenoptic.reconstruction.planning.OBJECT_MARGIN", -0.2)
         image = np.zeros((512, 512), np.float32)
         image[261:283, 261:283] = 1
-        with pytest.warns(PhysicsWarning, match="misses the window"):
+        with pytest.warns(PhysicsWarning, match="misses the computed window"):
             reconstruct(image, 240, camera=self.CAMERA, wavelength=633, method="coherent")
 
     def test_the_number_is_in_the_header(self, tmp_path):

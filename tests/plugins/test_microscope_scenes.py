@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, render_capture
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 
 CAMERA = PlenopticCamera(

@@ -99,7 +99,7 @@ def test_adjoint_of_the_field_chain(name, strips):
     assert off(forward, np.vdot(back, x), np.array(there), np.array(y)) < 1e-5
 
     sums, spread = BinSums(last, camera, WAVELENGTH, 2), LensSpread(camera, 1, 2)
-    power = rng.uniform(0.5, 1, (last.x.kept, last.y.kept))
+    power = rng.uniform(0.5, 1, (last.x.new_padded, last.y.new_padded))
     change = rng.normal(size=power.shape)
     bins = sums.forward([(slice(None), power)])
     y = rng.normal(size=bins.shape)

@@ -21,7 +21,7 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.design import lens_aperture, resolution_limit
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction.deconvolution import fourier
 from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse

@@ -16,7 +16,7 @@ from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.reconstruction import ray
+from mitsuba_plenoptic.reconstruction import radiance
 from mitsuba_plenoptic.runtime import backend as _backend
 from mitsuba_plenoptic.runtime.jobs import Job
 from tools.bench.cases.speed_steps import gpu
@@ -91,9 +91,9 @@ def device(monkeypatch):
     monkeypatch.setattr(_backend, "array_module", lambda: dr.cuda)
     monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
     monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
-    ray._results.clear()
+    radiance._results.clear()
     yield stand_in
-    ray._results.clear()
+    radiance._results.clear()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera
 from mitsuba_plenoptic.lens_data import LensData
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.lenses.thin import DistortedLens, ThinLens
 from mitsuba_plenoptic.system.optical_system import OpticalSystem

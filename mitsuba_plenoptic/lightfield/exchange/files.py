@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, argument, naming, refuse_if, require_module
+from ...errors import InputError, argument, naming, refuse_if, refusing, require_module
 from ...io.captures import Capture, read_capture
-from ...io.files import atomic_output, reading_as, require_file, require_size, require_writable
+from ...io.files import atomic_output, require_file, require_size, require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
 from ...runtime.limits import require_memory
 from .. import MicroImages, decode, estimate_lens_grid, micro_images
@@ -248,7 +248,7 @@ def read_labelled(path: str | Path) -> xr.DataArray:
         If there is no such file, or it is damaged or something else.
     """
     path = Path(path)
-    with reading_as(path, "a light field"):
+    with refusing(f"{path}: it cannot be read as a light field:"):
         if path.suffix.lower() == ".nc":
             require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a light field")
             with path.open("rb") as file:

@@ -23,7 +23,7 @@ import scipy.io
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, refuse_if, require_choice, require_number
+from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
 from ...io.files import atomic_output, h5py_module, require_file, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ..geometry import grid_of, light_field, require_light_field
@@ -117,13 +117,9 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
     path = require_file(path)
     with path.open("rb") as file:
         is_hdf5 = b"MATLAB 7.3" in file.read(128)
-    try:
+    # Damage shows as many exception types; all mean the same to the user.
+    with naming(path), refusing("it cannot be read as a light field:"):
         return _from_variables(_read_hdf5(path) if is_hdf5 else _read_version_5(path))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except Exception as error:
-        # Damage shows as many exception types; all mean the same to the user.
-        raise InputError(f"{path}: it cannot be read as a light field: {error}") from None
 
 
 def _from_variables(found: dict[str, Any]) -> xr.DataArray:

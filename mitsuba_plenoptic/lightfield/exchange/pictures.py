@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from ...errors import refuse_if, require_choice, require_count
-from ...io.files import atomic_output, native_output_dropped, reading_as, require_file
+from ...errors import refuse_if, refusing, require_choice, require_count
+from ...io.files import atomic_output, native_output_dropped, require_file
 from ...runtime.limits import require_memory
 from ..geometry import light_field, require_light_field
 from ..views import lens_mosaic, view_mosaic
@@ -46,7 +46,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
         return _read_tiff(path, linear)
-    with reading_as(path, "a PNG picture"):
+    with refusing(f"{path}: it cannot be read as a PNG picture:"):
         columns, rows = _size(path)
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         with native_output_dropped():
@@ -60,7 +60,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
 
 def _read_tiff(path: Path, linear: bool) -> np.ndarray:
     """Read a TIFF file, as industrial cameras write their raw pictures."""
-    with reading_as(path, "a TIFF picture"), Image.open(path) as picture:
+    with refusing(f"{path}: it cannot be read as a TIFF picture:"), Image.open(path) as picture:
         require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
         wide = picture.mode.startswith("I")
         values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))

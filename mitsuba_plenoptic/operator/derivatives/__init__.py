@@ -1,10 +1,18 @@
 """Derivatives of captures with respect to the parameters of the camera."""
 
-from .numbers import NUMBERS, WAVELENGTH, brightness_slopes, check_changes, check_names, light_slopes, values_of
+from .parameters import (
+    DIFFERENTIABLE,
+    WAVELENGTH,
+    brightness_slopes,
+    check_changes,
+    check_names,
+    light_slopes,
+    values_of,
+)
 from .plan import DerivativePlan, Differentials
 
 __all__ = [
-    "NUMBERS",
+    "DIFFERENTIABLE",
     "WAVELENGTH",
     "DerivativePlan",
     "Differentials",

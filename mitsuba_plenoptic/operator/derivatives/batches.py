@@ -20,7 +20,7 @@ from ...runtime.fft import as_field, as_words, pack, unpack
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, FieldBatch, reached
-from .numbers import VaryingParameters
+from .parameters import VaryingParameters
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
 """Parameters that move the lattice against the points, so that A is not zero."""
@@ -102,34 +102,34 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
     return list(result)
 
 
-def varying_factors(fields: Fields, numbers: VaryingParameters) -> tuple[bool, ...]:
+def varying_factors(fields: Fields, parameters: VaryingParameters) -> tuple[bool, ...]:
     """Return for each factor of fields whether it changes with some parameters."""
     # Single values serve all lanes where nothing is computed.
-    elements = numbers.elements(fields.grid, 1)
-    made = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, numbers.types)
+    elements = parameters.elements(fields.grid, 1)
+    made = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, parameters.types)
     return tuple(dr.grad_enabled(value) for value in made.values())
 
 
-def _factors(fields: Fields, numbers: VaryingParameters) -> PatchFactors:
+def _factors(fields: Fields, parameters: VaryingParameters) -> PatchFactors:
     """Return the factors of fields by parameters that carry gradients."""
-    elements = partial(numbers.elements, fields.grid)
-    return PatchFactors(fields, np.ones(len(fields.positions)), elements, numbers.types)
+    elements = partial(parameters.elements, fields.grid)
+    return PatchFactors(fields, np.ones(len(fields.positions)), elements, parameters.types)
 
 
-def _moved_lattice(fields: Fields, numbers: VaryingParameters | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
+def _moved_lattice(fields: Fields, parameters: VaryingParameters | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
     """Return the changes of the factors of a batch as the lattice moves along its own x, and along its y."""
-    if numbers is None or not any(own.moving for own in copies):
+    if parameters is None or not any(own.moving for own in copies):
         return []
     moves = []
     for vector in ((1.0, 0.0), (0.0, 1.0)):
-        numbers.set_tangents({"mla_offset": np.array(turn(*vector, fields.grid.rotation))})
-        moves.append(_changed(fields, numbers))
+        parameters.set_tangents({"mla_offset": np.array(turn(*vector, fields.grid.rotation))})
+        moves.append(_changed(fields, parameters))
     return moves
 
 
-def _changed(fields: Fields, numbers: VaryingParameters) -> Parts:
+def _changed(fields: Fields, parameters: VaryingParameters) -> Parts:
     """Return the changes of the factors of a batch with the tangents of the parameters."""
-    made = _factors(fields, numbers)
+    made = _factors(fields, parameters)
     values = list(made.values())
     if varying := [value for value in values if dr.grad_enabled(value)]:
         dr.forward_to(*varying)
@@ -154,7 +154,7 @@ class JvpBatch(FieldBatch):
 
     def prepare(self) -> Callable[[], Part]:
         """Compute the fields and the changes of their factors, and return the function that adds the results."""
-        changes = [_changed(self.fields, numbers) for numbers in self.directions]
+        changes = [_changed(self.fields, parameters) for parameters in self.directions]
         lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_jvp, self, PatchBatch(self.fields, np.ones(len(self.copies))), changes, lattice)
 
@@ -221,14 +221,14 @@ class VjpBatch(FieldBatch):
         lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_vjp, self, PatchBatch(self.fields, np.ones(len(self.copies))), lattice)
 
-    def gather(self, result: VjpResult, numbers: VaryingParameters) -> None:
+    def gather(self, result: VjpResult, parameters: VaryingParameters) -> None:
         """Add the gradients that follow to those of the parameters."""
         total, words = 0, array_module().ad.UInt64
-        for part, cotangent in zip(_factors(self.fields, numbers).values(), result.factors, strict=True):
+        for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(part):
                 given = unpack(words(as_words(np.ascontiguousarray(cotangent))))
                 products = part.real * given.real + part.imag * given.imag
-                total = total + dr.sum(numbers.types.Float64(products))
+                total = total + dr.sum(parameters.types.Float64(products))
         if dr.grad_enabled(total):
             dr.backward(total)
             # What the kernels read of the cotangents must not be dropped before.
@@ -273,7 +273,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
 def _spread_sum(work: VjpBatch, batch: PatchBatch, box: Box) -> CopySum:
     """Return an empty sum of the point spreads, (channels, rows, columns)."""
     copies, low = [own.summed(work.summed) for own in work.copies], np.array([box.left, box.top])
-    places = [
+    positions = [
         (work.finer * (corner + own.shifts) - low)[:, ::-1] for corner, own in zip(batch.corner, copies, strict=True)
     ]
-    return CopySum(copies, places, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)
+    return CopySum(copies, positions, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)

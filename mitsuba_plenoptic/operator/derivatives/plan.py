@@ -37,7 +37,7 @@ from .batches import (
     copy_slopes,
     varying_factors,
 )
-from .numbers import MOVES, VaryingParameters
+from .parameters import MOVES, VaryingParameters
 
 Direction = dict[str, NDArray[np.float64]]
 """Changes of parameters, by name."""
@@ -92,7 +92,7 @@ class DerivativePlan(PatchPlan):
 
         `done` of the `total` points of a job are already complete.
         """
-        numbers = VaryingParameters(self._camera, self._wavelength, names)
+        parameters = VaryingParameters(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
         shifted = self._shifted(names)
         summed = 3 if shifted else bool(moves)
@@ -100,7 +100,7 @@ class DerivativePlan(PatchPlan):
         chunks, items = self.lit_chunks(weights)
         moving = self.moving(weights)
         offset = self.offset_for(names)
-        varies = varying_factors(self._fields(chunks[0][:1]), numbers) if chunks else ()
+        varies = varying_factors(self._fields(chunks[0][:1]), parameters) if chunks else ()
         batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
         waiting: list[VjpBatch] = []
 
@@ -112,7 +112,7 @@ class DerivativePlan(PatchPlan):
         products, box = np.zeros((2, 2, 2)), self._recorder.box
         sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
         for result in job.each(remembered(), items.tolist(), done + self._count - int(items.sum()), total):
-            waiting.pop(0).gather(result, numbers)
+            waiting.pop(0).gather(result, parameters)
             products[0] += result.products
             if result.spreads is not None:
                 add(result.spreads, box, sums)
@@ -122,7 +122,7 @@ class DerivativePlan(PatchPlan):
             for axis, part in enumerate(placed):
                 x, y = (float((step * part).sum(dtype=np.float64)) for step in stepped)
                 products[1, :, axis] = turn(x, y, -self._grid.rotation)
-        gradients = numbers.gradients()
+        gradients = parameters.gradients()
         for name in copied:
             slopes = copy_slopes(self._camera, self._wavelength, name)
             gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
@@ -158,12 +158,12 @@ class DerivativePlan(PatchPlan):
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
     ) -> tuple[Fields, list[SpreadCopies]]:
         """Describe those spreads of a chunk that have any weight, and their copies; `moving` is as from there."""
-        kept, copies = [], []
+        used, copies = [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
-            kept.append(pattern)
-            places = shifts * self._per_sample
-            copies.append(SpreadCopies(shifts, factors.astype(np.float32), places, bool(moving[pattern])))
-        return self._fields(np.array(kept, np.int64)), copies
+            used.append(pattern)
+            positions = shifts * self._per_sample
+            copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, bool(moving[pattern])))
+        return self._fields(np.array(used, np.int64)), copies
 
     def _vjp_batch(
         self,
@@ -226,11 +226,11 @@ class JvpSum:
         offset = plan.offset_for(name for changes in self._directions for name in changes)
         moving = plan.moving(self._weights)
         for chunk in self._chunks[first:]:
-            numbers = tuple(VaryingParameters(plan._camera, plan._wavelength, changes) for changes in self._directions)
-            for varying, changes in zip(numbers, self._directions, strict=True):
+            varied = tuple(VaryingParameters(plan._camera, plan._wavelength, changes) for changes in self._directions)
+            for varying, changes in zip(varied, self._directions, strict=True):
                 varying.set_tangents(changes)
             fields, copies = plan.lit(chunk, self._weights, moving)
-            yield JvpBatch(fields, copies, plan._finer, numbers, slopes, offset, self._placed)
+            yield JvpBatch(fields, copies, plan._finer, varied, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Integrate over the recorded pixels, and add the changes by the motion of the pixels."""
@@ -277,13 +277,13 @@ class Differentials:
         parts: list[tuple[float, list[int], list[int]]] = []
         for wavelength, some in groups(wavelengths):
             step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
-            numbers = list(range(len(directions)))
-            parts += [(wavelength, some, numbers[first : first + step]) for first in range(0, len(directions), step)]
+            every = list(range(len(directions)))
+            parts += [(wavelength, some, every[first : first + step]) for first in range(0, len(directions), step)]
 
         def tasks() -> Iterator[SumTask]:
             for wavelength, some, which in parts:
                 plan = self._plans.checked(wavelength, job, len(which) * len(some))
-                change = partial(plan.jvp, weights[:, some], [directions[number] for number in which])
+                change = partial(plan.jvp, weights[:, some], [directions[index] for index in which])
                 own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
                 yield SumTask(self._points, change, partial(mix, matrix=own))
 

@@ -124,8 +124,8 @@ class BinCells:
             for count, size in zip(self.bins, self.bin_sizes, strict=True)
         )
         along_y, along_x = np.broadcast_arrays(y[:, None, :, None], x[None, :, None, :])
-        places = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
-        return np.asarray(places + cell @ self.vectors)
+        positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
+        return np.asarray(positions + cell @ self.vectors)
 
     def holding(self, box: Box) -> CellSet:
         """Return the cells that hold the samples of a box."""
@@ -141,9 +141,9 @@ class BinCells:
         """Cut the samples of a box into cells; what lies beyond the box is zero."""
         width, height = self.size
         result = np.zeros((len(cells), height, width), np.float32)
-        for number, part, inside, place in self._strips(box, cells):
+        for number, part, inside, position in self._strips(box, cells):
             strip = np.zeros((height, part * width), np.float32)
-            strip[inside] = samples[place]
+            strip[inside] = samples[position]
             result[number : number + part] = strip.reshape(height, part, width).transpose(1, 0, 2)
         return result
 
@@ -151,9 +151,9 @@ class BinCells:
         """Put the samples of cells together on a box; the adjoint of `split`."""
         width, height = self.size
         result = np.zeros((box.rows, box.columns), np.float32)
-        for number, part, inside, place in self._strips(box, cells):
+        for number, part, inside, position in self._strips(box, cells):
             strip = values[number : number + part].transpose(1, 0, 2).reshape(height, part * width)
-            result[place] = strip[inside]
+            result[position] = strip[inside]
         return result
 
     def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
@@ -205,11 +205,11 @@ def to_bins(
         left = np.floor(column).astype(np.int64)
         for k, part in ((left, 1 - (column - left)), (left + 1, column - left)):
             cell = lit.find(np.stack([k // across, J], axis=-1))
-            place = (cell * down + line % down) * across + k % across
-            result += share * part * padded[np.minimum(place, len(padded) - 1)]
+            position = (cell * down + line % down) * across + k % across
+            result += share * part * padded[np.minimum(position, len(padded) - 1)]
     return result.astype(np.float32)
 
 
-def _snapped(place: NDArray[np.float64]) -> NDArray[np.float64]:
-    whole = np.rint(place)
-    return np.asarray(np.where(np.abs(place - whole) < _ALIGNED, whole, place))
+def _snapped(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    whole = np.rint(position)
+    return np.asarray(np.where(np.abs(position - whole) < _ALIGNED, whole, position))

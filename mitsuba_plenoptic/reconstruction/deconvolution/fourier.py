@@ -35,7 +35,7 @@ from .kernels import StoredResponse, require_response_memory
 from .variation import TotalVariation
 
 _MEMORY = 2 * 2**30
-"""Bytes of the kernels' spectra beyond which they are kept on disk."""
+"""Bytes of the kernels' spectra beyond which they are stored on disk."""
 
 _DARK = 2
 """Lens pitches beyond the image of the stop where light of the outermost lenses still goes."""
@@ -169,14 +169,14 @@ class FourierResponse(StoredResponse):
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
         """Lay a kernel, whose first sample belongs to these steps, around the first corner of the period."""
-        places, kept = [], []
+        positions, taken = [], []
         for axis, first in enumerate(low):
             steps = np.arange(kernel.shape[axis]) + first
             inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
-            places.append(steps[inside] % self._size[axis])
-            kept.append(inside)
+            positions.append(steps[inside] % self._size[axis])
+            taken.append(inside)
         result = np.zeros(self._size, np.float32)
-        result[np.ix_(*places)] = kernel[np.ix_(*kept)]
+        result[np.ix_(*positions)] = kernel[np.ix_(*taken)]
         return result
 
     def _spectra_memory(self, oversample: int) -> float:

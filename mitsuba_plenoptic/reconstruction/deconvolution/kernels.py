@@ -113,8 +113,8 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
     count = len({number for number, _, _ in found})
     dense = np.zeros((size[1], size[0], count, *found[0][2].shape[1:]), np.float32)
     for number, index, values in found:
-        place = index - low
-        dense[place[:, 1], place[:, 0], number] += values
+        position = index - low
+        dense[position[:, 1], position[:, 0], number] += values
     steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
     return sparse_kernel(steps, dense.reshape(-1, *dense.shape[2:]))
 
@@ -136,14 +136,14 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     least = order[dark]
     scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
     blocks, used = [], power >= least
-    kept = np.flatnonzero(used.any(axis=0))
+    retained = np.flatnonzero(used.any(axis=0))
     number = np.cumsum(used.any(axis=0)) - 1
     for (rows, columns), lit in zip(parts, used, strict=True):
         which = np.flatnonzero(lit)
         if len(which):
             matrix = dense[which][:, :, rows, columns].reshape(len(which) * dense.shape[1], -1) * scale
             blocks.append(SampleBlock(rows, columns, number[which], np.ascontiguousarray(matrix)))
-    return Kernel(steps[kept], blocks)
+    return Kernel(steps[retained], blocks)
 
 
 Result = TypeVar("Result")

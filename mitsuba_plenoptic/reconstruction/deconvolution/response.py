@@ -34,7 +34,7 @@ from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_ke
 from .variation import TotalVariation
 
 _ACCURACY = 0.01
-"""Relative error for which the grid, and what is kept of the diffracted light, are chosen."""
+"""Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
 
 _MANY = 2**20
 
@@ -139,7 +139,7 @@ class RayBatch:
 def ray_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
     """Return for each bin of a cell the batch whose sum is its response, as `wave_batches` does."""
     half = np.array(cells.bin_sizes) / 2
-    return [[RayBatch(cells, distance, places[0] - half)] for places in cells.bin_places(cell)]
+    return [[RayBatch(cells, distance, positions[0] - half)] for positions in cells.bin_places(cell)]
 
 
 @functools.cache
@@ -163,18 +163,18 @@ def _trace(batch: RayBatch) -> Part:
         slopes = cosines_to_slopes(*light.cosines(pupil, point))
         m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
     index = lattice.cell(*m)
-    offset = [place - centre for place, centre in zip(m, lattice.centre(*index), strict=True)]
+    offset = [position - centre for position, centre in zip(m, lattice.centre(*index), strict=True)]
     passes = lattice.in_aperture(*offset)
     types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
     f2 = np.array(camera.mla_focal_lengths)[types]
     # the inverse of `optics.rays.microlens_slope`
     landed = np.stack([x - z * ((P - x) / b + dx / f2) for x, P, dx in zip(m, pupil, offset, strict=True)], axis=-1)
-    place = ((landed - grid.origin) / grid.pitch)[passes]
-    below = np.floor(place).astype(np.int64)
+    position = ((landed - grid.origin) / grid.pitch)[passes]
+    below = np.floor(position).astype(np.int64)
     low = below.min(0)
     columns, rows = (below.max(0) - low + 2).tolist()
     sums = np.zeros(rows * columns)
-    over = place - below
+    over = position - below
     for right in (0, 1):
         for down in (0, 1):
             weight = np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
@@ -191,7 +191,7 @@ _ZONE = 16
 """Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
 
 _MEMORY = 2 * 2**30
-"""Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are kept on disk."""
+"""Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
 
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""

@@ -34,14 +34,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError, refuse_if
+from ...errors import refuse_if, refusing
 from ...io.checkpoints import Checkpoint
 
 Values = list[NDArray[np.float32]]
 """Radiance of the bins of each plane."""
 
 _FLOOR = 1e-4
-"""What is added to every pixel and its model at least, over the mean of those that are lit, so that none is 0."""
+"""Least addition to every pixel and its model, over the mean of those that are lit, so that all are above 0."""
 
 _LEAST_SEEN = 1e-4
 """Light of a bin on the detector, over that of the best one, below which it is taken for dark."""
@@ -117,14 +117,14 @@ def richardson_lucy(
     if total == 0:
         return PlaneEstimates([np.zeros_like(part) for part in seen], seen, 0, float(image.any()), False)
     weight = [
-        np.where(kept, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
-        for part, kept in zip(seen, inside, strict=True)
+        np.where(mask, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
+        for part, mask in zip(seen, inside, strict=True)
     ]
     if state is None:
         level = total / sum(
-            float((part * kept).sum(dtype=np.float64)) for part, kept in zip(light, inside, strict=True)
+            float((part * mask).sum(dtype=np.float64)) for part, mask in zip(light, inside, strict=True)
         )
-        start = [np.where(kept, np.float32(level), np.float32(0)) for kept in inside]
+        start = [np.where(mask, np.float32(level), np.float32(0)) for mask in inside]
         state = State(start, start)
     scale = float(np.linalg.norm(image))
     while True:
@@ -188,14 +188,12 @@ class SolverCheckpoint:
     def __init__(self, checkpoint: Checkpoint | None, facts: dict[str, Any]) -> None:
         self._checkpoint = checkpoint
         arrays = (checkpoint.begin_arrays(**facts) if checkpoint else None) or {}
-        try:
+        with refusing("checkpoint: it is damaged:", KeyError, ValueError):
             self.solved = [
-                Solved(arrays[f"image.{number}"], int(done), float(left), bool(stopped))
-                for number, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
+                Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
+                for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
             ]
             self._state = _state(arrays) if "misfits" in arrays else None
-        except (KeyError, ValueError) as error:
-            raise InputError(f"checkpoint: it is damaged: {error}") from None
 
     def state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
         """Return, only once, the saved state of the unfinished iteration; refuse one with bins of other shapes."""
@@ -214,7 +212,7 @@ class SolverCheckpoint:
 
     def _solved_arrays(self) -> dict[str, NDArray[Any]]:
         counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
-        images = {f"image.{number}": one.image for number, one in enumerate(self.solved)}
+        images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
         return {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ...detector import Detector
-from ...errors import InputError, require_number
+from ...errors import refusing, require_number
 from .cells import BinCells, CellSet
 
 _DARKEST = 0.01
@@ -43,11 +43,9 @@ class Noise:
     @classmethod
     def _exposed(cls, exposure: Any) -> Noise:
         """Return a detector's noise (EMVA 1288, Release 4.0 Linear, equation for the digital number)."""
-        try:
+        with refusing("exposure of the capture: it is not one that 'expose' writes:", KeyError, TypeError):
             photons = exposure["photons"]
             detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
-        except (KeyError, TypeError) as error:
-            raise InputError(f"exposure of the capture: it is not one that 'expose' writes: {error}") from None
         assert detector.gain is not None
         electrons = detector.quantum_efficiency * require_number("photons", photons, positive=True)
         dark = detector.dark_electrons + detector.read_noise**2 + 1 / (12 * detector.gain**2)
@@ -74,7 +72,7 @@ MOST = 0.25
 """Largest weight: steps stay positive, as the gradient is at most 3.42."""
 
 _SMOOTH = 1e-3
-"""What counts as even: the step between bins, over their mean."""
+"""Largest step between bins, over their mean, that counts as even."""
 
 
 Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
@@ -103,7 +101,7 @@ class TotalVariation:
     ) -> list[NDArray[np.float32]]:
         """Return the dimensionless gradient, one value for each bin."""
         return [
-            _gradient(steps, part, kept) for steps, part, kept in zip(self._differences, values, inside, strict=True)
+            _gradient(steps, part, mask) for steps, part, mask in zip(self._differences, values, inside, strict=True)
         ]
 
 

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, FancyArrowPatch
 
 from ...camera import PlenopticCamera
+from ...lens_data import image_distance
 from ...optics import rays
-from ...thin_lens import image_distance
 from ..framing import Canvas
 
 _INK, _FAINT, _LIGHT = "#1b1f24", "#667080", "#d08700"

@@ -31,7 +31,7 @@ from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, coarse_fit, lattice
 from mitsuba_plenoptic.fitting.light import Pixels
 from mitsuba_plenoptic.fitting.model import WaveModel, vector_of
 from mitsuba_plenoptic.fitting.result import summary
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.operator.units import brightness_of
 
 from .. import Row, at_most, case

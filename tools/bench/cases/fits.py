@@ -10,7 +10,7 @@ import numpy as np
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, fit
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.fitting.model import PointRays
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.operator.units import brightness_of
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
 

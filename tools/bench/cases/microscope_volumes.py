@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Objective, PlenopticCamera, decode, design, reconstruct
-from mitsuba_plenoptic.lenses.factory import main_lens
+from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lightfield import view_mosaic
 from mitsuba_plenoptic.operator.units import radiance_weight
 from mitsuba_plenoptic.reconstruction import Reconstruction, Volume

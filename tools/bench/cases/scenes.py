@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture, scene_path, with_camera
-from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images
+from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images, rounded
 
 from .. import Row, at_most, case, pick
 from ..measures import mean_of_seeds, relative, spot_filtered, without_noise, write_comparison
@@ -340,7 +340,7 @@ def differences(captures: str, samples: int, a: Capture, b: Capture) -> list[Row
     """Compare over all pixels, in the middle of micro-images and at their rim."""
     middle = middle_of_micro_images(a.camera)
     return [
-        {"captures": captures, "pixels": name, "samples": samples, **capture_difference(a, b, pixels).to_dict()}
+        {"captures": captures, "pixels": name, "samples": samples, **rounded(capture_difference(a, b, pixels))}
         for name, pixels in {"all": None, "middle": middle, "rim": ~middle}.items()
     ]
 

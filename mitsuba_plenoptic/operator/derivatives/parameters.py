@@ -11,12 +11,11 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...bounds import WAVEFRONT_UNIT
 from ...camera import PlenopticCamera
 from ...camera.entry import Captures
 from ...camera.parameters import with_gradient
 from ...camera.vector import change_of, parts_of, size_of
-from ...errors import InputError, did_you_mean, require_number, short_repr
+from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
 from ...optics.waves import in_millimetres
@@ -81,7 +80,7 @@ def _powers(values: NDArray[Any], count: int) -> NDArray[np.float64]:
 WAVELENGTH = "wavelength"
 """By it captures can be differentiated like by the parameters of the camera."""
 
-NUMBERS = (*with_gradient(Captures.POINTS), WAVELENGTH)
+DIFFERENTIABLE = (*with_gradient(Captures.POINTS), WAVELENGTH)
 """Parameters of a camera, and the wavelength, by which captures can be differentiated."""
 
 MOVES = ("detector_width", "mla_rotation", "wavelength")
@@ -98,12 +97,12 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
     """Return names of parameters with derivatives, all for None; others are refused."""
-    names = NUMBERS if names is None else (names,) if isinstance(names, str) else tuple(names)
+    names = DIFFERENTIABLE if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
-        if name not in NUMBERS:
+        if name not in DIFFERENTIABLE:
             raise InputError(
-                f"{short_repr(name)}: it is none of the numbers with a derivative: {', '.join(NUMBERS)}"
-                f"{did_you_mean(name, NUMBERS)}"
+                f"{short_repr(name)}: it is none of the parameters with a derivative: {', '.join(DIFFERENTIABLE)}"
+                f"{did_you_mean(name, DIFFERENTIABLE)}"
             )
     return tuple(names)
 
@@ -116,8 +115,8 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
     checked = {}
     for name, change in changes.items():
         size = len(values_of(camera, 1.0, name))
-        numbers = np.array([require_number(name, number) for number in np.ravel(np.asarray(change, object)).tolist()])
-        checked[name] = numbers if name == WAVELENGTH else change_of(camera, name, numbers)
+        parts = np.array([require_number(name, part) for part in np.ravel(np.asarray(change, object)).tolist()])
+        checked[name] = parts if name == WAVELENGTH else change_of(camera, name, parts)
         if len(checked[name]) != size:
             raise InputError(f"{name} = {short_repr(change)}: its change must be {size} number{'s' * (size > 1)}")
     return checked
@@ -128,11 +127,11 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 
     The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
     """
-    numbers = VaryingParameters(camera, 1.0, names)
-    value = dr.log(numbers.brightness(camera))
+    parameters = VaryingParameters(camera, 1.0, names)
+    value = dr.log(parameters.brightness(camera))
     if dr.grad_enabled(value):
         dr.backward(value)
-    return numbers.gradients()
+    return parameters.gradients()
 
 
 def light_slopes(
@@ -152,14 +151,14 @@ class VaryingParameters:
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad
-        self._numbers: dict[str, list[Any]] = {}
+        self._parameters: dict[str, list[Any]] = {}
         self._varies = set(names)
-        for name in NUMBERS:
+        for name in DIFFERENTIABLE:
             fixed = name not in self._varies and name != WAVELENGTH
             values = parts_of(camera, name) if fixed else values_of(camera, wavelength, name)
-            self._numbers[name] = [dr.opaque(self.types.Float64, value) for value in values.tolist()]
+            self._parameters[name] = [dr.opaque(self.types.Float64, value) for value in values.tolist()]
             if name in self._varies:
-                dr.enable_grad(self._numbers[name])
+                dr.enable_grad(self._parameters[name])
 
     def elements(self, grid: Grid, lanes: int) -> Elements:
         """Return the elements of the camera in the frame of a grid.
@@ -167,7 +166,7 @@ class VaryingParameters:
         Each varying parameter is repeated for each of several lanes, so that one kernel scatters the gradients of all
         of them. Single values would each need a kernel of their own, which would recompute everything.
         """
-        get = {name: [self._over(name, part, lanes) for part in self._numbers[name]] for name in NUMBERS}
+        get = {name: [self._over(name, part, lanes) for part in self._parameters[name]] for name in DIFFERENTIABLE}
         (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
         angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         # The array stays where it is in the frame of the grid, and the scene turns.
@@ -175,8 +174,8 @@ class VaryingParameters:
 
         def lens() -> Any:
             held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
-            numbers = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
-            return grid.lens.varying(numbers | {"wavefront": held}, self._varies, turned)
+            values = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
+            return grid.lens.varying(values | {"wavefront": held}, self._varies, turned)
 
         def array(cosine: float) -> list[VaryingArrayFactor]:
             x, y = get["mla_offset"]
@@ -187,18 +186,18 @@ class VaryingParameters:
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         aberration = None
         if "wavefront" in self._varies:
-            aberration = partial(varying_path, dr.concat(self._numbers["wavefront"]), grid.camera.pupil_radius)
+            aberration = partial(varying_path, dr.concat(self._parameters["wavefront"]), grid.camera.pupil_radius)
         return Elements(cache(lens), cache(array), wavelength, distance, turned, growth, aberration)
 
-    def _over(self, name: str, number: Any, lanes: int) -> Any:
+    def _over(self, name: str, value: Any, lanes: int) -> Any:
         """Return a value for each lane, if it varies."""
         if name not in self._varies or name == "wavefront":
-            return number
-        return dr.gather(self.types.Float64, number, dr.zeros(self.types.UInt32, lanes))
+            return value
+        return dr.gather(self.types.Float64, value, dr.zeros(self.types.UInt32, lanes))
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return `units.brightness` for these parameters."""
-        get = self._numbers
+        get = self._parameters
         lattice = self._lattice(get, camera, (0.0, 0.0))
         pixel = get["detector_width"][0] / camera.resolution[0]
         return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0], pixel)
@@ -211,12 +210,12 @@ class VaryingParameters:
     def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
         """Set the direction in which the parameters change."""
         for name, change in changes.items():
-            for number, part in zip(self._numbers[name], change.tolist(), strict=True):
-                dr.set_grad(number, part)
+            for value, tangent in zip(self._parameters[name], change.tolist(), strict=True):
+                dr.set_grad(value, tangent)
 
     def gradients(self) -> dict[str, NDArray[np.float64]]:
         """Return the gradients that have been gathered."""
         return {
-            name: np.array([float(dr.grad(number)[0]) for number in self._numbers[name]])
+            name: np.array([float(dr.grad(value)[0]) for value in self._parameters[name]])
             for name in sorted(self._varies)
         }
