@@ -152,6 +152,7 @@ class Wall:
     def __init__(self, camera: PlenopticCamera, blur: float, lenses: int, per_lens: int, off_axis: float) -> None:
         pitch = camera.mla_pitch
         self.blur = abs(blur)
+        self._pupil_distance, self._pupil_radius = camera.pupil_distance, camera.pupil_radius
         lens = camera.objective
         if lens is not None:
             self.distance = blur * pitch / (lens.magnification * math.tan(lens.half_angle))
@@ -182,12 +183,23 @@ class Wall:
     def light(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], active: Any, seed: int) -> list[Any]:
         """Return the radiance along rays from the main lens."""
         x, y = ((p + (self.distance - point[2]) * s) / self._scale for p, s in zip(point[:2], slope, strict=True))
-        light = self.radiance(x, y)
+        light = self.radiance(x, y) * self._fall(point, x, y)
         if self._objective is not None:
             # Points that radiate evenly in all directions, by the sine condition.
             lens = TelecentricLens(self._objective)
             light *= dr.norm(mi.Vector3f(*slope, 1)) * (math.pi * lens.pupil_radius**2 / lens.passed_power)
         return [dr.select(active, light, 0)]
+
+    def _fall(self, pupil: tuple[Any, Any, Any], x: Any, y: Any) -> Any:
+        """Return cos^4 of the angle between a ray from a pupil point and the axis, over its mean over the pupil.
+
+        Points spread their power over the detector with this factor, which captures of scenes leave out by convention.
+        """
+        if self._objective is not None:
+            return 1.0
+        b, radius = self._pupil_distance, self._pupil_radius
+        own = dr.square(pupil[0] - x) + dr.square(pupil[1] - y)
+        return 1 + 2 * (x * x + y * y + radius * radius / 2 - own) / (b * b)
 
     def radiance(self, x: Any, y: Any) -> Any:
         """Return the radiance where the line through the main lens's centre meets the array at x and y."""
