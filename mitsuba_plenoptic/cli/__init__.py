@@ -28,12 +28,13 @@ COMMANDS = {
     "calibrate": "calibrate",
     "fit": "fit",
     "convert": "light_field",
+    "view": "view",
     **dict.fromkeys(("sweep", "dataset", "compare", "reproduce"), "experiments"),
     **dict.fromkeys(("info", "doctor"), "info"),
 }
 
 # Options that are not called as the arguments of the library that they are for.
-_OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
+_OPTIONS = {"views": "--view-count", "sources": "SOURCE", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
 
 
 def _print_version(wanted: bool) -> None:

@@ -183,6 +183,16 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     return found, attributes
 
 
+def read_attributes(path: str | Path) -> dict[str, Any]:
+    """Read the attributes of a file that `write_exr` or `write_exr_parts` wrote, without its pixels."""
+    path = require_file(path)
+    parts = read_parts(path)
+    try:
+        return _attributes(parts[0])
+    except Exception as error:
+        raise _damaged(path, error) from None
+
+
 def _attributes(part: ExrPart) -> dict[str, Any]:
     """Return what the attribute of this package holds."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))

@@ -1,0 +1,58 @@
+"""``mitsuba-plenoptic view``: an interactive page of a capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..io.files import require_apart, require_writable
+from ..report.viewer import view as make_page
+from ..report.viewer_sources import read_source
+from ..runtime.progress import progress_bar
+from .inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
+
+
+def view(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
+            "reconstructions, a depth map.",
+        ),
+    ],
+    output: Annotated[
+        Path | None, output_option("FILE.html", "File to write. Default: named as the first source.")
+    ] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+) -> None:
+    """Make a page to look at a capture: viewpoint, focus, micro-images.
+
+    The page is one HTML file that any browser opens from disk; it loads
+    nothing. Drag to move the viewpoint, click to refocus. The page refocuses
+    by rays, from views of the capture; reconstructions and focal stacks that
+    are given are shown as they were computed.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic view raw.exr
+
+      mitsuba-plenoptic view ray.exr wave.exr -o compare.html
+
+      mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
+    """
+    path = require_writable(output or sources[0].with_suffix(".html"), ".html")
+    require_apart(path, *sources, white)
+    known = named_camera(camera)
+    with progress_bar("Making the page"):
+        found = [
+            read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources
+        ]
+        page = make_page(*found, title=", ".join(source.name for source in sources))
+        page.save(path)
+    typer.echo(f"{path}: {path.stat().st_size / 2**20:.1f} MiB; open it in a browser")
