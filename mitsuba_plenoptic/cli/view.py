@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from ..errors import refuse_if
 from ..io.files import require_apart, require_writable
+from ..report.viewer import Recording
 from ..report.viewer import view as make_page
 from ..report.viewer_sources import read_source
 from ..runtime.progress import progress_bar
@@ -46,13 +48,18 @@ def view(
 
       mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
-    path = require_writable(output or sources[0].with_suffix(".html"), ".html")
-    require_apart(path, *sources, white)
+    target = require_writable(output or sources[0].with_suffix(".html"), ".html")
+    require_apart(target, *sources, white)
     known = named_camera(camera)
     with progress_bar("Making the page"):
         found = [
             read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources
         ]
-        page = make_page(*found, title=", ".join(source.name for source in sources))
-        page.save(path)
-    typer.echo(f"{path}: {path.stat().st_size / 2**20:.1f} MiB; open it in a browser")
+        used = any(isinstance(one, Recording) for one in found)
+        for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
+            refuse_if(value is not None and not used, f"--{name} {value}: of no use without a capture or light field")
+        # What was computed of a capture is not in the headline.
+        named = [path for path, one in zip(sources, found, strict=True) if isinstance(one, Recording)] or sources[:1]
+        page = make_page(*found, title=" and ".join(path.name for path in named))
+        page.save(target)
+    typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

@@ -184,11 +184,11 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
-    """Read the attributes of a file that `write_exr` or `write_exr_parts` wrote, without its pixels."""
+    """Read the attributes of a file without its pixels; those of other programs have none."""
     path = require_file(path)
     parts = read_parts(path)
     try:
-        return _attributes(parts[0])
+        return _attributes(parts[0]) if ATTRIBUTE in parts[0].header else {}
     except Exception as error:
         raise _damaged(path, error) from None
 

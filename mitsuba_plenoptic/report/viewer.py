@@ -286,7 +286,7 @@ def _depth(found: xr.Dataset) -> dict[str, Any]:
     inverse = np.where(np.asarray(found["confidence"]) > _SURE, 1 / depth, np.nan)
     known = inverse[np.isfinite(inverse)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    return {"picture": encode(inverse, 16, max(high, np.finfo(np.float32).tiny)), "low": low, "high": high}
+    return {"picture": encode(inverse, 16, high or 1.0), "low": low, "high": high}
 
 
 def _plain(distance: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, naming, refuse_if, require_number, short_repr
+from ..errors import InputError, naming, refuse_if, require_number
 from ..io.captures import read_capture
 from ..io.exr import read_attributes, read_exr, read_exr_parts
 from ..lightfield.exchange import open_light_field, read_picture
@@ -41,16 +41,10 @@ def read_source(
         If the file cannot be read or holds something else.
     """
     path = Path(path)
-    if path.suffix.lower() == ".exr":
-        kind = read_attributes(path).get("kind")
-        if kind != "capture":
-            refuse_if(
-                not isinstance(kind, str) or kind not in _COMPUTED,
-                f"{path}: it holds a {short_repr(kind)}; the viewer shows captures, light fields, "
-                f"{', '.join(f'{name}s' for name in _COMPUTED)}",
-            )
-            with naming(path):
-                return _COMPUTED[str(kind)](path)
+    kind = read_attributes(path).get("kind") if path.suffix.lower() == ".exr" else None
+    if isinstance(kind, str) and kind in _COMPUTED:
+        with naming(path):
+            return _COMPUTED[kind](path)
     lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
     if path.suffix.lower() == ".exr":
         capture = read_capture(path)
