@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 from ..errors import InputError, did_you_mean, refuse_if, require_choice, short_repr, suggest_keywords
 from ..presets import PRESETS
+from ..runtime.notebook import Displayed
 from .checks import checked_values, require_whole
 from .documentation import numpy_section, signature
 from .entry import record
@@ -64,7 +65,7 @@ def write_xml(sensor: dict[str, Any]) -> str:
 
 
 @record
-class PlenopticCamera(CameraGeometry):
+class PlenopticCamera(CameraGeometry, Displayed):
     r"""A main lens, a microlens array behind it, and a detector behind that.
 
     Lengths are scene units, taken as millimetres. Without arguments this is the camera of the paper

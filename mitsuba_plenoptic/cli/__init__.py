@@ -34,7 +34,7 @@ COMMANDS = {
 }
 
 # Options that are not called as the arguments of the library that they are for.
-_OPTIONS = {"views": "--view-count", "sources": "SOURCE", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
+_OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
 
 
 def _print_version(wanted: bool) -> None:

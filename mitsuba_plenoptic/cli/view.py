@@ -52,9 +52,7 @@ def view(
     require_apart(target, *sources, white)
     known = named_camera(camera)
     with progress_bar("Making the page"):
-        found = [
-            read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources
-        ]
+        found = [read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources]
         used = any(isinstance(one, Recording) for one in found)
         for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
             refuse_if(value is not None and not used, f"--{name} {value}: of no use without a capture or light field")

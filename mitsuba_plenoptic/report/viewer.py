@@ -51,7 +51,13 @@ class Recording:
 
 @dataclass(frozen=True)
 class Viewer:
-    """The page as HTML; notebooks show it in a frame."""
+    """An interactive page, as `view` makes it; notebooks show it in a frame.
+
+    Parameters
+    ----------
+    page : str
+        The page as HTML.
+    """
 
     page: str
 
@@ -114,17 +120,17 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     )
     shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
     white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
-    names = _names(recordings)
+    recorded = [
+        _recording(one, name, white, len(recordings)) for one, name in zip(recordings, _names(recordings), strict=True)
+    ]
     data = {
         "white": white,
-        "recordings": [
-            _recording(one, name, white, len(recordings)) for one, name in zip(recordings, names, strict=True)
-        ],
+        "recordings": [content for content, _ in recorded],
         "planes": _planes(planes, white),
         "depth": _depth(depths[0]) if depths else None,
     }
     facts = [
-        *(row for one in data["recordings"] for row in one.pop("facts")),
+        *(fact for _, facts in recorded for fact in facts),
         *(_plane_facts(planes) if planes else []),
         ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
     ]
@@ -164,33 +170,28 @@ def _names(recordings: list[Recording]) -> list[str]:
     return [f"{name} {index}" if names.count(name) > 1 else name for index, name in enumerate(names, 1)]
 
 
-def _recording(one: Recording, name: str, white: float, count: int) -> dict[str, Any]:
+def _recording(one: Recording, name: str, white: float, count: int) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """Return the views, the raw picture and the geometry of a light field, with facts about them."""
     whole = require_light_field(one.light_field)
     wide = float(whole.max()) > _WIDE * white
     lf = _thinned(whole, _VIEW_BYTES // count // (2 if wide else 1))
     full = max(float(lf.max()), white)
-    views = (
-        f"{lf.sizes['u']} x {lf.sizes['v']}" + (
-            "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
-        )
+    views = f"{lf.sizes['u']} x {lf.sizes['v']}" + (
+        "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
     )
     bits = 16 if wide else 8
-    facts = [
-        (f"Views, {name}", f"{views}; {lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}")
-    ]
+    facts = [(f"Views, {name}", f"{views}; {lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}")]
     content: dict[str, Any] = {
         "name": name,
         "views": encode(view_mosaic(lf), bits, full),
         "weight": encode(view_mosaic(lf["weight"]), 8, 1.0),
         "raw": None,
-        "facts": facts,
         **_geometry(lf),
     }
     if one.image is not None:
         content["raw"], fact = _raw(one.image, whole, white, count)
         facts.append((f"Raw picture, {name}", f"{one.model} model; {fact}" if one.model else fact))
-    return content
+    return content, facts
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:

@@ -14,7 +14,6 @@ from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
 from mitsuba_plenoptic.report.paper import reproduction as reproductions
 
-
 FLAGS = (
     "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
     "disable-component-update disable-sync"

@@ -11,6 +11,7 @@ from mitsuba_plenoptic import scene_path
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.paper.reproduction import reproduce
 
+
 def test_names_of_users_are_escaped(quick_waves, tiny, tmp_path):
     scene = tmp_path / "a<b>&c.xml"
     folder = scene_path("letters").parent

@@ -44,7 +44,9 @@ def pixels(picture):
     if picture["bits"] == 16:
         half = len(codes) // 2
         opaque = codes[:half, :, picture["channels"] :]
-        codes = np.concatenate([256 * codes[:half] + codes[half:], opaque], axis=2)[..., : picture["channels"] + opaque.shape[2]]
+        codes = np.concatenate([256 * codes[:half] + codes[half:], opaque], axis=2)[
+            ..., : picture["channels"] + opaque.shape[2]
+        ]
         if opaque.shape[2]:
             codes[..., picture["channels"]] = opaque[..., 0]
     colours = codes[..., : picture["channels"]] / (2 ** picture["bits"] - 1)
@@ -186,7 +188,8 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     page.execute_script("""
       const canvas = document.getElementById("field"), box = canvas.getBoundingClientRect();
       canvas.setPointerCapture = () => {};
-      const send = (name, x) => canvas.dispatchEvent(new PointerEvent(name, {clientX: x, clientY: box.top + 50, pointerId: 1}));
+      const send = (name, x) =>
+        canvas.dispatchEvent(new PointerEvent(name, {clientX: x, clientY: box.top + 50, pointerId: 1}));
       send("pointerdown", box.left + 100); send("pointermove", box.left + 100 + box.width / 4); send("pointerup", 0);
     """)
     drawn()
@@ -195,8 +198,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     steps = data["recordings"][0]["disparities"]
     for step in (20, 120):
         page.execute_script(
-            "const one = document.getElementById('focus'); one.value = arguments[0]; one.dispatchEvent(new Event('input'))",
-            step,
+            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", find("#focus"), step
         )
         assert likeness(shift_and_add(lf, steps[step])) >= 35
     # A click finds the disparity of the squares.
