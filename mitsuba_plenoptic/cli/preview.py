@@ -70,7 +70,7 @@ def preview(
     width = design.field_width(seen_by, focus)
     near, far = sharp_range(seen_by)
     typer.echo(f"field: {width:.4g} x {width * seen_by.resolution[1] / seen_by.resolution[0]:.4g} mm at {focus:.4g} mm")
-    typer.echo(f"made sharp by refocusing: {near:.4g} to {far:.4g} mm")
+    typer.echo(f"made sharp by refocusing: {near:.4g} mm to {far:.4g} mm".replace("inf mm", "infinity"))
     pixels = seen_by.micro_image_pitch / seen_by.pixel_size
     typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.bin_count[0]} x {seen_by.bin_count[1]} of them")
     for model in ("ray", "wave"):
