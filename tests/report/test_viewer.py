@@ -155,34 +155,89 @@ def test_refused(sources, words):
         view(*sources())
 
 
-def test_the_viewer_in_a_browser(tmp_path, browser):
-    ray = capture()
-    wave = dataclasses.replace(capture(seed=1), model="wave")
-    view(Recording("<b>", decode(ray), ray.image), wave, title="A <b>").save(tmp_path / "view.html")
-    page = browser(tmp_path / "view.html")
-    lf = decode(ray)
+def opened(browser, path, page):
+    """Open a page in a browser, and return it with a function for what a canvas shows once all is drawn."""
+    page.save(path)
+    seen = browser(path)
+    seen.implicitly_wait(20)
+    seen.find_element("css selector", "main:not([aria-busy])")
+    seen.implicitly_wait(0)
+
+    def drawn(identity="field"):
+        seen.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+        url = seen.execute_script("return document.getElementById(arguments[0]).toDataURL()", identity)
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))))
+
+    return seen, drawn
+
+
+def likeness(image, white, drawn):
+    """Return the PSNR in decibels of a canvas, which shows an image as `to_bytes` encodes it."""
+    expected = to_bytes(np.asarray(image), white).astype(float)
+    shown = drawn[..., : 3 if expected.ndim == 3 else 1].reshape(expected.shape)
+    return 20 * np.log10(255 / np.sqrt(np.mean((expected - shown) ** 2) + 1e-9))
+
+
+def test_colours_of_a_crop_in_16_bits_in_a_browser(tmp_path, browser):
+    recorded = capture(CAMERA.replace(crop_offset=(40, 24), crop_size=(180, 200)), colour=True)
+    image = recorded.image.copy()
+    image[100:108, 60:68] = 300
+    recorded = dataclasses.replace(recorded, image=image)
+    made = view(recorded)
+    data = content(made)
+    assert data["recordings"][0]["views"]["bits"] == 16
+    page, drawn = opened(browser, tmp_path / "view.html", made)
+    page.find_element("css selector", "input[value=refocus]").click()
+    step = int(page.find_element("css selector", "#focus").get_attribute("value"))
+    refocused = shift_and_add(decode(recorded), data["recordings"][0]["disparities"][step])
+    assert likeness(refocused, data["white"], drawn()) >= 40
+    assert page.get_log("browser") == []
+
+
+def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
+    results = reconstruct(capture(), [240.0, 260.0])
+    holed = dataclasses.replace(results[1], image=np.where(np.eye(16), np.nan, results[1].image))
+    depth = xr.Dataset(
+        {
+            name: (("t", "s"), np.full((16, 16), value))
+            for name, value in {"depth": 200.0, "confidence": 1.0, "image": 0.5}.items()
+        }
+    )
+    depth["depth"][4:] = 400.0
+    made = view(results[0], holed, depth)
+    page, drawn = opened(browser, tmp_path / "view.html", made)
 
     def find(selector):
         return page.find_element("css selector", selector)
 
-    def drawn(identity="field"):
-        """Return what a canvas shows once all is drawn."""
-        page.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
-        url = page.execute_script("return document.getElementById(arguments[0]).toDataURL()", identity)
-        return np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))))
+    assert find("#focus-text").text == "260 mm" and not find("#side").is_displayed()
+    assert np.array_equal(drawn()[..., 3] == 0, np.eye(16) > 0)
+    find("#focus").send_keys("\ue012")  # arrow left
+    assert likeness(results[0].image, content(made)["white"], drawn()) > 45
+    find("input[value=depth]").click()
+    shown = drawn()
+    # Near is bright, and a click prints the depth.
+    assert shown[:4, :, :3].mean() > 100 > shown[4:, :, :3].mean()
+    find("#field").click()
+    assert "depth 400 mm" in find("#readout").text
+    assert page.get_log("browser") == []
 
-    page.implicitly_wait(20)
-    find("main:not([aria-busy])")
-    page.implicitly_wait(0)
-    data = content(view(ray, wave))
-    white = data["white"]
 
-    def likeness(image):
-        difference = to_bytes(np.asarray(image), white).astype(float) - drawn()[..., 0]
-        return 20 * np.log10(255 / np.sqrt(np.mean(difference**2) + 1e-9))
+def test_the_viewer_in_a_browser(tmp_path, browser):
+    ray = capture()
+    wave = dataclasses.replace(capture(seed=1), model="wave")
+    made = view(Recording("<b>", decode(ray), ray.image), wave, title="A <b>")
+    page, drawn = opened(browser, tmp_path / "view.html", made)
+    lf, data = decode(ray), content(made)
+
+    def find(selector):
+        return page.find_element("css selector", selector)
+
+    def alike(image):
+        return likeness(image, data["white"], drawn())
 
     middle = one_view(lf)
-    assert likeness(middle) > 40
+    assert alike(middle) > 40
     # Drag, as far as to the edge of the pupil, along u.
     before = find("#view-text").text
     page.execute_script("""
@@ -200,7 +255,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
         page.execute_script(
             "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", find("#focus"), step
         )
-        assert likeness(shift_and_add(lf, steps[step])) >= 35
+        assert alike(shift_and_add(lf, steps[step])) >= 35
     # A click finds the disparity of the squares.
     page.execute_script("document.querySelector('input[value=view]').click()")
     find("#field").click()
@@ -209,7 +264,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     assert abs(abs(steps[step]) - 0.5) < 0.06
     # The other capture, by keyboard, and the difference.
     find("input[value='1'][name=sources]").send_keys(" ")
-    assert likeness(shift_and_add(decode(wave), steps[step])) >= 35
+    assert alike(shift_and_add(decode(wave), steps[step])) >= 35
     find("input[value=difference]").click()
     assert "wave - <b>" in find("#field-tag").text and (drawn()[8, 8, :3] > 200).all()
     # From lens to lens.
