@@ -15,7 +15,7 @@ from ..errors import InputError, refuse_if
 from ..io.captures import Capture
 from ..io.files import write_text
 from ..lightfield import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
-from ..lightfield.geometry import require_light_field, view_steps
+from ..lightfield.geometry import DIMS, require_light_field, view_steps
 from ..lightfield.grid import bin_grid
 from ..reconstruction import Reconstruction
 from .images import Brightness, encode, shrink
@@ -110,6 +110,12 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         len(set(shapes)) > 1,
         f"sources: light fields of the shapes {' and '.join(map(str, shapes))} cannot be compared: they must be alike",
     )
+    for one in recordings[1:]:
+        for axis in DIMS:
+            refuse_if(
+                not np.allclose(one.light_field[axis], recordings[0].light_field[axis], rtol=1e-6, atol=1e-9),
+                f"sources: light fields whose {axis} differ cannot be compared: they must be of the same camera",
+            )
     if depths and recordings:
         refuse_if(
             depths[0]["depth"].shape != shapes[0][2:4],
@@ -120,8 +126,12 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     )
     shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
     white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
+    # Alike for both, so that they have the same views.
+    wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
+    thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]
     recorded = [
-        _recording(one, name, white, len(recordings)) for one, name in zip(recordings, _names(recordings), strict=True)
+        _recording(one, name, lf, white, 16 if wide else 8, len(recordings))
+        for one, name, lf in zip(recordings, _names(recordings), thinned, strict=True)
     ]
     data = {
         "white": white,
@@ -146,6 +156,7 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
         if isinstance(source, Capture):
             recordings.append(Recording(source.model, decode(source), source.image, source.model))
         elif isinstance(source, Recording):
+            require_light_field(source.light_field)
             recordings.append(source)
         elif isinstance(source, Reconstruction):
             planes.append((source.distance, source.image, source.method))
@@ -170,16 +181,15 @@ def _names(recordings: list[Recording]) -> list[str]:
     return [f"{name} {index}" if names.count(name) > 1 else name for index, name in enumerate(names, 1)]
 
 
-def _recording(one: Recording, name: str, white: float, count: int) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the views, the raw picture and the geometry of a light field, with facts about them."""
-    whole = require_light_field(one.light_field)
-    wide = float(whole.max()) > _WIDE * white
-    lf = _thinned(whole, _VIEW_BYTES // count // (2 if wide else 1))
+def _recording(
+    one: Recording, name: str, lf: xr.DataArray, white: float, bits: int, count: int
+) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Return the views that are left, the raw picture and the geometry of a light field, with facts about them."""
+    whole = one.light_field
     full = max(float(lf.max()), white)
     views = f"{lf.sizes['u']} x {lf.sizes['v']}" + (
         "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
     )
-    bits = 16 if wide else 8
     facts = [(f"Views, {name}", f"{views}; {lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}")]
     content: dict[str, Any] = {
         "name": name,

@@ -144,11 +144,15 @@ def test_light_fields_without_a_camera():
             "sources: light fields of the shapes .* cannot be compared: they must be alike",
         ),
         (
+            lambda: [capture(), capture(CAMERA.replace(mla_distance=121.0))],
+            "sources: light fields whose v differ cannot be compared: they must be of the same camera",
+        ),
+        (
             lambda: [reconstruct(capture(), [240.0])[0], reconstruct(capture(), [250.0], oversample=2)[0]],
             "sources: focal stack: all of its images must be of one size",
         ),
     ],
-    ids=["none", "number", "three", "unlike", "sizes"],
+    ids=["none", "number", "three", "unlike", "cameras", "sizes"],
 )
 def test_refused(sources, words):
     with pytest.raises(InputError, match=words):

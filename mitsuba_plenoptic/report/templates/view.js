@@ -4,6 +4,12 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const find = (id) => document.getElementById(id);
 const limit = (value, low, high) => Math.min(Math.max(value, low), high);
 
+// Where a pointer is in an element, in fractions of its width and height.
+function inside(event, element) {
+  const box = element.getBoundingClientRect();
+  return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+}
+
 // Pictures and their values.
 
 const linear = (code) => (code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4);
@@ -134,9 +140,12 @@ function agreedStep(field, row, column) {
             if (top < 0 || left < 0 || top + 1 >= rows || left + 1 >= columns) continue;
             const samples = field.view(j, i);
             let [light, weight] = [0, 0];
+            const [at, below, right] = [top * columns + left, y - top, x - left];
             for (const [k, factor] of [
-              [top * columns + left, (1 - y + top) * (1 - x + left)], [top * columns + left + 1, (1 - y + top) * (x - left)],
-              [(top + 1) * columns + left, (y - top) * (1 - x + left)], [(top + 1) * columns + left + 1, (y - top) * (x - left)],
+              [at, (1 - below) * (1 - right)],
+              [at + 1, (1 - below) * right],
+              [at + columns, below * (1 - right)],
+              [at + columns + 1, below * right],
             ]) {
               for (let c = 0; c < channels; c++) light += factor * samples[k * planes + c] / channels;
               weight += factor * samples[k * planes + channels];
@@ -211,7 +220,9 @@ function paint(canvas, picture, colours) {
 
 // As images.to_bytes encodes them.
 const shades = Float32Array.from({ length: 4097 }, (_, k) => 255 * encoded(k / 4096));
-const shade = (part) => (part < 0.01 ? Math.round(255 * encoded(Math.max(part, 0))) : Math.round(shades[Math.round(4096 * Math.min(part, 1))]));
+// The table is too coarse where it is dark.
+const shade = (part) =>
+  Math.round(part < 0.01 ? 255 * encoded(Math.max(part, 0)) : shades[Math.round(4096 * Math.min(part, 1))]);
 
 const byExposure = (white) => (values, at, channels) =>
   [0, 1, 2].map((c) => shade(values[at + (channels === 3 ? c : 0)] / white));
@@ -232,7 +243,8 @@ async function start() {
   const raws = [];
   for (const recording of data.recordings) {
     fields.push(lightField(recording, await read(recording.views), await read(recording.weight)));
-    raws.push(recording.raw && { ...recording.raw, value: table(recording.raw.picture), image: await loaded(recording.raw.picture) });
+    const { raw } = recording;
+    raws.push(raw && { ...raw, value: table(raw.picture), image: await loaded(raw.picture) });
   }
   const planes = [];
   for (const plane of data.planes) planes.push({ ...plane, ...(await read(plane.picture)) });
@@ -253,7 +265,8 @@ async function start() {
   function choices(name, entries, chosen, act) {
     find(name).hidden = entries.length < 2;
     for (const [value, title] of entries) {
-      const input = Object.assign(document.createElement("input"), { type: "radio", name, value, checked: value === chosen });
+      const input = document.createElement("input");
+      Object.assign(input, { type: "radio", name, value, checked: value === chosen });
       const label = document.createElement("label");
       label.append(input, title);
       find(name).append(label);
@@ -285,7 +298,8 @@ async function start() {
     return image(fields[index], fields[index].view(...state.view));
   }
 
-  const compared = () => state.source === "difference" && (state.mode === "view" || state.mode === "refocus");
+  const ofSource = () => state.mode === "view" || state.mode === "refocus";
+  const compared = () => state.source === "difference" && ofSource();
   const picture = () => (compared() ? minus(shown(1), shown(0)) : shown(state.source === "difference" ? 0 : state.source));
 
   function drawField() {
@@ -313,14 +327,17 @@ async function start() {
 
     const title = state.mode === "planes" ? `${modes.planes}, ${planes[at].method}` : modes[state.mode];
     const names = data.recordings.map((one) => one.name);
-    const source = compared() ? `${names[1]} - ${names[0]}` : fields.length > 1 && state.mode in { view: 0, refocus: 0 } ? names[state.source] : "";
+    const one = fields.length > 1 && ofSource() ? names[state.source] : "";
+    const source = compared() ? `${names[1]} - ${names[0]}` : one;
     find("field-tag").textContent = source ? `${title}: ${source}` : title;
 
     find("scale").hidden = !(state.mode === "depth" || compared());
     const stops = state.mode === "depth" ? [0, 0.25, 0.5, 0.75, 1].map(ramp) : [-1, -0.5, 0, 0.5, 1].map(signed);
     find("ramp").style.background = `linear-gradient(to right, ${stops.map((colour) => `rgb(${colour.join(" ")})`)})`;
-    find("scale-low").textContent = state.mode === "depth" ? distanceText(depth.low > 0 ? 1 / depth.low : "inf") : `-${bound.toPrecision(3)}`;
-    find("scale-high").textContent = state.mode === "depth" ? distanceText(1 / depth.high) : `+${bound.toPrecision(3)}`;
+    const ends = state.mode === "depth"
+      ? [depth.low, depth.high].map((end) => distanceText(end > 0 ? 1 / end : "inf"))
+      : [`-${bound.toPrecision(3)}`, `+${bound.toPrecision(3)}`];
+    [find("scale-low").textContent, find("scale-high").textContent] = ends;
     drawBin();
   }
 
@@ -357,7 +374,9 @@ async function start() {
   function setMode(mode) {
     if (!(mode in modes) || mode === state.mode) return;
     // The same distance, as nearly as may be.
-    if (mode === "planes" && field && state.mode) state.plane = nearest(planes.map((one) => one.distance), field.distances[state.step]);
+    if (mode === "planes" && field && state.mode) {
+      state.plane = nearest(planes.map((one) => one.distance), field.distances[state.step]);
+    }
     if (mode === "refocus" && state.mode === "planes") state.step = nearest(field.distances, planes[state.plane].distance);
     state.mode = mode;
     check("modes", mode);
@@ -406,7 +425,10 @@ async function start() {
       if (step !== null) state.step = step;
     }
     const raw = raws[0];
-    if (raw && raw.bins && state.mode !== "planes") setLens(raw.bins.offset[0] + column * raw.bins.spacing[0], raw.bins.offset[1] + row * raw.bins.spacing[1]);
+    if (raw && raw.bins && state.mode !== "planes") {
+      const { offset, spacing } = raw.bins;
+      setLens(offset[0] + column * spacing[0], offset[1] + row * spacing[1]);
+    }
     draw();
   }
 
@@ -428,9 +450,9 @@ async function start() {
   });
   canvas.addEventListener("pointerup", (event) => {
     if (held && !held.moved) {
-      const box = canvas.getBoundingClientRect();
+      const [x, y] = inside(event, canvas);
       const { rows, columns } = state.picture;
-      focusOn(limit(Math.floor((event.clientY - box.top) / box.height * rows), 0, rows - 1), limit(Math.floor((event.clientX - box.left) / box.width * columns), 0, columns - 1));
+      focusOn(limit(Math.floor(y * rows), 0, rows - 1), limit(Math.floor(x * columns), 0, columns - 1));
     }
     held = null;
   });
@@ -478,7 +500,8 @@ async function start() {
     for (let j = 0; j < field.v.length; j++) {
       for (let i = 0; i < field.u.length; i++) {
         const here = state.view[0] === j && state.view[1] === i;
-        context.fillStyle = !field.seen[j * field.u.length + i] ? "#222" : state.mode === "refocus" || here ? "#ffb000" : "#778";
+        const used = state.mode === "refocus" || here ? "#ffb000" : "#778";
+        context.fillStyle = field.seen[j * field.u.length + i] ? used : "#222";
         context.fillRect(i * size + 1, j * size + 1, Math.max(1, size - 2), Math.max(1, size - 2));
       }
     }
@@ -487,8 +510,8 @@ async function start() {
       : state.mode === "refocus" ? "All views, shifted and added" : "";
   }
   const point = (event) => {
-    const box = pupil.getBoundingClientRect();
-    setView(Math.floor((event.clientY - box.top) / box.height * pupil.height / cell()), Math.floor((event.clientX - box.left) / box.width * pupil.width / cell()));
+    const [x, y] = inside(event, pupil);
+    setView(Math.floor(y * pupil.height / cell()), Math.floor(x * pupil.width / cell()));
   };
   pupil.addEventListener("pointerdown", (event) => { pupil.setPointerCapture(event.pointerId); point(event); });
   pupil.addEventListener("pointermove", (event) => { if (event.buttons) point(event); });
@@ -529,7 +552,8 @@ async function start() {
     const key = `${state.source} ${state.stops}`;
     if (overview !== key) {
       overview = key;
-      drawPart(find("raw"), 0, 0, columns, rows, Math.max(1, Math.round(columns * scale)), Math.max(1, Math.round(rows * scale)));
+      const [width, height] = [columns, rows].map((size) => Math.max(1, Math.round(size * scale)));
+      drawPart(find("raw"), 0, 0, columns, rows, width, height);
     }
     const across = Number(find("span").value);
     const pitch = lenses ? lenses.pitch / factor : Math.min(rows, columns) / 20;
@@ -538,13 +562,18 @@ async function start() {
     const [left, top] = [Math.round(x - size / 2), Math.round(y - size / 2)];
     drawPart(find("lens"), left, top, size, size, size, size);
     const place = (name, [x0, y0, width, height], [wide, high]) => Object.assign(find(name).style, {
-      left: `${100 * x0 / wide}%`, top: `${100 * y0 / high}%`, width: `${100 * width / wide}%`, height: `${100 * height / high}%`,
+      left: `${100 * x0 / wide}%`,
+      top: `${100 * y0 / high}%`,
+      width: `${100 * width / wide}%`,
+      height: `${100 * height / high}%`,
     });
     place("window", [left, top, size, size], [columns, rows]);
     place("ring", [x - left - pitch / 2, y - top - pitch / 2, pitch, pitch], [size, size]);
     find("span-text").textContent = `${across} (${size * factor} px)`;
     const where = `pixel ${state.lens.x.toFixed(1)}, ${state.lens.y.toFixed(1)}`;
-    find("lens-text").textContent = state.lens.row === undefined ? `Middle at ${where}` : `Lens ${state.lens.column}, ${state.lens.row} (column, row from 0), centre at ${where}`;
+    find("lens-text").textContent = state.lens.row === undefined
+      ? `Middle at ${where}`
+      : `Lens ${state.lens.column}, ${state.lens.row} (column, row from 0), centre at ${where}`;
   }
 
   function centre(row, column) {
@@ -577,15 +606,20 @@ async function start() {
     setLens(factor * columns / 2, factor * rows / 2);
     const raw = find("raw");
     const choose = (event) => {
-      const box = raw.getBoundingClientRect();
-      setLens((event.clientX - box.left) / box.width * columns * factor, (event.clientY - box.top) / box.height * rows * factor);
+      const [x, y] = inside(event, raw);
+      setLens(x * columns * factor, y * rows * factor);
       draw();
     };
     raw.addEventListener("pointerdown", (event) => { raw.setPointerCapture(event.pointerId); choose(event); });
     raw.addEventListener("pointermove", (event) => { if (event.buttons) choose(event); });
     keys(raw, arrows((down, across) => {
-      if (lenses) state.lens = centre(limit(state.lens.row + down, 0, lenses.shape[0] - 1), limit(state.lens.column + across, 0, lenses.shape[1] - 1));
-      else setLens(limit(state.lens.x + across * factor, 0, columns * factor), limit(state.lens.y + down * factor, 0, rows * factor));
+      const { row, column, x, y } = state.lens;
+      if (lenses) {
+        const [last, rightmost] = [lenses.shape[0] - 1, lenses.shape[1] - 1];
+        state.lens = centre(limit(row + down, 0, last), limit(column + across, 0, rightmost));
+      } else {
+        setLens(limit(x + across * factor, 0, columns * factor), limit(y + down * factor, 0, rows * factor));
+      }
       draw();
     }));
     find("span").addEventListener("input", draw);
