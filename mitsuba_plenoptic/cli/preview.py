@@ -42,20 +42,20 @@ def preview(
       mitsuba-plenoptic preview my_scene.xml --camera lytro --fit
     """
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png")
-    with progress_bar("Looking"):
+    with progress_bar("Previewing"):
         loaded = open_scene(scene, parse_definitions(define), None, camera)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
         seen_by.require_lens("a preview")
         # Brings Matplotlib, which takes a while to load.
-        from ..report.preview import draw_preview, focus_of, framing_warnings, look, propose, sharp_range
+        from ..report.preview import draw_preview, focus_of, framing_warnings, preview_of, propose, sharp_range
 
         focus = focus_of(seen_by)
-        seen = look(loaded, seen_by)
-        looks = [(f"{scene}, focused at {focus:.4g} mm", seen)]
+        seen = preview_of(loaded, seen_by)
+        previews = [(f"{scene}, focused at {focus:.4g} mm", seen)]
         lines = []
         if fit:
             proposal = propose(loaded, seen)
-            looks.append(("As proposed", look(loaded, seen_by, proposal)))
+            previews.append(("As proposed", preview_of(loaded, seen_by, proposal)))
             if proposal.pose is None:
                 lines.append(
                     f"proposal: focus at {proposal.distance:.4g} mm: mla_distance = {proposal.mla_distance:.6g}"
@@ -65,8 +65,8 @@ def preview(
                     f"proposal: multiply the scene's lengths by {proposal.scale:g} and put the camera at "
                     f"{proposal.lookat()}, {proposal.distance:.4g} mm before its middle"
                 )
-            lines += [f"proposal, still: {text}" for text in framing_warnings(looks[1][1])]
-        draw_preview(target, looks)
+            lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
+        draw_preview(target, previews)
     width = design.field_width(seen_by, focus)
     near, far = sharp_range(seen_by)
     typer.echo(f"field: {width:.4g} x {width * seen_by.resolution[1] / seen_by.resolution[0]:.4g} mm at {focus:.4g} mm")

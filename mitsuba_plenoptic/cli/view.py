@@ -20,7 +20,7 @@ def view(
     sources: Annotated[
         list[Path],
         typer.Argument(
-            metavar="SOURCE...",
+            metavar="SOURCE",
             help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
             "reconstructions, a depth map.",
         ),

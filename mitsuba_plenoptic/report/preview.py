@@ -37,7 +37,7 @@ _SHARP, _FOCUS = "#3fb4ff", "#ffb000"
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Preview:
     """What a thin lens of a camera sees.
 
     Attributes
@@ -114,7 +114,7 @@ def focus_of(camera: PlenopticCamera) -> float:
     return distance
 
 
-def look(scene: Any, camera: PlenopticCamera, fit: Fit | None = None) -> Look:
+def preview_of(scene: Any, camera: PlenopticCamera, fit: Fit | None = None) -> Preview:
     """See a scene through a thin lens, as the camera has it or as a fit proposes.
 
     In place of the scene the lens is scaled.
@@ -136,7 +136,7 @@ def look(scene: Any, camera: PlenopticCamera, fit: Fit | None = None) -> Look:
     hit = scene.ray_intersect(rays)
     seen = pinhole.world_transform().inverse() @ hit.p
     points = np.array(dr.select(hit.is_valid(), seen, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
-    return Look(photograph(scene, sensor, _SPP), scale * points, camera, scale)
+    return Preview(photograph(scene, sensor, _SPP), scale * points, camera, scale)
 
 
 def sharp_range(camera: PlenopticCamera) -> tuple[float, float]:
@@ -145,7 +145,7 @@ def sharp_range(camera: PlenopticCamera) -> tuple[float, float]:
     return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
 
-def framing_warnings(seen: Look) -> list[str]:
+def framing_warnings(seen: Preview) -> list[str]:
     """Describe what is poor about where the scene is, with fractions of the picture."""
     distance = seen.distance[np.isfinite(seen.distance)]
     if not distance.size:
@@ -169,7 +169,7 @@ def framing_warnings(seen: Look) -> list[str]:
     return found
 
 
-def propose(scene: Any, seen: Look) -> Fit:
+def propose(scene: Any, seen: Preview) -> Fit:
     """Propose a focus for the scene, or a scale and a position for it where the focus alone would not do."""
     camera = seen.camera
     near, far = _span(seen.distance)
@@ -205,10 +205,10 @@ def _span(distance: np.ndarray) -> tuple[float, float]:
     return tuple(map(float, np.percentile(known, (5, 95)))) if known.size else (math.nan, math.nan)  # type: ignore[return-value]
 
 
-def draw_preview(path: str | Path, looks: list[tuple[str, Look]]) -> None:
+def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
     """Draw each picture with what is in focus and sharp outlined, and the same from above."""
-    canvas = Canvas(9.6, 4.9 * len(looks) + 0.1)
-    for index, (title, seen) in enumerate(looks):
+    canvas = Canvas(9.6, 4.9 * len(previews) + 0.1)
+    for index, (title, seen) in enumerate(previews):
         top = 0.45 + 4.9 * index
         rows, columns = seen.picture.shape
         width, height = (4.2, 4.2 * rows / columns) if rows <= columns else (4.2 * columns / rows, 4.2)
@@ -220,7 +220,7 @@ def draw_preview(path: str | Path, looks: list[tuple[str, Look]]) -> None:
     canvas.save(Path(path))
 
 
-def _outline(axes: Axes, seen: Look) -> None:
+def _outline(axes: Axes, seen: Preview) -> None:
     """Outline what refocusing makes sharp, and what the picture has in focus: blurred by less than a microlens."""
     camera, distance = seen.camera, seen.distance
     near, far = sharp_range(camera)
@@ -231,7 +231,7 @@ def _outline(axes: Axes, seen: Look) -> None:
             axes.contour(part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
 
 
-def _draw_from_above(axes: Axes, seen: Look) -> None:
+def _draw_from_above(axes: Axes, seen: Preview) -> None:
     """Draw what is seen from above, between the borders of the field."""
     camera, focus = seen.camera, focus_of(seen.camera)
     points = seen.points[np.isfinite(seen.distance)][::7]

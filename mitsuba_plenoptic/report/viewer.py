@@ -187,10 +187,12 @@ def _recording(
     """Return the views that are left, the raw picture and the geometry of a light field, with facts about them."""
     whole = one.light_field
     full = max(float(lf.max()), white)
-    views = f"{lf.sizes['u']} x {lf.sizes['v']}" + (
-        "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
-    )
-    facts = [(f"Views, {name}", f"{views}; {lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}")]
+    left_out = "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
+    # Noise has a mean; without what is negative it would be too bright, which is to be stated.
+    negative = float((lf.values < 0).mean())
+    below = f"; {negative:.2%} of the samples are negative, and 0 in this page" if negative else ""
+    size = f"{lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}"
+    facts = [(f"Views, {name}", f"{lf.sizes['u']} x {lf.sizes['v']}{left_out}; {size}{below}")]
     content: dict[str, Any] = {
         "name": name,
         "views": encode(view_mosaic(lf), bits, full),

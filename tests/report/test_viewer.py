@@ -94,6 +94,14 @@ def test_what_is_left_out_is_stated(monkeypatch):
     assert one["raw"]["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
 
 
+def test_negative_samples_are_stated():
+    recorded = capture()
+    noisy = dataclasses.replace(recorded, image=recorded.image - 0.15)
+    fraction = float((decode(noisy).values < 0).mean())
+    assert f"{fraction:.2%} of the samples are negative, and 0 in this page" in view(noisy).page
+    assert "are negative" not in view(recorded).page
+
+
 def test_bright_lamps_are_held_in_16_bits():
     recorded = capture()
     image = recorded.image.copy()
