@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from .fitting import fit
     from .lightfield import decode, demosaic, ground_truth
     from .reconstruction import Reconstruction, reconstruct
+    from .report.viewer import Viewer, view
     from .runtime.progress import progress_bar
 
 # Whole parts that bring large libraries, imported when they are first asked for.
@@ -67,6 +68,8 @@ _LATER = {
     "Reconstruction": "reconstruction",
     "reconstruct": "reconstruction",
     "progress_bar": "runtime.progress",
+    "Viewer": "report.viewer",
+    "view": "report.viewer",
 }
 
 __version__ = importlib.metadata.version("mitsuba-plenoptic")
@@ -88,6 +91,7 @@ __all__ = [
     "Prescription",
     "Reconstruction",
     "Spectrum",
+    "Viewer",
     "calibrate",
     "decode",
     "demosaic",
@@ -106,6 +110,7 @@ __all__ = [
     "reconstruct",
     "render_capture",
     "scene_path",
+    "view",
     "volume_points",
     "with_camera",
     "write_capture",

@@ -26,6 +26,7 @@ from ..errors import (
 from ..lattice import LATTICES
 from ..lens_data import THIN, image_distance
 from ..presets import PRESETS
+from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
@@ -178,7 +179,7 @@ def write_xml(sensor: dict[str, Any]) -> str:
 
 
 @record
-class PlenopticCamera(CameraGeometry):
+class PlenopticCamera(CameraGeometry, Displayed):
     r"""A main lens, a microlens array behind it, and a detector behind that.
 
     Lengths are scene units, taken as millimetres. Without arguments this is the camera of the paper

@@ -21,6 +21,7 @@ PROGRAM = "mitsuba-plenoptic"
 
 # In the order of the help: each command is a function of its name in this module.
 COMMANDS = {
+    "preview": "preview",
     "render": "render",
     "reconstruct": "reconstruct",
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
@@ -28,6 +29,7 @@ COMMANDS = {
     "calibrate": "calibrate",
     "fit": "fit",
     "convert": "light_field",
+    "view": "view",
     **dict.fromkeys(("sweep", "dataset", "compare", "reproduce"), "experiments"),
     **dict.fromkeys(("info", "doctor"), "info"),
 }

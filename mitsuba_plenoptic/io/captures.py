@@ -36,6 +36,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..runtime.limits import require_memory
+from ..runtime.notebook import Displayed, report_module
 from .exr import read_exr, write_exr
 from .files import atomic_output, require_file, require_writable
 
@@ -49,7 +50,7 @@ BRIGHTEST = 1e30
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
-class Capture:
+class Capture(Displayed):
     """The image that the detector of a plenoptic camera recorded.
 
     Parameters
@@ -126,6 +127,23 @@ class Capture:
         return (
             f"Capture({columns} x {rows}{colours} pixels by {self.model}s{light}, mean {self.image.mean():.4g}{noise})"
         )
+
+    def view(self, *others: Any, title: str = "") -> Any:
+        """Make an interactive page of the capture, which notebooks show; `mitsuba_plenoptic.view` with the capture.
+
+        Parameters
+        ----------
+        *others : Capture, Reconstruction, xarray.DataArray or xarray.Dataset
+            A capture to compare it with, focal stacks, reconstructions and a depth map.
+        title : str
+            Headline of the page.
+
+        Returns
+        -------
+        Viewer
+            ``save(path)`` writes the page.
+        """
+        return report_module("viewer").view(self, *others, title=title)
 
     @property
     def relative_noise(self) -> float | None:

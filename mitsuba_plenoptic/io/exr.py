@@ -167,6 +167,14 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     return found, attributes
 
 
+def read_attributes(path: str | Path) -> dict[str, Any]:
+    """Read the attributes of a file without its pixels; those of other programs have none."""
+    path = require_file(path)
+    parts = read_parts(path)
+    with _undamaged(path):
+        return _attributes(parts[0]) if ATTRIBUTE in parts[0].header else {}
+
+
 def _attributes(part: ExrPart) -> dict[str, Any]:
     """Return what the attribute of this package holds."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))

@@ -20,6 +20,7 @@ from ..io.exr import write_exr
 from ..io.files import atomic_output, require_writable
 from ..lightfield.exchange.files import require_zarr
 from ..runtime.limits import require_memory
+from ..runtime.notebook import Displayed
 
 SUFFIXES = (".tif", ".tiff", ".zarr")
 
@@ -30,7 +31,7 @@ _ALONG = {"z": 0, "y": 1, "x": 2}
 
 
 @dataclass(frozen=True, eq=False)
-class Reconstruction:
+class Reconstruction(Displayed):
     """An image refocused to one distance.
 
     Attributes

@@ -30,26 +30,26 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
     There are `oversample` bins per lens along each axis.
     """
-    lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
     columns, rows = camera.bin_count
-    return _photograph(scene, camera, lens, (columns * oversample, rows * oversample), spp)
+    lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
+    sensor = photographic_sensor(scene, camera, (columns * oversample, rows * oversample), **lens)
+    return photograph(scene, sensor, spp)
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
     """Render the camera's field of view from the centre of its main lens, `columns` wide, everything sharp."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
-    return _photograph(scene, camera, {"type": "perspective"}, (columns, rows), spp)
+    return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
 
-def _photograph(
-    scene: Any, camera: PlenopticCamera, lens: dict[str, Any], size: tuple[int, int], spp: int
-) -> np.ndarray:
+def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, int], **lens: Any) -> Any:
+    """Return a sensor of Mitsuba with the camera's field, at the position of the scene's first sensor."""
     width = camera.bin_count[0] * camera.mla_pitch
-    sensor = mi.load_dict(
+    return mi.load_dict(
         {
+            "to_world": mi.ScalarTransform4f(scene.sensors()[0].world_transform().matrix.numpy()[..., 0]),
             **lens,
             "fov": math.degrees(2 * math.atan(width / (2 * camera.mla_distance))),
-            "to_world": mi.ScalarTransform4f(scene.sensors()[0].world_transform().matrix.numpy()[..., 0]),
             "film": {
                 "type": "hdrfilm",
                 "width": size[0],
@@ -60,11 +60,16 @@ def _photograph(
             },
         }
     )
+
+
+def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
+    """Render a picture by rays, in passes of bounded size."""
+    columns, rows = sensor.film().crop_size()
     integrator = scene.integrator()
     # A wave integrator's child sees the scene by rays.
     integrator = getattr(integrator, "child", integrator)
-    total = np.zeros((size[1], size[0]))
-    per_pass = min(spp, max(1, _RAYS_PER_PASS // (size[0] * size[1])))
+    total = np.zeros((rows, columns))
+    per_pass = min(spp, max(1, _RAYS_PER_PASS // (columns * rows)))
     for index in range(-(-spp // per_pass)):
         count = min(per_pass, spp - index * per_pass)
         part = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -30,6 +33,25 @@ def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
     # An image that is all black stays so.
     values = np.clip(values / peak, 0, 1) if peak > 0 else np.zeros_like(values)
     return np.round(255 * _srgb(values)).astype(np.uint8)
+
+
+def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
+    """Encode a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads its values.
+
+    The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits the upper eight are above
+    the lower eight in one picture. NaN is transparent. What is beyond the range is moved into it.
+    """
+    known = np.isfinite(image if image.ndim == 2 else image.sum(axis=2))
+    values = np.where(known if image.ndim == 2 else known[..., None], image, 0)
+    codes = np.rint((2**bits - 1) * _srgb(np.clip(values / full, 0, 1))).astype(np.uint16)
+    pixels = (codes if bits == 8 else np.concatenate([codes >> 8, codes & 255])).astype(np.uint8)
+    if not known.all():
+        opaque = np.tile(known, (bits // 8, 1)).astype(np.uint8) * 255
+        pixels = np.dstack([pixels, opaque])
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG")
+    source = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    return {"source": source, "bits": bits, "full": full, "channels": 1 if image.ndim == 2 else 3}
 
 
 def shrink(image: np.ndarray, longest: int) -> np.ndarray:

@@ -1,0 +1,86 @@
+"""``mitsuba-plenoptic preview``: a scene as the camera will see it, in seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .. import design
+from ..camera import PlenopticCamera
+from ..capture.render import estimate_capture, plenoptic_sensor
+from ..errors import InputError
+from ..io.files import require_writable
+from ..optics.guards import PhysicsError
+from ..runtime.progress import progress_bar
+from .inputs import CameraFile, Definitions, Samples, Scene, open_scene, output_option, parse_definitions
+
+
+def preview(
+    scene: Scene,
+    output: Annotated[Path | None, output_option("FILE.png", "Picture to write. Default: SCENE.preview.png.")] = None,
+    camera: CameraFile = None,
+    fit: Annotated[
+        bool,
+        typer.Option("--fit", help="Propose a focus for the scene, or a scale of the scene, and draw it, too."),
+    ] = False,
+    spp: Samples = None,
+    define: Definitions = None,
+) -> None:
+    """See in seconds what a camera will see of a scene, before it is captured.
+
+    The picture is that of Mitsuba's thin lens of the same aperture and field,
+    focused on the camera's plane in focus. What refocusing makes sharp is
+    outlined in blue, the plane in focus in yellow. Printed are the field, the
+    micro-images, what is poor about the framing, and what captures will take.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic preview letters
+
+      mitsuba-plenoptic preview my_scene.xml --camera lytro --fit
+    """
+    target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png")
+    with progress_bar("Previewing"):
+        loaded = open_scene(scene, parse_definitions(define), None, camera)
+        seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
+        seen_by.require_lens("a preview")
+        # Brings Matplotlib, which takes a while to load.
+        from ..report.preview import draw_preview, focus_of, framing_warnings, preview_of, propose, sharp_range
+
+        focus = focus_of(seen_by)
+        seen = preview_of(loaded, seen_by)
+        previews = [(f"{scene}, focused at {focus:.4g} mm", seen)]
+        lines = []
+        if fit:
+            proposal = propose(loaded, seen)
+            previews.append(("As proposed", preview_of(loaded, seen_by, proposal)))
+            if proposal.pose is None:
+                lines.append(
+                    f"proposal: focus at {proposal.distance:.4g} mm: mla_distance = {proposal.mla_distance:.6g}"
+                )
+            else:
+                lines.append(
+                    f"proposal: multiply the scene's lengths by {proposal.scale:g} and put the camera at "
+                    f"{proposal.lookat()}, {proposal.distance:.4g} mm before its middle"
+                )
+            lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
+        draw_preview(target, previews)
+    width = design.field_width(seen_by, focus)
+    near, far = sharp_range(seen_by)
+    typer.echo(f"field: {width:.4g} x {width * seen_by.resolution[1] / seen_by.resolution[0]:.4g} mm at {focus:.4g} mm")
+    typer.echo(f"made sharp by refocusing: {near:.4g} mm to {far:.4g} mm".replace("inf mm", "infinity"))
+    pixels = seen_by.micro_image_pitch / seen_by.pixel_size
+    typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.bin_count[0]} x {seen_by.bin_count[1]} of them")
+    for model in ("ray", "wave"):
+        try:
+            cost = estimate_capture(loaded, model=model, spp=spp)
+            typer.echo(f"{model} capture: about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+        except (InputError, PhysicsError) as error:
+            typer.echo(f"{model} capture: refused: {error}")
+    for text in framing_warnings(seen):
+        typer.echo(f"framing: {text}")
+    for text in lines:
+        typer.echo(text)
+    typer.echo(f"{target}: the picture")

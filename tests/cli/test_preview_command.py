@@ -1,0 +1,33 @@
+"""The command ``preview``: what it prints and refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mitsuba_plenoptic.report import preview
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    monkeypatch.setattr(preview, "_SPP", 1)
+    monkeypatch.setattr(preview, "_COLUMNS", 32)
+
+
+SMALL = ("-D", "resolution=256", "-D", "detector_width=2.048")
+
+
+def test_what_is_printed(tmp_path, run):
+    path = tmp_path / "look.png"
+    text = run("preview", "letters", *SMALL, "-o", path, "--fit", "--spp", "1")
+    assert "field: 4.096 x 4.096 mm at 240 mm" in text
+    assert "micro-images: 8.03 pixels apart, 32 x 32 of them" in text
+    assert "ray capture: about" in text and "wave capture: about" in text and "proposal: " in text
+    assert np.asarray(Image.open(path)).shape[0] > 1000
+
+
+def test_refused(tmp_path, complaint):
+    assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png")
+    words = complaint("preview", "letters", "--camera", "lfm", "-o", tmp_path / "a.png")
+    assert "a preview is not defined behind an objective" in words
