@@ -64,7 +64,8 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
         pixels = design.effective_resolution(each, focus, wavelength).columns
         ends = design.depth_ranges(each, wavelength)[0]
         if ends is not None:
-            sharp = (1 / np.linspace(1 / ends[0], 1 / ends[1], 400)).tolist()
+            inverse = np.linspace(1 / ends[0], 1 / ends[1], 400)
+            sharp = (1 / inverse[inverse > 0]).tolist()
             fine = [g for g in sharp if design.effective_resolution(each, g, wavelength).columns >= pixels / 2]
             found.append(FocusedCamera(each, depth, pixels, fine[0], fine[-1]))
     lenses = float(camera.bin_count[0])

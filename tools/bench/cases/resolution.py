@@ -177,7 +177,8 @@ def judged_in_focus(camera: PlenopticCamera, distance: float, model: str) -> str
 def in_focus(camera: PlenopticCamera, distance: float, frequency: float, angle: float, model: str) -> float:
     """Return the contrast of a plane in focus, in cycles per millimetre of the MLA."""
     if focus_type(camera) == "unfocused":
-        grid = (np.arange(400) + 0.5) / 400
+        # Of as many points in each third of a hexagon.
+        grid = (np.arange(402) + 0.5) / 402
         u, v = camera.lattice.aperture_point(*np.meshgrid(grid, grid))
         lens = np.cos(2 * np.pi * frequency * (_direction(angle) @ np.stack([u.ravel(), v.ravel()]))).mean()
     else:
