@@ -11,8 +11,8 @@ through its own square aperture, too, whose transfer function is a triangle alon
 Frequencies are given over the lens's own limit, half a period per lens. The limits by pixels and by diffraction of a
 microlens are those of `design.resolution_limit`.
 
-All bins lie within four lenses of the middle. A detector of 16 lenses cuts the light of such bins at 210, 280 and 320
-mm, which changes contrasts of ray reconstructions by up to 0.012 from a detector of 26 lenses, one of 12 by up to 0.02.
+Bins within four lenses of the middle count. A detector of 16 lenses cuts some of their light at 210, 280 and 320 mm.
+Contrasts of ray reconstructions differ by up to 0.012 from those of 26 lenses; those of 12 lenses by up to 0.02.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import numpy as np
 from scipy.optimize import curve_fit
 from scipy.special import erf, erfinv
 
-from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, reconstruct, render_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.design import focus_type, lens_footprint, pixel_footprint, resolution_limit, spot_radius
 from mitsuba_plenoptic.report.paper.limits import focused_cameras
 
@@ -234,7 +234,7 @@ def _of_plane(
     methods = [method for method in methods if method != SUMS or judged == SUMS]
     nyquist = 1 / (2 * camera.mla_pitch)
     waves = [(part * nyquist, angle, phase) for part in relative for angle, phase in PATTERNS]
-    walls = [*(_sinusoid(*wave) for wave in waves), _edge]
+    walls = [*(sinusoid(*wave) for wave in waves), _edge]
     images = [captured(camera, distance, wall, model, spp).image for wall in walls]
     images += [images[-1]] * (-len(images) % 3)
     captures = [_of_three(images[first : first + 3], camera, model) for first in range(0, len(images), 3)]
@@ -312,59 +312,10 @@ def pixels_and_range(*, steps: int = 6, lenses: int = 12, spp: int = 8) -> Itera
 
 def _fine_contrast(camera: PlenopticCamera, frequency: float, distance: float, *, spp: int) -> float:
     """Return the contrast of a turned sinusoid that rays bring back from its wave capture."""
-    capture = captured(camera, distance, _sinusoid(frequency, *PATTERNS[1]), "wave", spp)
+    capture = captured(camera, distance, sinusoid(frequency, *PATTERNS[1]), "wave", spp)
     oversample = math.ceil(4 * frequency * camera.mla_pitch) if focus_type(camera) != "unfocused" else 1
     values, places = binned(reconstruct(capture, distance, oversample=oversample).image, camera, oversample)
     return contrast(values[:, 0], places, frequency, PATTERNS[1][0])
-
-
-@case(
-    "deconvolution.fine-lines",
-    "Lines finer than two lenses in wave captures of the paper's camera, by rays and deconvolved: contrast, and the "
-    "error over that of an even grey, out of focus and in focus",
-    {"distance (mm)": "{distance:g}", "period (lenses)": "{period:.2f}", "method": "{method}",
-     "contrast": "{contrast:.2f}", "error": "{error:.2f}"},
-    (at_most("error", "most"), at_least("error", "least")),
-    page="docs/deconvolution.md",
-    quick={"periods": (1.3,), "iterations": 10, "distances": (253.0,)},
-)  # fmt: skip
-def fine_lines(
-    *,
-    distances: tuple[float, ...] = (253.0, 240.0),
-    periods: tuple[float, ...] = (1.3, 0.9, 0.6),
-    lenses: int = 14,
-    iterations: int = 100,
-    photons: float = 2000.0,
-    spp: int = 64,
-) -> Iterator[Row]:
-    """Deconvolution must find lines out of focus with less than half the error of a grey, and in focus with more.
-
-    Out of focus captures without noise are judged; in focus such with noise, as diffraction at the borders of lenses
-    leaves a little of the lines.
-    """
-    camera, oversample = camera_of("paper", lenses), 8
-    for distance, period in itertools.product(distances, periods):
-        frequency, (angle, phase) = 1 / (period * camera.mla_pitch), PATTERNS[1]
-        clean = captured(camera, distance, _sinusoid(frequency, angle, phase), "wave", spp)
-        noisy = expose(clean, Detector(), photons=photons, seed=1)
-        focused = abs(distance - camera.focus_distance) < 1
-        for method, capture, options, bounds in (
-            ("rays", clean, {"method": "ray"}, {}),
-            (
-                "deconvolved",
-                clean,
-                {"method": "deconvolved", "iterations": iterations},
-                {} if focused else {"most": 0.5},
-            ),
-            (f"{photons:g} photons", noisy, {"method": "deconvolved"}, {"least": 0.5} if focused else {}),
-        ):
-            image = reconstruct(capture, distance, oversample=oversample, **options).image
-            values, places = binned(image, camera, oversample)
-            truth = _sinusoid(frequency, angle, phase)(*places) - 1
-            error = float(np.std(values[:, 0] / values.mean() - 1 - truth) / np.std(truth))
-            row = {"distance": distance, "period": period, "method": method, "error": error}
-            row["contrast"] = contrast(values[:, 0], places, frequency, angle)
-            yield row | bounds
 
 
 def _of_three(images: list[np.ndarray], camera: PlenopticCamera, model: str) -> Capture:
@@ -373,7 +324,8 @@ def _of_three(images: list[np.ndarray], camera: PlenopticCamera, model: str) -> 
     return Capture(np.stack(images, axis=-1), camera, wavelength, model)
 
 
-def _sinusoid(frequency: float, angle: float, phase: float) -> Callable[..., np.ndarray]:
+def sinusoid(frequency: float, angle: float, phase: float) -> Callable[..., np.ndarray]:
+    """Return the radiance of a wall of contrast 1 by the position on the array; the angles are in degrees."""
     (along, down), shift = _direction(angle), math.radians(phase)
     return lambda x, y: 1 + np.cos(2 * np.pi * frequency * (x * along + y * down) + shift)
 
