@@ -93,3 +93,23 @@ def test_the_sums_of_lenses_are_theirs():
     values, places = resolution.sums_over_lenses(Capture(image.astype(np.float32), camera))
     assert np.array(camera.lattice.centre(*values[:, :2].T)) == pytest.approx(places)
     assert values[:, 2] == pytest.approx(values[:, 0] - values[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("case", "figures", "verdict"),
+    [
+        ("resolution", {"difference": 0.019, "apart": 0.04}, "ok"),
+        ("resolution", {"difference": 0.021}, "FAILED: difference"),
+        ("resolution", {"apart": 0.06}, "FAILED: apart"),
+        ("arrays.pixels-and-range", {"focus": 0.5, "wider": 1.2}, "ok"),
+        ("arrays.pixels-and-range", {"focus": 0.5, "wider": 0.9}, "FAILED: wider"),
+        ("arrays.pixels-and-range", {"focus": 0.3, "wider": None}, "FAILED: focus"),
+        ("deconvolution.fine-lines", {"error": 0.4, "most": 0.5}, "ok"),
+        ("deconvolution.fine-lines", {"error": 0.6, "most": 0.5}, "FAILED: error"),
+        ("deconvolution.fine-lines", {"error": 0.6, "least": 0.5}, "ok"),
+        ("deconvolution.fine-lines", {"error": 0.4, "least": 0.5}, "FAILED: error"),
+        ("speed.plain-rays", {"difference": 1e-3}, "FAILED: difference"),
+    ],
+)
+def test_verdicts_of_studies_come_out_both_ways(case, figures, verdict):
+    assert load()[case].verdict(figures).startswith(verdict)

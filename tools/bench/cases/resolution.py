@@ -365,6 +365,7 @@ def _draw(path: Path, rows: list[Row]) -> None:
     for axes in panels[:, 0]:
         axes.set_ylabel("contrast")
     lines = dict(pair[::-1] for axes in panels.flat for pair in zip(*axes.get_legend_handles_labels(), strict=True))
-    figure.legend(lines.values(), lines.keys(), fontsize=8, loc="outside lower center", ncols=len(lines))
+    columns = min(len(lines), 2 * len(distances))
+    figure.legend(lines.values(), lines.keys(), fontsize=8, loc="outside lower center", ncols=columns)
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
