@@ -1,13 +1,16 @@
-"""The parts of the study of when rays fail that have closed forms."""
+"""The parts of the studies of resolution and of when rays fail that have closed forms, and their verdicts."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import erf, erfinv
 
-from mitsuba_plenoptic import PlenopticCamera
-from tools.bench.cases.ray_limits import WAVELENGTH, difference
+from mitsuba_plenoptic import Capture, PlenopticCamera
+from tools.bench.cases import resolution
+from tools.bench.cases.ray_limits import WAVELENGTH, difference, falls
 from tools.bench.measures import spot_filtered
+from tools.bench.registry import load
 
 
 def test_the_spot_of_a_square_lens():
@@ -28,3 +31,85 @@ def test_noise_does_not_count_as_difference():
     rays, waves = ([mean + 0.5 * random.standard_normal((256, 256)) for _ in range(2)] for mean in (1.1, 1.0))
     assert difference(rays, waves, 1) == pytest.approx(0.1, abs=0.02)
     assert difference(rays, waves, 4) == pytest.approx(0.1, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("rays", "verdict"),
+    [(0.1, "ok"), (0.25, "FAILED: by_pixels 1.25"), (0.4, "FAILED: by_pixels 2, at most 1; by_len")],
+)
+def test_rays_must_come_nearer_with_larger_pixels_and_wider_lenses(rays, verdict):
+    def row(pitch, binning, value):
+        return {"f_number": 8.0, "pitch": pitch, "focus": "in focus", "binning": binning, "rays": value}
+
+    others = [row(0.064, 1, 0.5), row(0.064, 2, 0.3), row(0.128, 1, 0.2)]
+    last = row(0.128, 2, rays)
+    assert load()["ray-limits"].verdict(last | falls(last, others)).startswith(verdict)
+    assert falls(others[0], others[:0]) == {"by_pixels": None, "by_lenses": None}
+
+
+def test_contrasts_in_focus_have_closed_forms():
+    paper, hexagonal = (resolution.camera_of(name, 16) for name in ("paper", "hexagonal"))
+    nyquist = 1 / (2 * paper.mla_pitch)
+    # sinc(1/2) along x; turned by 45 degrees the square of sinc(1/2 cos 45).
+    assert resolution.in_focus(paper, 240.0, nyquist, 0.0, "ray") == pytest.approx(2 / np.pi, abs=1e-5)
+    assert resolution.in_focus(paper, 240.0, nyquist, 45.0, "ray") == pytest.approx(np.sinc(0.5**1.5) ** 2, abs=1e-5)
+    # The pupil of f/12 passes 1 / (633e-6 * 12) per millimetre; near zero its transfer function has the slope 4 / pi.
+    fine = 0.1
+    fall = 1 - resolution.in_focus(paper, 240.0, fine, 0.0, "wave") / resolution.in_focus(
+        paper, 240.0, fine, 0.0, "ray"
+    )
+    assert fall == pytest.approx(4 / np.pi * fine * 633e-6 * 12, rel=1e-3)
+    # A hexagon of the same width is the narrower lens, alike in six directions.
+    at = [resolution.in_focus(hexagonal, 240.0, nyquist, angle, "ray") for angle in (0.0, 60.0, 120.0)]
+    assert at == pytest.approx([at[0]] * 3, abs=1e-4) and at[0] > 2 / np.pi
+
+
+def test_only_planes_in_focus_are_judged_by_closed_forms():
+    judged = {
+        (name, distance): resolution.judged_in_focus(resolution.camera_of(name, 16), distance, "ray")
+        for name in resolution.CAMERAS
+        for distance in (230.0, 240.0, 252.0)
+    }
+    assert {plane for plane, method in judged.items() if method} == {(name, 240.0) for name in resolution.CAMERAS}
+    assert judged["hexagonal", 240.0] == resolution.SUMS and judged["keplerian", 240.0] == "rays"
+
+
+def test_contrast_and_edges_of_known_samples():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.3, 0.3, 41), np.linspace(-0.3, 0.3, 41)))
+    places = np.array([x, y])
+    wave = 2 + 0.6 * np.cos(2 * np.pi * 5 * (x * np.cos(np.pi / 6) + y / 2) + 1)
+    assert resolution.contrast(wave, places, 5.0, 30.0) == pytest.approx(0.3)
+    turned = np.radians(resolution.EDGE_ANGLE)
+    edge = erf((x * np.cos(turned) + y * np.sin(turned) - 0.01) / 0.05)
+    assert resolution.edge_width(edge, places, 0.1) == pytest.approx(2 * erfinv(0.8) * 0.5)
+
+
+def test_the_sums_of_lenses_are_theirs():
+    camera = resolution.camera_of("hexagonal", 16)
+    to_array = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
+    x, y = np.meshgrid(*(camera.pixel_coordinates(axis) * to_array for axis in (0, 1)))
+    i, j = camera.lattice.cell(x, y)
+    image = np.stack([i, j, i - j], axis=-1)
+    values, places = resolution.sums_over_lenses(Capture(image.astype(np.float32), camera))
+    assert np.array(camera.lattice.centre(*values[:, :2].T)) == pytest.approx(places)
+    assert values[:, 2] == pytest.approx(values[:, 0] - values[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("case", "figures", "verdict"),
+    [
+        ("resolution", {"difference": 0.019, "apart": 0.04}, "ok"),
+        ("resolution", {"difference": 0.021}, "FAILED: difference"),
+        ("resolution", {"apart": 0.06}, "FAILED: apart"),
+        ("arrays.pixels-and-range", {"focus": 0.5, "wider": 1.2}, "ok"),
+        ("arrays.pixels-and-range", {"focus": 0.5, "wider": 0.9}, "FAILED: wider"),
+        ("arrays.pixels-and-range", {"focus": 0.3, "wider": None}, "FAILED: focus"),
+        ("deconvolution.fine-lines", {"error": 0.4, "most": 0.5}, "ok"),
+        ("deconvolution.fine-lines", {"error": 0.6, "most": 0.5}, "FAILED: error"),
+        ("deconvolution.fine-lines", {"error": 0.6, "least": 0.5}, "ok"),
+        ("deconvolution.fine-lines", {"error": 0.4, "least": 0.5}, "FAILED: error"),
+        ("speed.plain-rays", {"difference": 1e-3}, "FAILED: difference"),
+    ],
+)
+def test_verdicts_of_studies_come_out_both_ways(case, figures, verdict):
+    assert load()[case].verdict(figures).startswith(verdict)

@@ -26,6 +26,7 @@ from ..images import shrink
 from ..page import Report, write_report
 from ..stage_store import StageOptions
 from .claims import check_claims, timing_table
+from .limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
@@ -76,7 +77,13 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
         lambda _: seconds_on_one_core(experiment.wave_file, last),
     )
     near, _, far = _LETTERS
+    plain = store.facts(
+        "seconds_of_plain_loop",
+        {"camera": experiment.camera.to_json(), "distance": last},
+        lambda _: {"seconds": round(plain_seconds(experiment.camera, last), 1)},
+    )
     claims = check_claims(experiment, measured, seconds, near, far)
+    claims += check_limits(experiment.camera, settings.wavelength, plain["seconds"], seconds["ray"])
     zooms = _letter_zooms(experiment, _LETTERS)
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
     figure_1(output / "fig1.png", experiment.camera, objects)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct
+from mitsuba_plenoptic import CaptureOperator, Detector, PlenopticCamera, expose, reconstruct
 from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
 from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
@@ -37,6 +38,7 @@ from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
 from mitsuba_plenoptic.reconstruction.deconvolved import MOST_ITERATIONS
 
 from .. import Row, at_least, at_most, case
+from . import resolution
 
 WAVELENGTH = 633.0
 PLANES = (13.0, 40.0, -30.0, 30.0, 20.0, -13.0)
@@ -189,6 +191,51 @@ def arriving(images: np.ndarray) -> float:
     # cos a - cos(a + 90 degrees) is a cosine of the amplitude sqrt 2, whose root mean square is 1.
     found = [np.linalg.norm(images[..., k] - images[..., k + 1]) / grey for k in range(0, images.shape[2], 2)]
     return float(np.sqrt(np.mean(np.square(found))))
+
+
+@case(
+    "deconvolution.fine-lines",
+    "Lines finer than two lenses in wave captures of the paper's camera, by rays and deconvolved: contrast, and the "
+    "error over that of an even grey, out of focus and in focus",
+    {"distance (mm)": "{distance:g}", "period (lenses)": "{period:.2f}", "method": "{method}",
+     "contrast": "{contrast:.2f}", "error": "{error:.2f}"},
+    (at_most("error", "most"), at_least("error", "least")),
+    page="docs/deconvolution.md",
+    quick={"periods": (1.3,), "iterations": 10, "distances": (253.0,)},
+)  # fmt: skip
+def fine_lines(
+    *,
+    distances: tuple[float, ...] = (253.0, 240.0),
+    periods: tuple[float, ...] = (1.3, 0.9, 0.6),
+    lenses: int = 14,
+    iterations: int = 100,
+    photons: float = 2000.0,
+    spp: int = 64,
+) -> Iterator[Row]:
+    """Deconvolution must find lines out of focus with less than half the error of a grey, and in focus with more.
+
+    Out of focus, captures without noise are judged. In focus those with noise are, because diffraction at the borders
+    of lenses leaves a little of the lines.
+    """
+    camera, oversample = resolution.camera_of("paper", lenses), 8
+    for distance, period in itertools.product(distances, periods):
+        frequency, (angle, phase) = 1 / (period * camera.mla_pitch), resolution.PATTERNS[1]
+        clean = resolution.captured(camera, distance, resolution.sinusoid(frequency, angle, phase), "wave", spp)
+        noisy = expose(clean, Detector(), photons=photons, seed=1)
+        focused = abs(distance - camera.focus_distance) < 1
+        judged, bound = (noisy, {"least": 0.5}) if focused else (clean, {"most": 0.5})
+        for method, capture, options in (
+            ("rays", clean, {}),
+            ("deconvolved", clean, {"method": "deconvolved", "iterations": iterations}),
+            (f"deconvolved, {photons:g} photons", noisy, {"method": "deconvolved"}),
+        ):
+            image = reconstruct(capture, distance, oversample=oversample, **options).image
+            values, places = resolution.binned(image, camera, oversample)
+            truth = resolution.sinusoid(frequency, angle, phase)(*places) - 1
+            error = float(np.std(values[:, 0] / values.mean() - 1 - truth) / np.std(truth))
+            row = {"distance": distance, "period": period, "method": method, "error": error}
+            row["contrast"] = resolution.contrast(values[:, 0], places, frequency, angle)
+            yield row | (bound if options and capture is judged else {})
 
 
 class Plane:

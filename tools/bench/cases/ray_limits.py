@@ -6,6 +6,8 @@ pitch, and 8 x 8 lenses. Captures by both models are compared: root of the summe
 wave captures, free of noise, because two independent pairs take the place of the square. Averaging pixels gives larger
 ones, so that the pixel size needs no captures of its own. The inexpensive approximation between both is the ray capture
 convolved with the diffraction spot of a square lens.
+
+The paper says that rays hold for wide apertures and large pixels: the difference must fall with either.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from matplotlib.figure import Figure
 
 from mitsuba_plenoptic import PlenopticCamera, design, render_capture, scene_path
 
-from .. import Pivot, Row, case
+from .. import Pivot, Row, at_most, case
 from ..measures import spot_filtered
 
 WAVELENGTH = 633.0
@@ -56,6 +58,7 @@ BINNING = (1, 2, 4, 8)
         "pixel over spot": "{pixel_over_spot:.2g}", "rays": "{rays:.1%}", "with sinc^2": "{convolved:.1%}",
         "energy, rays over waves": "{energy:.4f}",
     },
+    (at_most("by_pixels", 1.0), at_most("by_lenses", 1.0)),
     page="docs/howto/waves.md",
     pivot=Pivot(
         "f/{f_number:g}, {um:g} um, Fresnel number {fresnel:.2f}", "{focus}: rays, with sinc²",
@@ -74,9 +77,20 @@ def ray_limits(
     rows: list[Row] = []
     for f_number, pitch, focus in itertools.product(f_numbers, pitches, ("in focus", "out of focus")):
         for row in study(f_number, pitch, focus, spp):
-            rows.append(row)
-            yield row
+            rows.append(row | falls(row, rows))
+            yield rows[-1]
     plot(output / "study.png", rows)
+
+
+def falls(row: Row, others: list[Row]) -> Row:
+    """Return the difference of rays over that with pixels half as wide, and over that with lenses half as wide."""
+
+    def over(**halved: float) -> float | None:
+        wanted = {key: row[key] for key in ("f_number", "pitch", "focus", "binning")} | halved
+        found = [each["rays"] for each in others if all(each[key] == value for key, value in wanted.items())]
+        return row["rays"] / found[0] if found else None
+
+    return {"by_pixels": over(binning=row["binning"] // 2), "by_lenses": over(pitch=row["pitch"] / 2)}
 
 
 def study(f_number: float, pitch: float, focus: str, spp: int) -> list[dict[str, Any]]:

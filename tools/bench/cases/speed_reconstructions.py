@@ -21,8 +21,10 @@ from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reco
 from mitsuba_plenoptic.lightfield import distance_of, refocus
 from mitsuba_plenoptic.reconstruction.full_fields import lit_window
 from mitsuba_plenoptic.reconstruction.planning import plan
+from mitsuba_plenoptic.reconstruction.ray import pupil_radius, ray_sums
+from mitsuba_plenoptic.report.paper.limits import plain_seconds, plain_sums, run_plain_sums
 
-from .. import Row, case
+from .. import Row, at_most, case
 from ..measures import relative
 from ..speed import PAPER_SECONDS, SPEED, WAVELENGTH, compared
 from ..timing import Timing, in_process, paired
@@ -42,6 +44,49 @@ DISTANCES = [210.0, 240.0, 280.0]
 def reconstructions(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:
     """Time everything in one process."""
     yield from in_process(_compare_all, runs, resolution, cores=1)
+
+
+@case(
+    "speed.plain-rays",
+    "Reconstruction by rays in a plain loop over the pixels, interpreted and compiled by Numba, on one core at the "
+    "paper's size, against ours with the same sums, and against the paper's 330 s",
+    {
+        "plain loop": "{name}",
+        "seconds": "{loop:.3g}",
+        "ours, seconds": "{ours:.3g}",
+        "loop over ours": "{slower:.3g}",
+        "the paper over loop": "{paper:.3g}",
+        "difference of sums": "{difference:.0e}",
+    },
+    (at_most("difference", 1e-4),),
+    page="docs/numbers.md",
+    quick={"resolution": 512, "runs": 1},
+    needs=("numba",),
+)
+def plain_rays(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:
+    """Time the loops; the interpreted one on the rows of two lenses, scaled to the paper's pixels."""
+    yield from in_process(_compare_plain, runs, resolution, cores=1)
+
+
+def _compare_plain(runs: int, resolution: int) -> list[Row]:
+    import numba
+
+    camera = PlenopticCamera(resolution=(resolution, resolution), detector_width=0.002 * resolution)
+    image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
+    compiled = numba.njit(plain_sums)
+    works = {
+        "ours": lambda: ray_sums(image[..., None], camera, DISTANCE, pupil_radius(camera), "point", 1)[..., 0],
+        "compiled": lambda: run_plain_sums(image, camera, DISTANCE, compiled),
+    }
+    difference = relative(works["compiled"](), works["ours"]())
+    timings = paired(works, runs)
+    loops = {"compiled by Numba": timings["compiled"].processor, "in Python": plain_seconds(camera, DISTANCE)}
+    ours, paper = timings["ours"].processor, PAPER_SECONDS["ray, point version"]
+    return [
+        {"name": name, "loop": loop, "ours": ours, "slower": loop / ours, "paper": paper / loop,
+         "difference": difference}
+        for name, loop in loops.items()
+    ]  # fmt: skip
 
 
 def _compare_all(runs: int, resolution: int) -> list[Row]:
