@@ -16,8 +16,8 @@ import numpy as np
 
 from ... import design
 from ...camera import PlenopticCamera
+from ...lens_data import image_distance
 from ...reconstruction.ray import pupil_radius, ray_sums
-from ...thin_lens import image_distance
 from ..page import Claim
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY
 
