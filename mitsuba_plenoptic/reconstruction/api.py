@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..camera import PlenopticCamera
 from ..camera.checks import require_ideal
@@ -44,6 +45,7 @@ from .methods import (
     require_upright,
     require_wavelengths,
 )
+from .partitions import require_partition
 from .radiance import is_known
 from .ray import white_pixels
 from .results import Reconstruction
@@ -93,6 +95,7 @@ def reconstruct(
     camera: PlenopticCamera | None = ...,
     wavelength: float | Sequence[float] | None = ...,
     interleave: int | str | None = ...,
+    partition: ArrayLike | None = ...,
     footprint: str | None = ...,
     relay: bool | None = ...,
     oversample: int = ...,
@@ -116,6 +119,7 @@ def reconstruct(
     camera: PlenopticCamera | None = ...,
     wavelength: float | Sequence[float] | None = ...,
     interleave: int | str | None = ...,
+    partition: ArrayLike | None = ...,
     footprint: str | None = ...,
     relay: bool | None = ...,
     oversample: int = ...,
@@ -140,6 +144,7 @@ def reconstruct(
     camera: PlenopticCamera | None = None,
     wavelength: float | Sequence[float] | None = None,
     interleave: int | str | None = None,
+    partition: ArrayLike | None = None,
     footprint: str | None = None,
     relay: bool | None = None,
     oversample: int = 1,
@@ -169,8 +174,8 @@ def reconstruct(
         plane.
     method : {"ray", "coherent", "partial", "incoherent", "deconvolved"}
         ``ray`` traces one ray per pixel back to the object plane. ``coherent`` propagates back one coherent wave, whose
-        amplitude is the square root of the capture. ``partial`` propagates one such wave for each interleaved subset of
-        lenses, and adds their intensities. Waves pass the camera's lenses as thin parabolic phase elements.
+        amplitude is the square root of the capture. ``partial`` propagates one such wave for each subset of lenses,
+        interleaved or as `partition` states, and adds their intensities. Waves pass the camera's lenses as thin parabolic phase elements.
         ``incoherent`` propagates each point of the object by itself through this camera, and weighs the capture with
         its point spread (see `mitsuba_plenoptic.reconstruction.incoherent`).
         ``deconvolved`` finds the plane, or the planes, whose capture by this camera is the recorded one.
@@ -184,6 +189,9 @@ def reconstruct(
         ``coherent``;
         ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits depend on the thread
         count of the BLAS.
+    partition : (rows, columns) array of integers, optional
+        For ``partial``, instead of `interleave`: a label for each lens; lenses of equal labels share a wave.
+        `mitsuba_plenoptic.reconstruction.partitions` makes such arrays, and states how lenses are numbered.
     footprint : {"lens", "point"}, optional
         For ``ray``: whether a pixel is spread over the area that its whole lens sees (default), or added to one bin.
     relay : bool, optional
@@ -267,6 +275,7 @@ def reconstruct(
         chosen,
         wavelength=wavelength,
         interleave=interleave,
+        partition=partition,
         footprint=footprint,
         relay=relay,
         response=response,
@@ -281,6 +290,7 @@ def reconstruct(
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
         "interleave": require_interleave(2 if interleave is None else interleave, camera),
+        "partition": None if partition is None else require_partition(partition, camera),
         "relay": relay is None or require_flag("relay", relay),
         "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
@@ -289,6 +299,10 @@ def reconstruct(
         "volume": volume is not None and require_flag("volume", volume),
         "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
     }
+    refuse_if(
+        partition is not None and interleave is not None,
+        f"partition with {argument('interleave')} = {interleave}: give one of them",
+    )
     refuse_if(
         not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray",
         f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave",
@@ -330,6 +344,9 @@ def reconstruct(
         # Methods that compare with computed captures ask for each wavelength's camera themselves.
         parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
         images = _side_by_side([chosen.refocus(part, **options) for part in parts])
+    if options.pop("partition", None) is not None:
+        options["interleave"] = None
+        options["subsets"] = int(given["partition"].max()) + 1
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}
     results = [
