@@ -175,7 +175,7 @@ def reconstruct(
     method : {"ray", "coherent", "partial", "incoherent", "deconvolved"}
         ``ray`` traces one ray per pixel back to the object plane. ``coherent`` propagates back one coherent wave, whose
         amplitude is the square root of the capture. ``partial`` propagates one such wave for each subset of lenses,
-        interleaved or as `partition` states, and adds their intensities. Waves pass the camera's lenses as thin parabolic phase elements.
+        interleaved or of a `partition`, and adds their intensities. Waves pass the lenses as thin parabolic phases.
         ``incoherent`` propagates each point of the object by itself through this camera, and weighs the capture with
         its point spread (see `mitsuba_plenoptic.reconstruction.incoherent`).
         ``deconvolved`` finds the plane, or the planes, whose capture by this camera is the recorded one.

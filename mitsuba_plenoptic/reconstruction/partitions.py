@@ -6,24 +6,29 @@ arranged like the micro-images in the capture. Of staggered or turned lattices s
 
 Which lenses interfere
 ----------------------
-The light of a lens with centre c comes to the bin x (both on the array) from the pupil point
-:math:`P = (c - x) / \kappa`, with :math:`\kappa = 1 + b/g - b/f_1`. Two lenses interfere where their images overlap:
-the pixels of both, followed back by rays through the centres of their lenses, come to the same bins. With the light
-:math:`I_1, I_2` of the two in each bin the interference is at most :math:`2 \sum \sqrt{I_1 I_2}`, and the overlap
-:math:`\sum \sqrt{I_1 I_2} / \sqrt{\sum I_1 \sum I_2}` (the coefficient of Bhattacharyya) is 1 for equal images and 0 for
+Two lenses interfere where their images overlap: the pixels of both, followed back by rays through the centres of their
+lenses, come to the same bins. With the light :math:`I_1, I_2` of the two in each bin the overlap is
+:math:`\sum \sqrt{I_1 I_2} / \sqrt{\sum I_1 \sum I_2}` (the coefficient of Bhattacharyya), 1 for equal images and 0 for
 separate ones. An image is enlarged by one bin on each side, for the width of the lens and for diffraction.
 
-Their pupil points are :math:`\Delta c / \kappa` apart, so that the fringes have the period
-:math:`\kappa \lambda b / \Delta c` on the array, and a bin of the width D averages their contrast to
-:math:`\mathrm{sinc}(D \Delta c_x / \kappa \lambda b) \, \mathrm{sinc}(D \Delta c_y / \kappa \lambda b)`. Neighbours in a
-row, whose fringes are the widest, interfere most; neighbours along a diagonal less, as their fringes are averaged along
-both axes.
+How much they interfere is known, too. All lenses' light leaves the array in phase. From a lens with centre c it comes
+to the bin x (both on the array) by the pupil point :math:`(c - x) / \kappa`, where :math:`\kappa = 1 + b/g - b/f_1`,
+with the phase
+
+.. math:: \phi_c(x) = \frac{\pi}{\lambda b} \left( |c|^2 - \frac{|x - c|^2}{\kappa} \right)
+
+up to what all lenses share. The fringes of two lenses :math:`\Delta` apart have the period
+:math:`|\kappa| \lambda b / \Delta`, so that a bin of the width D averages them to
+:math:`\mathrm{sinc}(D \Delta_x / \kappa \lambda b) \, \mathrm{sinc}(D \Delta_y / \kappa \lambda b)` of their contrast.
+Neighbours in a row interfere most, neighbours along a diagonal less, as their fringes are averaged along both axes. As
+phases are quadratic in c, the pairs of a regular subset may also add in phase and interfere more than those of a denser
+one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,7 +39,6 @@ from ..bounds import require_wavelength
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_count, short_repr
 from ..io.captures import Capture
-from ..lattice.base import Lattice
 from ..optics import rays
 from ..optics.waves import in_millimetres
 from ..runtime.limits import require_memory
@@ -48,11 +52,10 @@ _OVERLAP = 0.01
 _LIT = 1e-3
 """Light of a lens over that of the brightest from which on it is coloured by itself."""
 
-_LEAST_CONTRAST = 0.02
-"""Contrast that fringes have at least, since the light of a lens is not even within a bin."""
+_SAMPLES = 24
+"""Bins in which the interference of white is computed."""
 
-_SWEEPS = 10
-"""Passes over all lenses, at most, in which each may change its subset."""
+_MOST_SUBSETS = 256
 
 _ROWS = 256
 """Rows of pixels that are followed back together."""
@@ -77,7 +80,7 @@ class LensArray:
         return cls(camera, first, (int(j.max()) - first[1] + 1, int(i.max()) - first[0] + 1))
 
     def at(self, i: NDArray[Any], j: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the row and the column in the array of lenses with these lattice indices, the nearest one beyond it."""
+        """Return row and column of lenses of these lattice indices, beyond the array's edge those of the nearest."""
         indices = zip((j, i), self.first[::-1], self.shape, strict=True)
         row, column = (np.clip(index.astype(np.int64) - first, 0, size - 1) for index, first, size in indices)
         return row, column
@@ -161,29 +164,21 @@ def blocks(camera: PlenopticCamera, count: int) -> Labels:
     return np.asarray(row[:, None] * count + column, np.int64)
 
 
-def coloured(
-    capture: Capture | NDArray[Any],
-    distance: float,
-    subsets: int | None = None,
-    *,
-    camera: PlenopticCamera | None = None,
-    wavelength: float | None = None,
-) -> Labels:
-    """Colour the lit lenses of a capture, so that the images of lenses of one colour overlap little at a distance.
+def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelength: float) -> Labels:
+    """Divide the lenses evenly into copies of the sublattice that interferes least in an image of white.
+
+    Every sublattice with one of `subsets` lenses is tried; those of `interleaved` are among them.
 
     Parameters
     ----------
-    capture : Capture or (rows, columns[, channels]) array
-        The capture. A plain array needs `camera`.
+    camera : PlenopticCamera
+        The camera.
     distance : float
         Object distance in scene units.
-    subsets : int, optional
-        Count of colours: the interference that remains within them is made as small as a greedy search finds. Default:
-        as many as a greedy colouring needs for no two lit lenses of one colour to overlap.
-    camera : PlenopticCamera, optional
-        The camera of a plain array.
-    wavelength : float, optional
-        In nanometres. Default: that of the capture; of several the longest, which has the widest fringes.
+    subsets : int
+        Count of subsets.
+    wavelength : float
+        In nanometres.
 
     Returns
     -------
@@ -193,22 +188,54 @@ def coloured(
     Raises
     ------
     InputError
-        If there is no camera or no wavelength, the main lens is not thin, or an argument is out of range.
+        If the main lens is not thin, or an argument is out of range.
+    """
+    camera.require_thin("interference of lenses is predicted", instead="give labels of your own")
+    (distance,), wavelength = require_distances([distance], camera), require_wavelength(wavelength)
+    subsets = require_count("subsets", subsets, maximum=_MOST_SUBSETS)
+    lenses = LensArray.of(camera)
+    row, column = np.indices(lenses.shape)
+    i, j = column + lenses.first[0], row + lenses.first[1]
+    pairs = _Interference(camera, distance, wavelength)
+    basis = np.array(camera.lattice.basis)
+
+    def rank(step: tuple[int, int, int]) -> tuple[float, float]:
+        # Where no images overlap, as in focus, the lenses of a subset shall be far apart.
+        return round(pairs.of_white(step), 6), -_shortest(step, basis)
+
+    return _sublattice_labels(i, j, min(_sublattices(subsets), key=rank))
+
+
+def coloured(capture: Capture | NDArray[Any], distance: float, *, camera: PlenopticCamera | None = None) -> Labels:
+    """Colour the lenses of a capture so that the images of no two lit lenses of one colour overlap at a distance.
+
+    Lenses are coloured one after the other, from the middle of the lit ones outwards, each by the first colour that is
+    free. Those with less than a thousandth of the light of the brightest take no colours of their own.
+
+    Parameters
+    ----------
+    capture : Capture or (rows, columns[, channels]) array
+        The capture. A plain array needs `camera`.
+    distance : float
+        Object distance in scene units.
+    camera : PlenopticCamera, optional
+        The camera of a plain array.
+
+    Returns
+    -------
+    int64 array (rows, columns)
+        A label for each lens.
+
+    Raises
+    ------
+    InputError
+        If there is no camera, the main lens is not thin, or the distance is out of range.
     """
     capture = as_capture(capture, camera)
-    camera = capture.camera
-    camera.require_thin("lenses are coloured", instead="give labels of your own")
-    (distance,) = require_distances([distance], camera)
-    given: Any = capture.wavelength if wavelength is None else wavelength
-    refuse_if(given is None, "wavelength = None: the capture has none; give wavelength")
-    wave = max(require_wavelength(value) for value in np.atleast_1d(given))
-    lenses = LensArray.of(camera)
-    light = _light_in_bins(capture, lenses, distance)
-    if subsets is None:
-        labels = _separate(light)
-    else:
-        labels = _least_interference(light, lenses, distance, wave, require_count("subsets", subsets))
-    return labels.reshape(lenses.shape)
+    capture.camera.require_thin("lenses are coloured", instead="give labels of your own")
+    (distance,) = require_distances([distance], capture.camera)
+    lenses = LensArray.of(capture.camera)
+    return _separate(_light_in_bins(capture, lenses, distance), np.array(lenses.centres)).reshape(lenses.shape)
 
 
 def require_partition(partition: Any, camera: PlenopticCamera) -> Labels:
@@ -221,6 +248,66 @@ def require_partition(partition: Any, camera: PlenopticCamera) -> Labels:
     refuse_if(labels.shape != shape, f"partition of shape {labels.shape}: it must be that of the lenses, {shape}")
     refuse_if(labels.dtype.kind not in "iu", f"partition of type {labels.dtype}: it must hold integers")
     return np.unique(labels, return_inverse=True)[1].reshape(shape)
+
+
+def _sublattices(index: int) -> Iterator[tuple[int, int, int]]:
+    """Yield the sublattices of an index as (along, across, shift): steps (along, 0) and (shift, across) in i and j."""
+    for along in range(1, index + 1):
+        if index % along == 0:
+            yield from ((along, index // along, shift) for shift in range(along))
+
+
+def _sublattice_labels(i: NDArray[Any], j: NDArray[Any], step: tuple[int, int, int]) -> Labels:
+    """Return which of its copies the lenses of these indices belong to."""
+    along, across, shift = step
+    return np.asarray(j % across * along + (i - shift * (j // across)) % along, np.int64)
+
+
+def _shortest(step: tuple[int, int, int], basis: NDArray[np.float64]) -> float:
+    """Return the least distance of two lenses of a sublattice."""
+    along, across, shift = step
+    reach = np.arange(-along * across, along * across + 1)
+    m, n = np.meshgrid(reach, reach)
+    away = np.hypot(*np.moveaxis(np.stack([m * along + n * shift, n * across], -1) @ basis, -1, 0))
+    return float(away[away > 0].min())
+
+
+class _Interference:
+    """The interference in an image of white, in some bins all over the field."""
+
+    def __init__(self, camera: PlenopticCamera, distance: float, wavelength: float) -> None:
+        lattice, pitch, b = camera.lattice, camera.mla_pitch, camera.mla_distance
+        wave_path, kappa = in_millimetres(wavelength) * b, camera.defocus(distance)
+        blur = abs(kappa) * camera.aperture_radius
+        require_memory(
+            16.0 * (np.pi * (blur / pitch + 1) ** 2) ** 2, f"pairs of lenses whose images of {blur:g} mm overlap"
+        )
+        field = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, 2)) * pitch * np.array(camera.bin_count)
+        self._indices: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+        self._pairs: list[NDArray[np.float64]] = []
+        for x, y in (np.floor(field / pitch) + 0.5) * pitch:
+            i, j = lattice.lenses_within((x - blur - pitch, y - blur - pitch), (x + blur + pitch, y + blur + pitch)).T
+            cx, cy = lattice.centre(i.astype(np.float64), j.astype(np.float64))
+            # The part of the lens whose image holds the bin.
+            light = np.clip((blur - np.hypot(cx - x, cy - y)) / pitch + 0.5, 0, 1)
+            i, j, cx, cy, light = (values[light > 0] for values in (i, j, cx, cy, light))
+            turns = (cx**2 + cy**2) / (2 * wave_path)
+            turns -= ((x - cx) ** 2 + (y - cy) ** 2) / (2 * wave_path * kappa) if kappa else 0
+            waves = np.sqrt(light) * np.exp(2j * np.pi * turns)
+            both = (waves[:, None] * waves.conj()).real / max(light.sum(), 1e-9)
+            for centre in (cx, cy):
+                both *= np.sinc((centre[:, None] - centre) * (pitch / (kappa * wave_path) if kappa else 0))
+            np.fill_diagonal(both, 0)
+            self._indices.append((i, j))
+            self._pairs.append(both)
+
+    def of_white(self, step: tuple[int, int, int]) -> float:
+        """Return the root mean square, over the mean, of what the subsets of a sublattice add to white."""
+        added = []
+        for (i, j), both in zip(self._indices, self._pairs, strict=True):
+            labels = _sublattice_labels(i, j, step)
+            added.append(float(both[labels[:, None] == labels].sum()))
+        return float(np.sqrt(np.mean(np.square(added))))
 
 
 def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_matrix:
@@ -264,61 +351,27 @@ def _common(light: csr_matrix) -> csr_matrix:
     return common
 
 
-def _separate(light: csr_matrix) -> Labels:
-    """Colour lit lenses one after the other by the first colour of which no lens overlaps; the dim ones last."""
+def _separate(light: csr_matrix, centres: NDArray[np.float64]) -> Labels:
+    """Colour lit lenses one after the other by the first colour of which no lens overlaps; the dim ones last.
+
+    From the middle outwards, which takes fewer colours than by rows.
+    """
     power = np.asarray(light.sum(1)).ravel()
-    common, labels = _common(light), np.full(len(power), -1)
-    lit = power >= _LIT * power.max(initial=0)
-    scale = np.sqrt(power)
-    for lens in np.flatnonzero(lit & (power > 0)):
+    common, labels, scale = _common(light), np.full(len(power), -1), np.sqrt(power)
+    lit = (power >= _LIT * power.max(initial=0)) & (power > 0)
+    which = np.flatnonzero(lit)
+    away = centres[:, which] - centres[:, which].mean(1, keepdims=True) if which.size else centres[:, which]
+    for lens in which[np.argsort(np.hypot(*away), kind="stable")]:
         part = slice(*common.indptr[lens : lens + 2])
         others = common.indices[part]
-        near = others[common.data[part] > _OVERLAP * scale[lens] * scale[others]]
-        labels[lens] = _first_free(labels[near])
-    return _with_least(labels, common)
-
-
-def _first_free(taken: Labels) -> int:
-    """Return the least label that is not taken; -1 takes nothing."""
-    free = np.ones(len(taken) + 2, bool)
-    free[taken[taken < len(free) - 1] + 1] = False
-    free[0] = False
-    return int(np.argmax(free)) - 1
-
-
-def _least_interference(
-    light: csr_matrix, lenses: LensArray, distance: float, wavelength: float, subsets: int
-) -> Labels:
-    """Give each lens the colour with whose lenses it interferes least, until no lens changes."""
-    camera = lenses.camera
-    pairs = _common(light).tocoo()
-    period = abs(camera.defocus(distance)) * in_millimetres(wavelength) * camera.mla_distance
-    contrast = np.ones(pairs.nnz)
-    for centre in lenses.centres:
-        apart = (centre[pairs.row] - centre[pairs.col]) * camera.mla_pitch
-        contrast *= np.sinc(apart / period) if period > 0 else apart == 0
-    pairs.data *= np.maximum(abs(contrast), _LEAST_CONTRAST)
-    common = pairs.tocsr()
-    labels = np.full(common.shape[0], -1)
-    for _ in range(_SWEEPS):
-        before = labels.copy()
-        for lens in range(len(labels)):
-            labels[lens] = _best(lens, labels, common, subsets)
-        if (labels == before).all():
-            break
+        taken = labels[others[common.data[part] > _OVERLAP * scale[lens] * scale[others]]]
+        free = np.ones(len(taken) + 1, bool)
+        free[taken[(taken >= 0) & (taken < len(free))]] = False
+        labels[lens] = np.argmax(free)
+    colours = int(labels.max(initial=0)) + 1
+    for lens in np.flatnonzero(~lit):
+        part = slice(*common.indptr[lens : lens + 2])
+        mine = labels[common.indices[part]]
+        in_common = np.bincount(mine[mine >= 0], common.data[part][mine >= 0], colours)
+        labels[lens] = np.argmin(in_common)
     return labels
-
-
-def _with_least(labels: Labels, common: csr_matrix) -> Labels:
-    """Label the lenses that have no label yet by the colour with whose lenses they have least in common."""
-    subsets = int(labels.max(initial=0)) + 1
-    for lens in np.flatnonzero(labels < 0):
-        labels[lens] = _best(lens, labels, common, subsets)
-    return labels
-
-
-def _best(lens: int, labels: Labels, common: csr_matrix, subsets: int) -> int:
-    part = slice(*common.indptr[lens : lens + 2])
-    mine = labels[common.indices[part]]
-    known = mine >= 0
-    return int(np.argmin(np.bincount(mine[known], common.data[part][known] ** 2, subsets)))

@@ -8,7 +8,14 @@ from wave_cases import HALF, LATTICES, WAVELENGTH, small_camera
 
 from mitsuba_plenoptic import Capture, InputError, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.partitions import LensArray, blocks, coloured, interleaved
+from mitsuba_plenoptic.reconstruction.partitions import (
+    LensArray,
+    _Interference,
+    blocks,
+    coloured,
+    interleaved,
+    sublattice,
+)
 from mitsuba_plenoptic.report.metrics import interference
 
 DISTANCE = 140.0
@@ -129,19 +136,66 @@ def test_dark_lenses_take_no_colours():
     assert coloured(Capture(0 * image, camera, wavelength=WAVELENGTH), 225.0).max() == 0
 
 
-def test_four_colours_interfere_less_than_every_second_lens():
-    camera = small_camera(16)
-    capture = scene_of(camera)
-    results = {
-        name: reconstruct(capture, 280.0, method="partial", **options).image
-        for name, options in {
-            "limit": {"interleave": "auto"}, "interleaved": {"interleave": 2},
-            "blocks": {"partition": blocks(camera, 2)}, "coloured": {"partition": coloured(capture, 280.0, 4)},
+@pytest.mark.parametrize("lattice", [{}, LATTICES["hexagonal"]], ids=["square", "hexagonal"])
+def test_a_sublattice_has_equal_copies_and_repeats(lattice):
+    camera = small_camera(16, **lattice)
+    labels = sublattice(camera, 280.0, 7, WAVELENGTH)
+    assert sorted(np.unique(labels)) == list(range(7))
+    # A prime count, so that seven steps along a row or a column come to the same subset, and fewer do not.
+    np.testing.assert_array_equal(labels[:, 7:], labels[:, :-7])
+    np.testing.assert_array_equal(labels[7:], labels[:-7])
+    assert all((labels[:, k:] != labels[:, :-k]).all() or (labels[k:] != labels[:-k]).all() for k in range(1, 7))
+
+
+def test_in_focus_a_sublattice_is_as_sparse_as_it_can_be():
+    labels = sublattice(small_camera(16), 240.0, 5, WAVELENGTH)
+    rows, columns = np.nonzero(labels == labels[8, 8])
+    away = np.hypot(rows - 8, columns - 8)
+    # Steps of a knight.
+    assert away[away > 0].min() == pytest.approx(np.sqrt(5))
+
+
+@pytest.fixture(scope="module")
+def white():
+    """Return a capture of white, and its image without interference between lenses."""
+    camera = small_camera(24)
+    capture = Capture(white_image(camera), camera, wavelength=WAVELENGTH)
+    return capture, reconstruct(capture, 280.0, method="partial", interleave="auto").image
+
+
+@pytest.mark.parametrize(
+    ("step", "labels"),
+    [
+        ((1, 1, 0), lambda i, j: 0 * i),
+        ((2, 2, 0), lambda i, j: i % 2 + 2 * (j % 2)),
+        ((2, 1, 1), lambda i, j: (i - j) % 2),
+        ((5, 1, 2), lambda i, j: (i - 2 * j) % 5),
+        ((7, 1, 4), lambda i, j: (i - 4 * j) % 7),
+    ],
+)
+def test_predicted_interference_is_that_of_white(step, labels, white):
+    capture, limit = white
+    j, i = np.indices(limit.shape)
+    image = reconstruct(capture, 280.0, method="partial", partition=labels(i, j)).image
+    # Bins that get the light of whole micro-images.
+    found = interference(image, limit, (slice(7, -7),) * 2)
+    predicted = _Interference(capture.camera, 280.0, WAVELENGTH).of_white(step)
+    assert found == pytest.approx(predicted, rel=0.45, abs=0.004)
+
+
+def test_the_best_sublattice_of_four_interferes_less_than_every_second_lens(white):
+    capture, limit = white
+    left = {
+        name: interference(
+            reconstruct(capture, 280.0, method="partial", partition=labels).image, limit, (slice(3, -3),) * 2
+        )
+        for name, labels in {
+            "interleaved": interleaved(capture.camera, 2),
+            "blocks": blocks(capture.camera, 2),
+            "sublattice": sublattice(capture.camera, 280.0, 4, WAVELENGTH),
         }.items()
-    }  # fmt: skip
-    region = (slice(3, -3),) * 2
-    left = {name: interference(image, results["limit"], region) for name, image in results.items()}
-    assert left["coloured"] < 0.6 * left["interleaved"] < 0.3 * left["blocks"]
+    }
+    assert left["sublattice"] < 0.7 * left["interleaved"] < 0.3 * left["blocks"]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +213,7 @@ def test_wrong_labels_are_refused(labels, words):
 
 
 def test_a_partition_and_a_period_are_refused():
-    with pytest.raises(InputError, match="^partition with interleave = 2: give one of them$"):
+    with pytest.raises(InputError, match=r"^partition with interleave = 2: give one of them$"):
         partial(scene_of(SMALL), partition=np.zeros((8, 8), int), interleave=2)
 
 
@@ -168,9 +222,10 @@ def test_a_partition_and_a_period_are_refused():
     [
         (lambda: blocks(SMALL, 9), "count"),
         (lambda: interleaved(SMALL, 0), "period"),
-        (lambda: coloured(np.ones(SMALL.shape), DISTANCE, camera=SMALL), "wavelength"),
+        (lambda: sublattice(SMALL, DISTANCE, 0, WAVELENGTH), "subsets"),
+        (lambda: sublattice(SMALL, DISTANCE, 4, -1), "wavelength"),
         (lambda: coloured(scene_of(SMALL), 30.0), "distance"),
-        (lambda: coloured(scene_of(SMALL), DISTANCE, 0), "subsets"),
+        (lambda: sublattice(SMALL.replace(main_lens="tessar"), DISTANCE, 4, WAVELENGTH), "main_lens"),
         (lambda: coloured(scene_of(SMALL.replace(main_lens="tessar")), DISTANCE), "main_lens"),
     ],
 )
