@@ -190,8 +190,8 @@ def reconstruct(
         ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits depend on the thread
         count of the BLAS.
     partition : (rows, columns) array of integers, optional
-        For ``partial``, instead of `interleave`: a label for each lens; lenses of equal labels share a wave.
-        `mitsuba_plenoptic.reconstruction.partitions` makes such arrays, and states how lenses are numbered.
+        For ``partial``, instead of `interleave`: a label for each lens; lenses of equal labels share a wave. See
+        `mitsuba_plenoptic.reconstruction.partitions`, which makes such arrays.
     footprint : {"lens", "point"}, optional
         For ``ray``: whether a pixel is spread over the area that its whole lens sees (default), or added to one bin.
     relay : bool, optional
@@ -289,8 +289,8 @@ def reconstruct(
     )
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
-        "interleave": require_interleave(2 if interleave is None else interleave, camera),
-        "partition": None if partition is None else require_partition(partition, camera),
+        "interleave": require_interleave(interleave, partition, camera),
+        "partition": require_partition(partition, camera),
         "relay": relay is None or require_flag("relay", relay),
         "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
@@ -299,10 +299,6 @@ def reconstruct(
         "volume": volume is not None and require_flag("volume", volume),
         "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
     }
-    refuse_if(
-        partition is not None and interleave is not None,
-        f"partition with {argument('interleave')} = {interleave}: give one of them",
-    )
     refuse_if(
         not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray",
         f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave",
@@ -344,9 +340,7 @@ def reconstruct(
         # Methods that compare with computed captures ask for each wavelength's camera themselves.
         parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
         images = _side_by_side([chosen.refocus(part, **options) for part in parts])
-    if options.pop("partition", None) is not None:
-        options["interleave"] = None
-        options["subsets"] = int(given["partition"].max()) + 1
+    options.pop("partition", None)  # no plain data; the method's facts state the count of its subsets
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}
     results = [

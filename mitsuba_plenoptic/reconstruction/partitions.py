@@ -44,6 +44,8 @@ from ..optics.waves import in_millimetres
 from ..runtime.limits import require_memory
 from .methods import as_capture, require_distances
 
+__all__ = ["blocks", "coloured", "interleaved", "sublattice"]
+
 Labels = NDArray[np.int64]
 
 _OVERLAP = 0.01
@@ -238,8 +240,10 @@ def coloured(capture: Capture | NDArray[Any], distance: float, *, camera: Plenop
     return _separate(_light_in_bins(capture, lenses, distance), np.array(lenses.centres)).reshape(lenses.shape)
 
 
-def require_partition(partition: Any, camera: PlenopticCamera) -> Labels:
-    """Return labels of all lenses, numbered from 0 without gaps."""
+def require_partition(partition: Any, camera: PlenopticCamera) -> Labels | None:
+    """Return labels of all lenses, numbered from 0 without gaps; None if there are none."""
+    if partition is None:
+        return None
     shape = LensArray.of(camera).shape
     try:
         labels = np.asarray(partition)

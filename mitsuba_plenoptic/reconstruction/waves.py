@@ -70,7 +70,7 @@ from .lens_by_lens import (
     reconstruct_lens_by_lens,
 )
 from .lens_tiles import LensTile, fine_bins, tile_lenses
-from .methods import Progress, Task, method, portion
+from .methods import Found, Progress, Task, method, portion
 from .partitions import Labels, LensArray
 from .planning import plan
 from .radiance import captures, lens_scale, over_lenses, to_radiance
@@ -269,11 +269,15 @@ def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
 
 
 @method("partial", options=("interleave", "partition", "relay"), waves=True)
-def partial(task: Task, *, interleave: int | str, partition: Labels | None, relay: bool) -> list[np.ndarray]:
+def partial(
+    task: Task, *, interleave: int | str, partition: Labels | None, relay: bool
+) -> Sequence[np.ndarray | Found]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
     if partition is None:
         return _refocus(task, interleave, relay)
-    return _refocus(task, 1, relay, LensArray.of(task.camera).of_pixels(partition))
+    facts = {"subsets": int(partition.max()) + 1}
+    images = _refocus(task, interleave, relay, LensArray.of(task.camera).of_pixels(partition))
+    return [Found(image, facts) for image in images]
 
 
 def _refocus(
@@ -339,8 +343,8 @@ def _signed_power(
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
         else:
-            subsets = {"interleave": period, "labels": labels}
-            totals = reconstruct_subsets(part, seen, planes, wavelength, **subsets, **options)
+            options |= {"interleave": period, "labels": labels}
+            totals = reconstruct_subsets(part, seen, planes, wavelength, **options)
         for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             scale = lens_scale(camera, distance)
             if real is not None:

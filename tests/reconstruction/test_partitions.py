@@ -85,6 +85,8 @@ def test_intensities_of_the_subsets_are_added():
         for n in range(3)
     ]  # fmt: skip
     np.testing.assert_allclose(partial(capture, partition=labels), sum(alone), rtol=2e-6)
+    result = reconstruct(capture, DISTANCE, method="partial", partition=labels)
+    assert result.facts == {"subsets": 3} and "partition" not in result.options
     # Only which labels are equal counts.
     np.testing.assert_array_equal(partial(capture, partition=5 - 7 * labels), partial(capture, partition=2 - labels))
 

@@ -27,6 +27,7 @@ from ..page import Report, write_report
 from ..stage_store import StageOptions
 from .claims import check_claims, timing_table
 from .procedures import figure_1, figure_3
+from .readings import measure_readings
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
 
@@ -68,14 +69,14 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     settings = PRESETS[require_choice("preset", preset, PRESETS)]
     store = open_store(output, stages)
     experiment = run_experiment(settings, store)
-    measured = measure(experiment)
+    near, _, far = _LETTERS
+    measured = measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
     last = settings.distances[-1]
     seconds = store.facts(
         "seconds_on_one_core",
         {"capture": experiment.wave_key, "distance": last},
         lambda _: seconds_on_one_core(experiment.wave_file, last),
     )
-    near, _, far = _LETTERS
     claims = check_claims(experiment, measured, seconds, near, far)
     zooms = _letter_zooms(experiment, _LETTERS)
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
