@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ...errors import InputError
 from ...reconstruction import reconstruct
 from ...reconstruction.partitions import blocks, coloured, sublattice
 from ..experiment import Experiment
@@ -19,7 +20,7 @@ def measure_readings(experiment: Experiment, store: StageStore, near: str, far: 
     and how far the coherent image, and what is left of it without interference, are from that by rays.
     """
     distances = experiment.settings.distances
-    blurred = [[near, distances[-1]], [far, distances[0]]]
+    blurred = [(near, distances[-1]), (far, distances[0])]
     found = store.facts(
         "readings",
         {"capture": experiment.wave_key, "blurred": blurred},
@@ -33,6 +34,8 @@ def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
     capture, camera, images = experiment.wave, experiment.camera, experiment.images
     wavelength = experiment.settings.wavelength
     window = shape_window(camera, *experiment.boxes[shape])
+    if window is None:
+        raise InputError(f"{shape}: it is not in the camera's view")
 
     def image(**options: Any) -> Any:
         return reconstruct(capture, distance, **options).image
