@@ -72,6 +72,8 @@ def reconstruct_subsets(
         part = image if labels is None else np.where(labels == number, image, np.float32(0))
         options = interleave, relay, oversample, portion(progress, number, count)
         passed += _add_power(totals, part, camera, distances, wavelength, conjugates, *options)
+        # Also where a subset is dark.
+        progress((number + 1) / count)
     if checked:
         guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
         for total, distance in zip(totals, distances, strict=True):

@@ -91,6 +91,22 @@ def test_intensities_of_the_subsets_are_added():
     np.testing.assert_array_equal(partial(capture, partition=5 - 7 * labels), partial(capture, partition=2 - labels))
 
 
+def test_a_dark_subset_adds_nothing():
+    capture, steps = scene_of(SMALL), []
+    labels = interleaved(SMALL, 2)
+    dark = capture.image * (LensArray.of(SMALL).of_pixels(labels) < 3)
+    lit = reconstruct(
+        dark, DISTANCE, camera=SMALL, method="partial", partition=labels, wavelength=WAVELENGTH,
+        progress=lambda done, total: steps.append((done, total)),
+    )  # fmt: skip
+    assert steps[-1] == (100, 100)
+    # The dark subset may as well share the wave of another one.
+    shared = reconstruct(
+        dark, DISTANCE, camera=SMALL, method="partial", partition=np.minimum(labels, 2), wavelength=WAVELENGTH
+    )
+    np.testing.assert_array_equal(lit.image, shared.image)
+
+
 def test_a_label_for_each_lens_is_the_limit_without_interference():
     capture = scene_of(SMALL)
     every = np.arange(LensArray.of(SMALL).centres[0].size).reshape(LensArray.of(SMALL).shape)

@@ -65,6 +65,7 @@ def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tiny, tmp_pa
 
     claims = {claim["statement"].split(":")[0]: claim for claim in results["claims"]}
     assert len(claims) == 12
+    assert [(row["shape"], row["distance"]) for row in results["readings"]] == [("eight", 280), ("hash", 210)]
     assert (
         claims["Reconstructions by rays and by waves have the same number of pixels."]["verdict"] == "by construction"
     )
