@@ -27,7 +27,7 @@ one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -198,14 +198,11 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
     lenses = LensArray.of(camera)
     row, column = np.indices(lenses.shape)
     i, j = column + lenses.first[0], row + lenses.first[1]
-    pairs = _Interference(camera, distance, wavelength)
-    basis = np.array(camera.lattice.basis)
-
-    def rank(step: tuple[int, int, int]) -> tuple[float, float]:
-        # Where no images overlap, as in focus, the lenses of a subset shall be far apart.
-        return round(pairs.of_white(step), 6), -_shortest(step, basis)
-
-    return _sublattice_labels(i, j, min(_sublattices(subsets), key=rank))
+    steps, basis = list(_sublattices(subsets)), np.array(camera.lattice.basis)
+    predicted = np.round(white_interference(camera, distance, wavelength, steps), 6)
+    # Where no images overlap, as in focus, the lenses of a subset shall be far apart.
+    best = min(range(len(steps)), key=lambda k: (predicted[k], -_shortest(steps[k], basis)))
+    return _sublattice_labels(i, j, steps[best])
 
 
 def coloured(capture: Capture | NDArray[Any], distance: float, *, camera: PlenopticCamera | None = None) -> Labels:
@@ -276,42 +273,36 @@ def _shortest(step: tuple[int, int, int], basis: NDArray[np.float64]) -> float:
     return float(away[away > 0].min())
 
 
-class _Interference:
-    """The interference in an image of white, in some bins all over the field."""
-
-    def __init__(self, camera: PlenopticCamera, distance: float, wavelength: float) -> None:
-        lattice, pitch, b = camera.lattice, camera.mla_pitch, camera.mla_distance
-        wave_path, kappa = in_millimetres(wavelength) * b, camera.defocus(distance)
-        blur = abs(kappa) * camera.aperture_radius
-        require_memory(
-            16.0 * (np.pi * (blur / pitch + 1) ** 2) ** 2, f"pairs of lenses whose images of {blur:g} mm overlap"
-        )
-        field = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, 2)) * pitch * np.array(camera.bin_count)
-        self._indices: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-        self._pairs: list[NDArray[np.float64]] = []
-        for x, y in (np.floor(field / pitch) + 0.5) * pitch:
-            i, j = lattice.lenses_within((x - blur - pitch, y - blur - pitch), (x + blur + pitch, y + blur + pitch)).T
-            cx, cy = lattice.centre(i.astype(np.float64), j.astype(np.float64))
-            # The part of the lens whose image holds the bin.
-            light = np.clip((blur - np.hypot(cx - x, cy - y)) / pitch + 0.5, 0, 1)
-            i, j, cx, cy, light = (values[light > 0] for values in (i, j, cx, cy, light))
-            turns = (cx**2 + cy**2) / (2 * wave_path)
-            turns -= ((x - cx) ** 2 + (y - cy) ** 2) / (2 * wave_path * kappa) if kappa else 0
-            waves = np.sqrt(light) * np.exp(2j * np.pi * turns)
-            both = (waves[:, None] * waves.conj()).real / max(light.sum(), 1e-9)
-            for centre in (cx, cy):
-                both *= np.sinc((centre[:, None] - centre) * (pitch / (kappa * wave_path) if kappa else 0))
-            np.fill_diagonal(both, 0)
-            self._indices.append((i, j))
-            self._pairs.append(both)
-
-    def of_white(self, step: tuple[int, int, int]) -> float:
-        """Return the root mean square, over the mean, of what the subsets of a sublattice add to white."""
-        added = []
-        for (i, j), both in zip(self._indices, self._pairs, strict=True):
+def white_interference(
+    camera: PlenopticCamera, distance: float, wavelength: float, steps: Sequence[tuple[int, int, int]]
+) -> NDArray[np.float64]:
+    """Predict what the copies of each sublattice add to an image of white: root mean square over the mean."""
+    lattice, pitch, b = camera.lattice, camera.mla_pitch, camera.mla_distance
+    wave_path, kappa = in_millimetres(wavelength) * b, camera.defocus(distance)
+    blur = abs(kappa) * camera.aperture_radius
+    pairs = (np.pi * (blur / pitch + 1) ** 2 * pitch**2 / lattice.cell_area) ** 2
+    require_memory(48.0 * pairs, f"pairs of lenses whose images overlap, at a blur of {2 * blur:g} mm")
+    field = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, 2)) * pitch * np.array(camera.bin_count)
+    squares = np.zeros(len(steps))
+    for x, y in (np.floor(field / pitch) + 0.5) * pitch:
+        around = blur + pitch
+        i, j = lattice.lenses_within((x - around, y - around), (x + around, y + around)).T
+        cx, cy = lattice.centre(i.astype(np.float64), j.astype(np.float64))
+        # The part of the lens whose image holds the bin.
+        light = np.clip((blur - np.hypot(cx - x, cy - y)) / pitch + 0.5, 0, 1)
+        i, j, cx, cy, light = (values[light > 0] for values in (i, j, cx, cy, light))
+        if not (kappa and light.size):
+            continue
+        turns = (cx**2 + cy**2 - ((x - cx) ** 2 + (y - cy) ** 2) / kappa) / (2 * wave_path)
+        waves = np.sqrt(light) * np.exp(2j * np.pi * turns)
+        added = (waves[:, None] * waves.conj()).real / light.sum()
+        for centre in (cx, cy):
+            added *= np.sinc((centre[:, None] - centre) * (pitch / (kappa * wave_path)))
+        np.fill_diagonal(added, 0)
+        for number, step in enumerate(steps):
             labels = _sublattice_labels(i, j, step)
-            added.append(float(both[labels[:, None] == labels].sum()))
-        return float(np.sqrt(np.mean(np.square(added))))
+            squares[number] += float(added[labels[:, None] == labels].sum()) ** 2 / _SAMPLES
+    return np.sqrt(squares)
 
 
 def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_matrix:

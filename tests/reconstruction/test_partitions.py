@@ -10,11 +10,11 @@ from mitsuba_plenoptic import Capture, InputError, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction.partitions import (
     LensArray,
-    _Interference,
     blocks,
     coloured,
     interleaved,
     sublattice,
+    white_interference,
 )
 from mitsuba_plenoptic.report.metrics import interference
 
@@ -197,7 +197,7 @@ def test_predicted_interference_is_that_of_white(step, labels, white):
     image = reconstruct(capture, 280.0, method="partial", partition=labels(i, j)).image
     # Bins that get the light of whole micro-images.
     found = interference(image, limit, (slice(7, -7),) * 2)
-    predicted = _Interference(capture.camera, 280.0, WAVELENGTH).of_white(step)
+    (predicted,) = white_interference(capture.camera, 280.0, WAVELENGTH, [step])
     assert found == pytest.approx(predicted, rel=0.45, abs=0.004)
 
 
