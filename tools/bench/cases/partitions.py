@@ -73,7 +73,7 @@ def partitions(
     capture: str = "",
     periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6),
     grids: tuple[int, ...] = (2, 3, 4),
-    counts: tuple[int, ...] = (2, 3, 4, 5, 6, 7, 8, 9, 11, 13),
+    counts: tuple[int, ...] = (2, 3, 4, 5, 6, 7, 8),
 ) -> Iterator[Row]:
     """Refocus with interleaved subsets, blocks and the best sublattices, and colour the lit lenses."""
     taken = read_capture(capture) if capture else letters_captures(capture, size)["wave"]
