@@ -54,10 +54,13 @@ _OVERLAP = 0.01
 _LIT = 1e-3
 """Light of a lens over that of the brightest from which on it is coloured by itself."""
 
-_SAMPLES = 24
-"""Bins in which the interference of white is computed."""
+_SAMPLES, _LEAST_SAMPLES = 24, 4
+"""Bins in which the interference of white is computed; the fewer, the more lenses' images overlap there."""
 
-_MOST_SUBSETS = 256
+_PAIRS = 1e8
+"""Pairs of lenses that are summed in all bins together, unless those of the least bins are more."""
+
+_MOST_SUBSETS = 64
 
 _ROWS = 256
 """Rows of pixels that are followed back together."""
@@ -169,7 +172,8 @@ def blocks(camera: PlenopticCamera, count: int) -> Labels:
 def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelength: float) -> Labels:
     """Divide the lenses evenly into copies of the sublattice that interferes least in an image of white.
 
-    Every sublattice with one of `subsets` lenses is tried; those of `interleaved` are among them.
+    Every sublattice with one of `subsets` lenses is tried; those of `interleaved` are among them. Far out of focus this
+    takes seconds.
 
     Parameters
     ----------
@@ -178,7 +182,7 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
     distance : float
         Object distance in scene units.
     subsets : int
-        Count of subsets.
+        Count of subsets, at most 64.
     wavelength : float
         In nanometres.
 
@@ -282,7 +286,8 @@ def white_interference(
     blur = abs(kappa) * camera.aperture_radius
     pairs = (np.pi * (blur / pitch + 1) ** 2 * pitch**2 / lattice.cell_area) ** 2
     require_memory(48.0 * pairs, f"pairs of lenses whose images overlap, at a blur of {2 * blur:g} mm")
-    field = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, 2)) * pitch * np.array(camera.bin_count)
+    samples = int(np.clip(_PAIRS / pairs, _LEAST_SAMPLES, _SAMPLES))
+    field = np.random.default_rng(0).uniform(-0.5, 0.5, (samples, 2)) * pitch * np.array(camera.bin_count)
     squares = np.zeros(len(steps))
     for x, y in (np.floor(field / pitch) + 0.5) * pitch:
         around = blur + pitch
@@ -301,7 +306,7 @@ def white_interference(
         np.fill_diagonal(added, 0)
         for number, step in enumerate(steps):
             labels = _sublattice_labels(i, j, step)
-            squares[number] += float(added[labels[:, None] == labels].sum()) ** 2 / _SAMPLES
+            squares[number] += float(added[labels[:, None] == labels].sum()) ** 2 / samples
     return np.sqrt(squares)
 
 
