@@ -24,38 +24,40 @@ def measure_readings(experiment: Experiment, store: StageStore, near: str, far: 
     found = store.facts(
         "readings",
         {"capture": experiment.wave_key, "blurred": blurred},
-        lambda progress: {"rows": [_row(experiment, shape, distance) for shape, distance in blurred]},
+        lambda progress: {"rows": _rows(experiment, blurred)},
     )
     return list(found["rows"])
 
 
-def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
-    """Measure one shape at one distance."""
-    capture, camera, images = experiment.wave, experiment.camera, experiment.images
-    wavelength = experiment.settings.wavelength
-    window = shape_window(camera, *experiment.boxes[shape])
-    if window is None:
-        raise InputError(f"{shape}: it is not in the camera's view")
+def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict[str, Any]]:
+    """Measure some shapes, each at its distance; what can be is refocused to all distances at once."""
+    capture, camera = experiment.wave, experiment.camera
 
-    def image(**options: Any) -> Any:
-        return reconstruct(capture, distance, **options).image
+    def images(distances: list[float], **options: Any) -> dict[float, Any]:
+        return {result.distance: result.image for result in reconstruct(capture, distances, **options)}
 
-    partitions = {"quarters": blocks(camera, 2), "sublattice": sublattice(camera, distance, 4, wavelength)}
-    subsets = {name: image(method="partial", partition=labels) for name, labels in partitions.items()}
-    literal = {
-        "literal_coherent": image(method="coherent", relay=False),
-        "literal_partial": image(method="partial", interleave=2, relay=False),
-    }
-    literal_limit = image(method="partial", interleave="auto", relay=False)
-    measured = {
-        **{name: (made, images["limit", distance]) for name, made in subsets.items()},
-        **{name: (made, literal_limit) for name, made in literal.items()},
-        "coherent_from_rays": (images["coherent", distance], images["ray", distance]),
-        "limit_from_rays": (images["limit", distance], images["ray", distance]),
-    }
-    return {
-        "shape": shape,
-        "distance": distance,
-        "colours": int(coloured(capture, distance).max()) + 1,
-        **{name: round(interference(*pair, window), 5) for name, pair in measured.items()},
-    }
+    distances = [distance for _, distance in blurred]
+    quarters = images(distances, method="partial", partition=blocks(camera, 2))
+    coherent = images(distances, method="coherent", relay=False)
+    partial = images(distances, method="partial", interleave=2, relay=False)
+    literal = images(distances, method="partial", interleave="auto", relay=False)
+    rows = []
+    for shape, distance in blurred:
+        window = shape_window(camera, *experiment.boxes[shape])
+        if window is None:
+            raise InputError(f"{shape}: it is not in the camera's view")
+        labels = sublattice(camera, distance, 4, experiment.settings.wavelength)
+        best = images([distance], method="partial", partition=labels)[distance]
+        known = {name: experiment.images[name, distance] for name in ("ray", "coherent", "limit")}
+        compared = {
+            "quarters": (quarters[distance], known["limit"]),
+            "sublattice": (best, known["limit"]),
+            "literal_coherent": (coherent[distance], literal[distance]),
+            "literal_partial": (partial[distance], literal[distance]),
+            "coherent_from_rays": (known["coherent"], known["ray"]),
+            "limit_from_rays": (known["limit"], known["ray"]),
+        }
+        values = {name: round(interference(*pair, window), 5) for name, pair in compared.items()}
+        colours = int(coloured(capture, distance).max()) + 1
+        rows.append({"shape": shape, "distance": distance, "colours": colours, **values})
+    return rows
