@@ -143,6 +143,7 @@ def test_a_name_that_resembles_none_comes_without_a_guess():
 OPTIONS = {
     "wavelength": 633,
     "interleave": 2,
+    "partition": np.zeros((8, 8), int),
     "footprint": "lens",
     "relay": True,
     "response": "ray",
@@ -157,8 +158,8 @@ OPTIONS = {
 TAKEN = {
     "ray": {"footprint"},
     "coherent": {"wavelength", "relay"},
-    "partial": {"wavelength", "relay", "interleave"},
-    "deconvolved": OPTIONS.keys() - {"interleave", "footprint", "relay"},
+    "partial": {"wavelength", "relay", "interleave", "partition"},
+    "deconvolved": OPTIONS.keys() - {"interleave", "partition", "footprint", "relay"},
 }
 
 

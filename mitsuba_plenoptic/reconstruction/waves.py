@@ -32,8 +32,9 @@ misses the pupil on its way back; images are divided by what a white scene gives
 Partial coherence
 -----------------
 Light that passed different microlenses from different scene points never interferes, yet the fields of all lenses of a
-coherent reconstruction do. Fields of lenses in subsets (every K-th column and row) interfere less; where the lenses of
-a subset are farther apart than their images are wide, not at all. That limit is found by full fields with such a
+coherent reconstruction do. Fields of lenses in subsets (every K-th column and row, or any others: see
+`mitsuba_plenoptic.reconstruction.partitions`) interfere less; where the lenses of a subset are farther apart than their
+images are wide, not at all. That limit is found by full fields with such a
 period, or lens by lens, whichever costs less.
 """
 
@@ -44,6 +45,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
@@ -67,7 +69,8 @@ from .lens_by_lens import (
     reconstruct_lens_by_lens,
 )
 from .lens_tiles import LensTile, fine_bins, tile_lenses
-from .methods import Progress, Task, method, portion
+from .methods import Found, Progress, Task, method, portion
+from .partitions import Labels, LensArray
 from .planning import plan
 from .radiance import captures, lens_scale, once_a_camera, over_lenses, to_radiance
 from .ray import ray_sums, white_pixels, white_sums
@@ -264,13 +267,21 @@ def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "relay"), waves=True)
-def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
+@method("partial", options=("interleave", "partition", "relay"), waves=True)
+def partial(
+    task: Task, *, interleave: int | str, partition: Labels | None, relay: bool
+) -> Sequence[np.ndarray | Found]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
-    return _refocus(task, interleave, relay)
+    if partition is None:
+        return _refocus(task, interleave, relay)
+    facts = {"subsets": int(partition.max()) + 1}
+    images = _refocus(task, interleave, relay, LensArray.of(task.camera).of_pixels(partition))
+    return [Found(image, facts) for image in images]
 
 
-def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
+def _refocus(
+    task: Task, interleave: int | str, relay: bool, labels: NDArray[np.int64] | None = None
+) -> list[np.ndarray]:
     """Refocus every channel.
 
     The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
@@ -281,7 +292,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
     for image, distances, progress in captures(task):
         count, found = image.shape[2], []
         for channel, wavelength in enumerate(task.wavelengths[:count]):
-            given = image[..., channel], task.system(wavelength), distances, interleave, relay, oversample
+            given = image[..., channel], task.system(wavelength), distances, interleave, labels, relay, oversample
             found.append(_signed_power(*given, portion(progress, channel, count)))
         sums.append([np.stack(planes, axis=-1) for planes in zip(*found, strict=True)])
     white = [
@@ -308,6 +319,7 @@ def _signed_power(
     system: OpticalSystem,
     distances: Sequence[float],
     interleave: int | str,
+    labels: NDArray[np.int64] | None,
     relay: bool,
     oversample: int,
     progress: Progress,
@@ -330,7 +342,8 @@ def _signed_power(
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
         else:
-            totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, **options)
+            options |= {"interleave": period, "labels": labels}
+            totals = reconstruct_subsets(part, seen, planes, wavelength, **options)
         for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             scale = lens_scale(camera, distance)
             if real is not None:

@@ -242,7 +242,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         truths=truths,
         images=images,
         pinhole=pinhole,
-        boxes=_boxes(scene),
+        boxes=bounding_boxes(scene),
         seconds=store.seconds,
     )
 
@@ -285,8 +285,8 @@ def _grey(capture: Capture) -> Capture:
     return replace(capture, image=capture.image[..., 1], noise=noise)
 
 
-def _boxes(scene: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Bounding boxes of the shapes, by id, in the camera's frame."""
+def bounding_boxes(scene: Any) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the bounding boxes of the shapes, by id, in the camera's frame."""
     to_camera = np.linalg.inv(scene.sensors()[0].world_transform().matrix.numpy()[..., 0].astype(np.float64))
     boxes = {}
     # Sorted, because Mitsuba loads shapes in parallel and lists them as they come.

@@ -28,6 +28,7 @@ from ..stage_store import StageOptions
 from .claims import check_claims, timing_table
 from .limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
+from .readings import measure_readings
 
 _LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
 
@@ -69,14 +70,14 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     settings = PRESETS[require_choice("preset", preset, PRESETS)]
     store = open_store(output, stages)
     experiment = run_experiment(settings, store)
-    measured = measure(experiment)
+    near, _, far = _LETTERS
+    measured = measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
     last = settings.distances[-1]
     seconds = store.facts(
         "seconds_on_one_core",
         {"capture": experiment.wave_key, "distance": last},
         lambda _: seconds_on_one_core(experiment.wave_file, last),
     )
-    near, _, far = _LETTERS
     plain = store.facts(
         "seconds_of_plain_loop",
         {"camera": experiment.camera.to_json(), "distance": last},

@@ -28,9 +28,6 @@ RAY_LIMITS: dict[tuple[str, str], dict[str, tuple[float, ...]]] = {
 }
 """What the first version reached at the distances."""
 
-LETTERS = {"8": (210.0, 3.2), "F": (240.0, 0.0), "#": (280.0, -3.2)}
-"""Distance of each letter, and its x in the plane at 240 mm, in millimetres."""
-
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "point rays of ray capture": ("ray", {"method": "ray", "footprint": "point"}),
     "rays of ray capture": ("ray", {"method": "ray"}),
@@ -138,43 +135,6 @@ def waves(output: Path, *, reference_spp: int = 4096, capture: str = "", size: i
         pictures.append(row["scale"] * np.concatenate(images, 1))
     sheet = np.repeat(np.repeat(np.concatenate(pictures, 0), 3, 0), 3, 1)
     write_png(output / "reconstructions.png", sheet, peak=max(float(each.max()) for each in references))
-
-
-@case(
-    "reconstruction.interference",
-    "RMS distance (% of the mean) of the letters out of focus from the image in which every lens is propagated alone, "
-    "with full fields at a period at which no two lenses of a subset overlap",
-    {"K": "{interleave}", "8 at 210": "{8 at 210:.2f}", "F at 240": "{F at 240:.2f}", "# at 280": "{# at 280:.2f}"},
-    quick={"periods": (1,), "limit_period": 4, "size": 512},
-)
-def interference(
-    *, periods: tuple[int, ...] = (1, 2, 4, 8), limit_period: int = 16, capture: str = "", size: int = 4096
-) -> Iterator[Row]:
-    """Refocus the wave capture with several periods."""
-    taken = letters_captures(capture, size)["wave"]
-
-    def images(interleave: int | str) -> list[np.ndarray]:
-        results = reconstruct(taken, list(DISTANCES), method="partial", interleave=interleave)
-        return [result.image.astype(np.float64) for result in results]
-
-    limits = images(limit_period)
-    for interleave in (*periods, "auto"):
-        row: Row = {"interleave": interleave}
-        for image, limit, (letter, (g, x)) in zip(images(interleave), limits, LETTERS.items(), strict=True):
-            bins = _letter_bins(taken, limit, x)
-            row[f"{letter} at {g:g}"] = float(100 * np.sqrt(np.mean((image - limit)[bins] ** 2)) / limit[bins].mean())
-        yield row
-
-
-def _letter_bins(capture: Capture, limit: np.ndarray, x: float) -> np.ndarray:
-    """Bins in a letter's third of the picture that are lit by a fifth of the maximum or more."""
-    camera, columns = capture.camera, capture.camera.bin_count[0]
-    # Bins for a millimetre of the plane at 240 mm, of letters that are as large as the detector allows.
-    bins = camera.mla_distance / 240 / camera.mla_pitch * camera.detector_width / 8.192
-    third = LETTERS["8"][1] * bins
-    # +x is left.
-    across = columns / 2 - (np.arange(columns) + 0.5) - x * bins
-    return (np.abs(across) < third / 2) & (limit > 0.2 * limit.max())
 
 
 FULL_SIZE = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "interleave": "auto"}}
