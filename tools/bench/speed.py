@@ -46,7 +46,7 @@ def compared(
 
 
 def beam(size: int, turns: tuple[int, int] = (9, -14)) -> np.ndarray:
-    """Make a narrow beam, oblique by turns of its phase across the window, that stays far from the edges: with padding or without it is the same."""
+    """Make a beam with turns of phase across the window, far from its edges: padded or not, its step is the same."""
     x = (np.arange(size) - size // 2) / size
     along_x, along_y = (
         np.exp(-((x - centre) ** 2) / 0.004 + 2j * np.pi * each * x).astype(np.complex64)

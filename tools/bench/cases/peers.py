@@ -91,8 +91,8 @@ Step = Callable[[np.ndarray], Any]
 
 @case(
     "peers.steps",
-    "The angular-spectrum step of other packages on one core: errors (relative L2) of a narrow beam and of one inclined "
-    "by 3.4 degrees against the sum of plane waves in double precision, and times",
+    "The angular-spectrum step of other packages on one core: errors (relative L2) of a narrow beam and of one inclined"
+    " by 3.4 degrees against the sum of plane waves in double precision, and times",
     {"samples": "{what}", "peer": "{peer}", "narrow": "{difference:.0e}", "inclined": "{steep:.0e}", **TIMES},
     (at_most("difference", 1e-5), at_most("steep", "steep_limit")),
     page=PAGE,

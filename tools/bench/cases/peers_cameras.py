@@ -63,8 +63,8 @@ def deeplens_lens(radius: float | None = None, sensor: tuple[float, int] = (40.0
 
 @case(
     "peers.rays",
-    "Rays through the double Gauss on one core, in double precision: the largest distance in the image plane from ours, "
-    "and times",
+    "Rays through the double Gauss on one core, in double precision: the largest distance in the image plane from ours,"
+    " and times",
     {"work": "{what}", "peer": "{peer}", "apart (mm)": "{difference:.0e}", **TIMES},
     (at_most("difference", 1e-6),),
     page=PAGE,
@@ -116,8 +116,8 @@ def _rays(count: int, repeats: int) -> list[Row]:
 
 @case(
     "peers.spread",
-    "The point spread on the axis of the double Gauss at f/8, 48 x 48 places 0.5 µm apart, on one core: relative L2 from "
-    "ours, and times",
+    "The point spread on the axis of the double Gauss at f/8, 48 x 48 places 0.5 µm apart, on one core: relative L2"
+    " from ours, and times",
     {"work": "{what}", "peer": "{peer}", "relative L2": "{difference:.2%}", **TIMES},
     (at_most("difference", "limit"),),
     page=PAGE,
