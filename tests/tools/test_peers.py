@@ -75,7 +75,7 @@ def test_our_microlenses_are_the_closed_form():
     assert registry.find(["peers.microlenses"])[0].verdict({**row, "difference": 1e-4}).startswith("FAILED")
 
 
-def test_the_published_way_decodes_and_refocuses_as_ours_does():
+def test_the_published_algorithm_decodes_and_refocuses_as_ours_does():
     camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
     x = (np.arange(512) + 0.5) / 512
     white, grid = white_image(camera), lens_grid(camera)

@@ -116,8 +116,8 @@ def _rays(count: int, repeats: int) -> list[Row]:
 
 @case(
     "peers.spread",
-    "The point spread on the axis of the double Gauss at f/8, 48 x 48 places 0.5 µm apart, on one core: relative L2"
-    " from ours, and times",
+    "The point spread on the axis of the double Gauss at f/8, 48 x 48 positions 0.5 µm apart, on one core: relative"
+    " L2 from ours, and times",
     {"work": "{what}", "peer": "{peer}", "relative L2": "{difference:.2%}", **TIMES},
     (at_most("difference", "limit"),),
     page=PAGE,
