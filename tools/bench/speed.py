@@ -45,12 +45,12 @@ def compared(
     }  # fmt: skip
 
 
-def beam(size: int) -> np.ndarray:
-    """Make a narrow beam, slightly oblique, that stays far from the edges: with padding or without it is the same."""
+def beam(size: int, turns: tuple[int, int] = (9, -14)) -> np.ndarray:
+    """Make a beam with turns of phase across the window, far from its edges: padded or not, its step is the same."""
     x = (np.arange(size) - size // 2) / size
     along_x, along_y = (
-        np.exp(-((x - centre) ** 2) / 0.004 + 2j * np.pi * turns * x).astype(np.complex64)
-        for centre, turns in ((0.03, 9), (-0.02, -14))
+        np.exp(-((x - centre) ** 2) / 0.004 + 2j * np.pi * each * x).astype(np.complex64)
+        for centre, each in zip((0.03, -0.02), turns, strict=True)
     )
     return along_y[:, None] * along_x
 

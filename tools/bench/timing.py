@@ -30,11 +30,14 @@ class Timing:
     processor_ratio: float
 
 
-def paired(works: Mapping[str, Callable[[], object]], runs: int = 5) -> dict[str, Timing]:
-    """Time several things in turn, ``runs`` times after one that does not count; ratios are taken run by run."""
+def paired(works: Mapping[str, Callable[[], object]], runs: int = 5, *, warm: bool = True) -> dict[str, Timing]:
+    """Time several things in turn, ``runs`` times after one that does not count; ratios are taken run by run.
+
+    Without ``warm`` all count, for things that have run before.
+    """
     wall: dict[str, list[float]] = {name: [] for name in works}
     busy: dict[str, list[float]] = {name: [] for name in works}
-    for run in range(runs + 1):
+    for run in range(not warm, runs + 1):
         for name, work in works.items():
             start, cpu = time.perf_counter(), time.process_time()
             work()

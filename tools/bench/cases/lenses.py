@@ -172,7 +172,7 @@ WINDOW = 96
 """Places across the compared window, and their distance in millimetres."""
 
 
-def theirs(name: str, angle: float, rays: int) -> tuple[np.ndarray, np.ndarray]:
+def theirs(name: str, angle: float, rays: int, window: int = WINDOW) -> tuple[np.ndarray, np.ndarray]:
     """Return Optiland's spread (y, x), and the place of its middle in millimetres."""
     from optiland.psf import HuygensPSF
 
@@ -180,7 +180,7 @@ def theirs(name: str, angle: float, rays: int) -> tuple[np.ndarray, np.ndarray]:
     assert scale == 1
     optic.set_aperture(aperture_type="EPD", value=paraxial(bundled_prescription(name)).focal_length / F_NUMBER)
     field = (0.0, angle / float(optic.fields.max_field))
-    psf = HuygensPSF(optic, field, WAVELENGTH * 1e-3, num_rays=rays, image_size=WINDOW, pixel_pitch=PIXEL)
+    psf = HuygensPSF(optic, field, WAVELENGTH * 1e-3, num_rays=rays, image_size=window, pixel_pitch=PIXEL)
     # Its strategy's way to choose the middle, and the places around it.
     x, y, _ = psf._get_image_coordinates()
     x, y = np.asarray(x), np.asarray(y)

@@ -1,8 +1,7 @@
-"""The step by the angular spectrum against the bare pair of FFTs and other libraries, and the route on a GPU."""
+"""The step by the angular spectrum against the bare pair of FFTs, and the route on a GPU."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -23,44 +22,25 @@ from ..timing import in_process, paired
 
 PITCH, DISTANCE, WAVELENGTH = 4e-3, 5.0, 633.0
 
-_PEERS = (
-    "HCIPy (pads to twice the size), cached transfer function",
-    "torchoptics, asm_pad = 0",
-    "NumPy, cached transfer function",
-)
-
-_AGREEMENT = 1e-4
-
-# Bytes that a library's step takes for each sample, with its cached transfer function: peaks measured at 2048 x 2048.
-_BYTES = {_PEERS[0]: 290, _PEERS[1]: 110, _PEERS[2]: 55}
-
-_LARGE = 4096
-"""Samples across above which the libraries are timed once: their steps take a minute each."""
-
-Step = Callable[[np.ndarray], np.ndarray]
-
 _PAIR = "bare FFT pair"
 
 
 @case(
     "speed.steps",
-    "The angular-spectrum step against a pair of FFTs (ours over the pair) and other libraries (how many times ours is "
-    "faster), on one thread and on all, in a process each",
+    "The angular-spectrum step against a pair of FFTs (ours over the pair), in processes of one and of all threads",
     SPEED,
-    (at_most("difference", _AGREEMENT),),
     page="docs/numbers.md",
     quick={"sizes": (512,), "runs": 2},
 )
-def steps(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5, memory: float = 8.0) -> Iterator[Row]:
-    """Compare at several sizes; a library that needs more GiB than allowed is left out."""
+def steps(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:
+    """Compare at several sizes."""
     for threads in sorted({1, worker_count()}):
         for size in sizes:
-            yield from in_process(_compare, size, threads, runs, memory, cores=threads)
+            yield in_process(_compare, size, threads, runs, cores=threads)
 
 
-def _compare(size: int, threads: int, runs: int, memory: float) -> list[Row]:
-    field = beam(size)
-    fields = {name: field.copy() for name in (_PAIR, "ours")}
+def _compare(size: int, threads: int, runs: int) -> Row:
+    fields = {name: beam(size) for name in (_PAIR, "ours")}
 
     def pair() -> None:
         with resting_drjit():
@@ -70,68 +50,9 @@ def _compare(size: int, threads: int, runs: int, memory: float) -> list[Row]:
     def ours() -> None:
         fields["ours"] = propagate(fields["ours"], PITCH, DISTANCE, WAVELENGTH, overwrite=True)
 
-    expected = propagate(field, PITCH, DISTANCE, WAVELENGTH)
-    peers: dict[str, Callable[[], object]] = {}
-    notes, differences = {}, {}
-    for name, make in zip(_PEERS, (_hcipy, _torchoptics, _numpy), strict=True):
-        needed = _BYTES[name] * size**2 / 2**30
-        if needed > memory:
-            notes[name] = f"left out: it takes about {needed:.0f} GiB, memory={memory:g} allows less"
-            continue
-        try:
-            step = make(size, threads)
-        except ImportError as missing:
-            notes[name] = f"not installed ({missing.name})"
-            continue
-        carrier = np.exp(2j * np.pi * ((DISTANCE / (WAVELENGTH * 1e-6)) % 1))
-        answer = step(field)
-        differences[name] = min(relative(answer * factor, expected) for factor in (1, carrier.conj()))
-        notes[name] = f"{answer.dtype}" + ("; timed once" if size > _LARGE else "")
-        peers[name] = lambda step=step: step(field)
-    timings = paired({"ours": ours, _PAIR: pair, **({} if size > _LARGE else peers)}, runs)
-    if size > _LARGE and peers:
-        timings |= {name: each for name, each in paired({"ours": ours, **peers}, 1).items() if name != "ours"}
+    timings = paired({"ours": ours, _PAIR: pair}, runs)
     what = f"angular-spectrum step, {size} x {size}, {threads} thread{'s' * (threads > 1)}"
-    rows = [compared(what, "ms", timings["ours"], _PAIR, timings[_PAIR], "ours over the pair", scale=1e3)]
-    for name in _PEERS:
-        if name in timings:
-            row = compared(what, "ms", timings["ours"], name, timings[name], notes[name], scale=1e3, faster=True)
-            rows.append({**row, "difference": differences[name]})
-        else:
-            rows.append({"what": what, "against": name, "note": notes[name]})
-    return rows
-
-
-def _hcipy(size: int, threads: int) -> Step:
-    """HCIPy's step, which pads to twice the size."""
-    hcipy = importlib.import_module("hcipy")
-    grid = hcipy.make_uniform_grid([size, size], [size * PITCH] * 2)
-    step = hcipy.AngularSpectrumPropagator(grid, DISTANCE, num_oversampling=1)
-
-    def run(field: np.ndarray) -> np.ndarray:
-        wave = hcipy.Wavefront(hcipy.Field(field.ravel(), grid), WAVELENGTH * 1e-6)
-        return np.asarray(step.forward(wave).electric_field).reshape(size, size)
-
-    return run
-
-
-def _torchoptics(size: int, threads: int) -> Step:
-    torchoptics, torch = importlib.import_module("torchoptics"), importlib.import_module("torch")
-    torch.set_num_threads(threads)
-
-    def run(field: np.ndarray) -> np.ndarray:
-        wave = torchoptics.Field(torch.from_numpy(field), WAVELENGTH * 1e-6, 0.0, PITCH)
-        return wave.propagate_to_z(DISTANCE, propagation_method="ASM", asm_pad=(0, 0)).data.numpy()
-
-    return run
-
-
-def _numpy(size: int, threads: int) -> Step:
-    frequency = np.fft.fftfreq(size, PITCH) * WAVELENGTH * 1e-6
-    square = frequency[:, None] ** 2 + frequency**2
-    turns = DISTANCE / (WAVELENGTH * 1e-6) * (np.sqrt(np.maximum(1 - square, 0)) - 1)
-    transfer = (np.exp(2j * np.pi * turns) * (square < 1)).astype(np.complex64)
-    return lambda field: np.fft.ifft2(np.fft.fft2(field) * transfer)
+    return compared(what, "ms", timings["ours"], _PAIR, timings[_PAIR], "ours over the pair", scale=1e3)
 
 
 _COPIED = 2**27
