@@ -75,7 +75,7 @@ class Preview:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Proposal:
     """A proposal for a scene: a camera's distance from lens to MLA, or a scale of the scene and a position for it.
 
     Attributes
@@ -114,7 +114,7 @@ def focus_of(camera: PlenopticCamera) -> float:
     return distance
 
 
-def preview_of(scene: Any, camera: PlenopticCamera, fit: Fit | None = None) -> Preview:
+def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
     """See a scene through a thin lens, as the camera has it or as a fit proposes.
 
     In place of the scene the lens is scaled.
@@ -169,7 +169,7 @@ def framing_warnings(seen: Preview) -> list[str]:
     return found
 
 
-def propose(scene: Any, seen: Preview) -> Fit:
+def propose(scene: Any, seen: Preview) -> Proposal:
     """Propose a focus for the scene, or a scale and a position for it where the focus alone would not do."""
     camera = seen.camera
     near, far = _span(seen.distance)
@@ -178,7 +178,7 @@ def propose(scene: Any, seen: Preview) -> Fit:
     if seen.filled >= _LITTLE_FILLED and middle > _NEAREST * camera.focal_length:
         # As far from the main lens's image as now.
         behind = camera.mla_distance - image_distance(camera.focal_length, focus_of(camera))
-        return Fit(middle, image_distance(camera.focal_length, middle) + behind)
+        return Proposal(middle, image_distance(camera.focal_length, middle) + behind)
     low, high = _extent(scene)
     size, centre = high - low, (low + high) / 2
     refuse_if(not size[:2].max() > 0, "scene: its objects have no width or height")
@@ -187,7 +187,7 @@ def propose(scene: Any, seen: Preview) -> Fit:
     scale = float(f"{_FILL * float(np.min(field / np.maximum(size[:2], 1e-6 * size.max()))):.2g}")
     to_world = mi.ScalarTransform4f(np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4))
     pose = to_world @ mi.ScalarTransform4f().translate([centre[0], centre[1], centre[2] - focus / scale])
-    return Fit(focus, camera.mla_distance, scale, pose)
+    return Proposal(focus, camera.mla_distance, scale, pose)
 
 
 def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
