@@ -109,7 +109,7 @@ class MainLens(Protocol):
 
         Parameters
         ----------
-        place : array
+        position : array
             Coordinates of the positions from which the rays come.
         slope : array
             Their slopes along the same axis.
@@ -122,7 +122,7 @@ class MainLens(Protocol):
 
         Parameters
         ----------
-        pupil, place : array
+        pupil, position : array
             Coordinates on the exit pupil and near the MLA.
         height : array
             Distance of the positions before the MLA, towards the exit pupil.
@@ -139,7 +139,7 @@ class MainLens(Protocol):
 
         Parameters
         ----------
-        place : (array, array)
+        position : (array, array)
             x and y on the MLA.
         slope : (array, array)
             dx/dz and dy/dz of the ray between MLA and lens.

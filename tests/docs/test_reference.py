@@ -16,7 +16,7 @@ from mitsuba_plenoptic.camera.entry import Form
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.cli import app
 from mitsuba_plenoptic.lenses.base import Light, MainLens
-from mitsuba_plenoptic.plugins import colours, integrator
+from mitsuba_plenoptic.plugins import integrator, properties
 
 ROOT = Path(__file__).parents[2]
 
@@ -128,7 +128,7 @@ def read_by(module):
     "name, read",
     [
         ("plenoptic", SENSOR_NAMES),
-        ("plenoptic_wave", read_by(integrator) | read_by(colours) | {"wavelength"}),
+        ("plenoptic_wave", read_by(integrator) | read_by(properties) | {"wavelength"}),
     ],
 )
 def test_plugins_document_what_they_read(name, read):
