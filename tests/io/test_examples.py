@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
+import make_examples
 import numpy as np
 import pytest
 
-import make_examples
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.io import examples
 from mitsuba_plenoptic.lightfield import depth_error, depth_map
@@ -27,7 +27,7 @@ def test_names_and_files_agree():
         mp.InputError, match=r"^example = 'letters': it must be one of letters-ray, letters-wave, white"
     ):
         mp.example("letters")
-    with pytest.raises(mp.InputError, match="^example = '../scenes/white': it must be one of"):
+    with pytest.raises(mp.InputError, match=r"^example = '\.\./scenes/white': it must be one of"):
         mp.example_truth("../scenes/white")
 
 
