@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..errors import refuse_if, require_module, require_number
+from ..errors import argument, refuse_if, require_module, require_number
 from ..io.files import atomic_output
 from .images import enlarge, to_bytes
 
@@ -37,7 +37,7 @@ def sweep_distances(distances: Sequence[float]) -> list[float]:
     """Return the distances of a focal sweep between two that are given, in even steps of their reciprocals."""
     refuse_if(
         len(distances) != 2,
-        f"distance: {len(distances)} are given; a focal sweep goes from one to another, so give two",
+        f"{argument('distance')}: a focal sweep goes from one distance to another, and {len(distances)} are given",
     )
     first, last = (1 / require_number("distance", value, positive=True, finite=False) for value in distances)
     return [float(1 / step) if step else math.inf for step in np.linspace(first, last, _SWEEP)]

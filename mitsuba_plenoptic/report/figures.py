@@ -22,7 +22,7 @@ from ..lightfield.exchange.pictures import linear_of
 from ..lightfield.geometry import camera_of
 from ..reconstruction import Reconstruction
 from .framing import Canvas, bar_length, scale_bar
-from .images import Brightness, srgb
+from .images import Brightness, srgb, to_bytes
 
 __all__ = ["contact_sheet", "depth_figure", "epipolar_figure", "stack_figure", "views_figure"]
 
@@ -63,16 +63,17 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     Raises
     ------
     InputError
-        If there is no reconstruction.
+        If there is no reconstruction, or they are by several cameras.
     """
     refuse_if(not results, "results: give at least one")
+    refuse_if(any(one.camera != results[0].camera for one in results), "results: they must be by one camera")
     found = {(one.method, one.distance): one for one in results}
     methods = list(dict.fromkeys(one.method for one in results))
     distances = sorted({one.distance for one in results})
 
-    def panel(row: int, method: str, distance: float) -> Panel | None:
+    def panel(row: int, method: str, distance: float) -> Panel:
         one = found.get((method, distance))
-        title = f"{distance:g} mm" if row == 0 else ""
+        title = _distance(distance) if row == 0 else ""
         if one is None:
             return Panel(np.zeros((0, 0)), title)
         width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
@@ -101,7 +102,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
     panels = [
         Panel(
             np.asarray(image.values),
-            f"{float(image.distance):g} mm",
+            _distance(float(image.distance)),
             image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
         )
         for image in stack
@@ -160,7 +161,7 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
     unit = " (mm)" if "camera" in image.attrs else ""
     values = np.asarray(image.values)
     left, top, tall, bottom = 0.5, 0.08, 1.3, 0.4
-    wide = _COLUMN - left - _BAR - _GAP
+    wide = _COLUMN - left - (_BAR + _GAP if values.ndim == 2 else 0.1)
     canvas = Canvas(_COLUMN, top + tall + bottom, _DPI)
     axes = canvas.axes(left, top, wide, tall)
     edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
@@ -170,7 +171,8 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
         axis.set_major_locator(MaxNLocator(5))
         axis.set_label_text(f"{name}{unit}", size=_TEXT, color=_INK)
     _plain(axes)
-    _radiance_bar(canvas, drawn, values, _COLUMN - _BAR, top, tall)
+    if values.ndim == 2:
+        _radiance_bar(canvas, drawn, values, _COLUMN - _BAR, top, tall)
     return canvas
 
 
@@ -207,16 +209,18 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
         axes = canvas.axes(left, _TITLE, wide, tall)
         drawn = _draw(axes, values, norm, colours)
         _write(axes, title, "")
-        if values.ndim == 2:
+        if values.ndim == 3:
+            _state_white(axes, norm)
+        else:
             bar = canvas.colour_bar(drawn, left, _TITLE + tall + 0.07, 0.09, label, width=wide, text=_TEXT)
             bar.locator = MaxNLocator(4)
             bar.update_ticks()
     return canvas
 
 
-def _sheet(rows: Sequence[Sequence[Panel | None]], labels: Sequence[str], white: float | None) -> Canvas:
+def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None) -> Canvas:
     """Lay out panels of one size and one scale, with labels at the left of the rows."""
-    images = [panel.image for row in rows for panel in row if panel is not None and panel.image.size]
+    images = [panel.image for row in rows for panel in row if panel.image.size]
     aspect = images[0].shape[0] / images[0].shape[1]
     grey = images[0].ndim == 2
     columns = max(len(row) for row in rows)
@@ -224,15 +228,13 @@ def _sheet(rows: Sequence[Sequence[Panel | None]], labels: Sequence[str], white:
     left, bar = (_SIDE if labels else 0.0), (_BAR + _GAP if grey else 0.0)
     wide = (across - left - bar - (columns - 1) * _GAP) / columns
     tall = wide * aspect
-    titles = [_TITLE if any(panel and panel.title for panel in row) else _GAP for row in rows]
+    titles = [_TITLE if any(panel.title for panel in row) else _GAP for row in rows]
     tops = [sum(titles[: index + 1]) + index * tall for index in range(len(rows))]
-    canvas = Canvas(across, tops[-1] + tall + _GAP, _DPI)
+    canvas = Canvas(across, tops[-1] + tall + (_GAP if grey else _TITLE), _DPI)
     norm, drawn = _grey(images, white), None
     for down, row in enumerate(rows):
         for index, panel in enumerate(row):
             axes = canvas.axes(left + index * (wide + _GAP), tops[down], wide, tall)
-            if panel is None:
-                continue
             _write(axes, panel.title, labels[down] if labels and index == 0 else "")
             if not panel.image.size:
                 continue
@@ -241,6 +243,8 @@ def _sheet(rows: Sequence[Sequence[Panel | None]], labels: Sequence[str], white:
             if panel.width is not None:
                 length = bar_length(panel.width)
                 scale_bar(axes, length, panel.width, f"{length:g} mm", size=_TEXT)
+            if not grey and index == 0 and down == len(rows) - 1:
+                _state_white(axes, norm)
     if grey:
         height = min(_LONGEST_BAR, tops[-1] + tall - tops[0])
         _radiance_bar(
@@ -270,14 +274,17 @@ def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray"
     options |= {"interpolation": "none", "aspect": "auto"}
     if values.ndim == 2:
         return axes.imshow(np.ma.masked_where(~known, values), cmap=colours, norm=norm, **options)
-    encoded = np.clip(norm(np.where(known[..., None], values, 0)), 0, 1)
-    return axes.imshow(np.dstack([encoded, known]), **options)
+    opaque = 255 * known.astype(np.uint8)
+    return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
+
+
+def _state_white(axes: Axes, norm: Normalize) -> None:
+    """State below a colour image, which has no scale, which radiance is white."""
+    axes.set_xlabel(f"white: radiance {norm.vmax:.3g}", size=_TEXT, color=_INK, loc="left", labelpad=3)
 
 
 def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, top: float, height: float) -> None:
     """Add the scale of radiances; an arrow at its end shows that some surpass white."""
-    if drawn.get_array().ndim > 2:
-        return
     above = "max" if np.nanmax(values) > 1.001 * drawn.norm.vmax else "neither"
     canvas.colour_bar(drawn, left, top, height, "radiance", width=0.1, text=_TEXT, extend=above)
 
@@ -286,6 +293,10 @@ def _edges(positions: np.ndarray) -> tuple[float, float]:
     """Return the outer edges of evenly spaced samples."""
     half = (positions[-1] - positions[0]) / max(1, len(positions) - 1) / 2
     return float(positions[0] - half), float(positions[-1] + half)
+
+
+def _distance(distance: float) -> str:
+    return f"{distance:g} mm" if np.isfinite(distance) else "infinity"
 
 
 def _write(axes: Axes, title: str, side: str) -> None:

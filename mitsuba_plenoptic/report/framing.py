@@ -115,13 +115,13 @@ class Canvas:
 
     def __init__(self, width: float, height: float, dpi: int = _DPI) -> None:
         self._size = width, height
-        self._figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
-        FigureCanvasAgg(self._figure)
+        self.figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+        FigureCanvasAgg(self.figure)
 
     def axes(self, left: float, top: float, width: float, height: float) -> Axes:
         """Add axes without frame and ticks."""
         across, down = self._size
-        axes = self._figure.add_axes((left / across, 1 - (top + height) / down, width / across, height / down))
+        axes = self.figure.add_axes((left / across, 1 - (top + height) / down, width / across, height / down))
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_frame_on(False)
@@ -142,7 +142,7 @@ class Canvas:
         """Add the scale of an image, along the longer side of what it fills, and return it."""
         along = "vertical" if height > width else "horizontal"
         axes = self.axes(left, top, width, height)
-        bar = self._figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
+        bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
         bar.ax.tick_params(labelsize=text, color=_FAINT, labelcolor=_INK)
         bar.set_label(label, size=text, color=_INK)
         return bar
@@ -152,7 +152,7 @@ class Canvas:
         with atomic_output(path, ".png", ".pdf") as temporary, matplotlib.rc_context({"pdf.fonttype": 42}):
             # Without the date, the same figure gives the same file.
             dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
-            self._figure.savefig(temporary, metadata=dated)
+            self.figure.savefig(temporary, metadata=dated)
 
 
 def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:

@@ -63,11 +63,11 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: 
     ``name_210.exr``, ``name_240.exr``; none may be given twice.
     """
     path = require_picture_path(path)
-    if len(distances) == 1 or drawing.is_figure(path):
-        return [path]
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
     for name, distance in zip(names, distances, strict=True):
         refuse_if(names.count(name) > 1, f"distance = {distance:g}: it is given twice")
+    if len(distances) == 1 or drawing.is_figure(path):
+        return [path]
     return [require_writable(path.with_name(name)) for name in names]
 
 
