@@ -212,7 +212,8 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
         if values.ndim == 3:
             _state_white(axes, norm)
         else:
-            bar = canvas.colour_bar(drawn, left, _TITLE + tall + 0.07, 0.09, label, width=wide, text=_TEXT)
+            below, end = _TITLE + tall + 0.07, _end(values, norm)
+            bar = canvas.colour_bar(drawn, left, below, 0.09, label, width=wide, text=_TEXT, extend=end)
             bar.locator = MaxNLocator(4)
             bar.update_ticks()
     return canvas
@@ -284,9 +285,14 @@ def _state_white(axes: Axes, norm: Normalize) -> None:
 
 
 def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, top: float, height: float) -> None:
-    """Add the scale of radiances; an arrow at its end shows that some surpass white."""
-    above = "max" if np.nanmax(values) > 1.001 * drawn.norm.vmax else "neither"
-    canvas.colour_bar(drawn, left, top, height, "radiance", width=0.1, text=_TEXT, extend=above)
+    """Add the scale of radiances."""
+    end = _end(values, drawn.norm)
+    canvas.colour_bar(drawn, left, top, height, "radiance", width=0.1, text=_TEXT, extend=end)
+
+
+def _end(values: np.ndarray, norm: Normalize) -> str:
+    """Return how a scale ends: with an arrow where some values surpass it."""
+    return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
 def _edges(positions: np.ndarray) -> tuple[float, float]:

@@ -143,6 +143,9 @@ class Canvas:
         along = "vertical" if height > width else "horizontal"
         axes = self.axes(left, top, width, height)
         bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
+        # A frame, or white would end in the page.
+        axes.set_frame_on(True)
+        bar.outline.set(linewidth=0.5, edgecolor=_FAINT)
         bar.ax.tick_params(labelsize=text, color=_FAINT, labelcolor=_INK)
         bar.set_label(label, size=text, color=_INK)
         return bar

@@ -165,7 +165,7 @@ def test_refused_drawings(raw, tmp_path, complaint):
             ["stack", "-o", "a.gif", "--distance", 240],
             "--distance: a focal sweep goes from one distance to another, and 1 are given",
         ),
-        (["reconstruct", "-o", "a.pdf", "--distance", 240, "--distance", 240], "--distance 240: it is given twice"),
+        (["reconstruct", "-o", "a.pdf", "--distance", 240, "--distance", 240], "--distance = 240: it is given twice"),
         (["views", "-o", "a.exr", "--exposure", 1], "--exposure: it is for pictures (.png, .pdf, .gif, .mp4)"),
     ]:
         command, *options = arguments

@@ -43,6 +43,8 @@ def test_methods_by_distances_on_one_scale():
     results = [result("ray", 280.0), result("ray", 210.0), result("partial", 210.0)]
     canvas = contact_sheet(results, 0.5)
     *panels, bar = canvas.figure.axes
+    assert panels[0].images[0].colorbar.extend == "max"
+    assert contact_sheet(results).figure.axes[0].images[0].colorbar.extend == "neither"
     assert titles(canvas) == ["210 mm", "280 mm", "", "", ""]
     assert [axes.get_ylabel() for axes in panels] == ["ray", "", "partial", ""]
     assert [len(axes.images) for axes in panels] == [1, 1, 1, 0]
