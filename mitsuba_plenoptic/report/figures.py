@@ -34,6 +34,7 @@ _TEXT = 7.0
 _INK, _BACK, _HATCH = "#1b1f24", "#eef0f3", "#9aa3ad"
 _GAP, _TITLE, _SIDE, _BAR = 0.06, 0.2, 0.24, 0.55
 _LONGEST_BAR = 2.0
+_MOST_LABELS = 9
 
 
 @dataclass(frozen=True)
@@ -128,18 +129,17 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
     """
     known = "camera" in lf.attrs
     unit = " mm" if known else ""
-    across = [f"{value:.2f}" for value in lf.u.values + 0.0]
-    down = [f"{value:.2f}" for value in lf.v.values + 0.0]
+    across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
     width = abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
-    titles = [f"u = {across[0]}{unit}", *across[1:]]
+    values = _sampled(lf)
     rows = [
         [
-            Panel(np.asarray(lf.values[j, i]), titles[i] if j == 0 else "", width if known and i == j == 0 else None)
+            Panel(values[j, i], across[i] if j == 0 else "", width if known and i == j == 0 else None)
             for i in range(lf.sizes["u"])
         ]
         for j in range(lf.sizes["v"])
     ]
-    return _sheet(rows, [f"v = {down[0]}{unit}", *down[1:]], white)
+    return _sheet(rows, down, white)
 
 
 def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
@@ -159,7 +159,7 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
     """
     down, across = (str(name) for name in image.dims[:2])
     unit = " (mm)" if "camera" in image.attrs else ""
-    values = np.asarray(image.values)
+    values = _sampled(image)
     left, top, tall, bottom = 0.5, 0.08, 1.3, 0.4
     wide = _COLUMN - left - (_BAR + _GAP if values.ndim == 2 else 0.1)
     canvas = Canvas(_COLUMN, top + tall + bottom, _DPI)
@@ -295,10 +295,22 @@ def _end(values: np.ndarray, norm: Normalize) -> str:
     return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
+def _sampled(lf: xr.DataArray) -> np.ndarray:
+    """Return the samples of a light field or a part of it, NaN where no light comes from."""
+    return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
+
+
 def _edges(positions: np.ndarray) -> tuple[float, float]:
     """Return the outer edges of evenly spaced samples."""
     half = (positions[-1] - positions[0]) / max(1, len(positions) - 1) / 2
     return float(positions[0] - half), float(positions[-1] + half)
+
+
+def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
+    """Label positions, of many only some, so that the labels do not overlap; the first states what they are."""
+    every = -(-len(positions) // _MOST_LABELS)
+    texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
+    return [f"{name} = {texts[0]}{unit}", *texts[1:]]
 
 
 def _distance(distance: float) -> str:

@@ -104,6 +104,18 @@ def test_views_lie_as_on_the_pupil(lf):
     assert panels[3].get_ylabel() == "0.00" and panels[0].get_ylabel().startswith("v = ")
 
 
+def test_samples_beyond_the_pupil_are_hatched(lf):
+    panels = views_figure(lf).figure.axes[: lf.sizes["u"] * lf.sizes["v"]]
+    dark = (lf.weight.values == 0).any(axis=(2, 3)).ravel()
+    assert [hatched(axes) for axes in panels] == dark.tolist() and 0 < dark.sum() < dark.size
+
+
+def test_of_many_views_some_are_labelled(lf):
+    many = lf.isel(u=[0] * 20, v=[0])
+    found = [text for text in titles(views_figure(many))[:20] if text]
+    assert len(found) == 7 and found[0].startswith("u = ")
+
+
 def test_stacks_are_wrapped(lf):
     distances = [210, 220, 230, 240, 250]
     canvas = stack_figure(focal_stack(lf, distances))
