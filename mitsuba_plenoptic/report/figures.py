@@ -301,8 +301,8 @@ def _sampled(lf: xr.DataArray) -> np.ndarray:
 
 
 def _edges(positions: np.ndarray) -> tuple[float, float]:
-    """Return the outer edges of evenly spaced samples."""
-    half = (positions[-1] - positions[0]) / max(1, len(positions) - 1) / 2
+    """Return the outer edges of evenly spaced samples; a single one is drawn 1 wide."""
+    half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
 
 
