@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test coverage slow fuzz package docs lint clean llvm
+.PHONY: help demo test coverage slow fuzz examples package docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
@@ -11,6 +11,7 @@ help:
 	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
 	@echo "make slow   run the tests that take minutes"
 	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
+	@echo "make examples   render the captures of mp.example from the built-in scenes (20 s)"
 	@echo "make package   build wheel and sdist from a fresh clone, and try the wheel in an empty environment"
 	@echo "make docs   build the site with its notebooks executed: build/docs/index.html (some minutes)"
 	@echo "make lint   check format, style and types"
@@ -35,6 +36,9 @@ slow: $(VENV)/.ready llvm
 # SEED=... draws others, COUNT=... more of them.
 fuzz: $(VENV)/.ready llvm
 	$(BIN)/python tools/fuzz.py --count $(or $(COUNT),10000) --seed $(or $(SEED),0) -o fuzz
+
+examples: $(VENV)/.ready llvm
+	$(BIN)/python tools/make_examples.py
 
 package: $(VENV)/.ready llvm
 	$(BIN)/python tools/check_release.py

@@ -36,6 +36,7 @@ from .errors import InputError, did_you_mean
 from .focusing import focus_by_group
 from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
 from .io.checkpoints import Checkpoint
+from .io.examples import example, example_truth
 from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
 from .io.lens_file import read_prescription
 from .lenses.lens_system import LensSystem
@@ -96,6 +97,8 @@ __all__ = [
     "decode",
     "demosaic",
     "estimate_capture",
+    "example",
+    "example_truth",
     "expose",
     "fit",
     "focus_by_group",

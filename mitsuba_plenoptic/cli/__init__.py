@@ -21,6 +21,7 @@ PROGRAM = "mitsuba-plenoptic"
 
 # In the order of the help: each command is a function of its name in this module.
 COMMANDS = {
+    "example": "example",
     "preview": "preview",
     "render": "render",
     "reconstruct": "reconstruct",

@@ -19,12 +19,14 @@ from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
 from ..capture.scene import check_scene_file, load_scene, names_in, scene_defaults, scene_names, scene_path
 from ..design import design_warnings
-from ..errors import InputError, did_you_mean, refuse_if
+from ..errors import InputError, did_you_mean, refuse_if, require_count
 from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
 from ..io.checkpoints import Checkpoint
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
+from ..report.animations import ANIMATED
 from ..report.images import Brightness
+from ..report.output_files import PICTURES, Drawing
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.batches import BatchMap, Cluster
 from ..runtime.progress import ProgressBar
@@ -149,18 +151,36 @@ Truth = Annotated[
 
 Exposure = Annotated[
     float | None,
-    numeric("Of a .png: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
+    numeric("Of pictures: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
 ]
 
 Percentile = Annotated[
     float | None,
     numeric(
-        "Of a .png: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
+        "Of pictures: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
         "rest black; 100: the brightest.",
         "99.5",
         unit="PERCENT",
     ),
 ]
+
+Scale = Annotated[
+    int | None,
+    numeric(
+        "Of plain pictures: pixels that a bin is wide.",
+        "1; 4 for lines and depth; up to 480 pixels in all for .gif and .mp4",
+    ),
+]
+
+Figure = Annotated[
+    bool,
+    typer.Option(
+        "--figure",
+        help="Make a .png a labelled figure for papers, with colour bar and scale bars, as a .pdf always is.",
+    ),
+]
+
+_LARGEST_SCALE = 64
 
 ViewCount = Annotated[
     int | None, numeric("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
@@ -231,15 +251,26 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
     )
 
 
-def brightness_of(exposure: float | None, percentile: float | None, *paths: Path | None) -> Brightness:
-    """Return the brightness that becomes white in pictures; refuse the options where no picture is written."""
+def drawing_of(
+    exposure: float | None, percentile: float | None, scale: int | None, figure: bool, *paths: Path | None
+) -> Drawing:
+    """Return how pictures are drawn; refuse the options where no such picture is written."""
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
     given = [path for path in paths if path is not None]
     refuse_if(
-        named and not any(path.suffix.lower() == ".png" for path in given),
-        f"{named}: it is for pictures (.png); {given[0]} keeps the values as they are",
+        named and not any(path.suffix.lower() in PICTURES for path in given),
+        f"{named}: it is for pictures ({', '.join(PICTURES)}); {given[0]} keeps the values as they are",
     )
-    return Brightness(exposure, percentile)
+    suffix = given[0].suffix.lower()
+    refuse_if(figure and suffix not in (".png", ".pdf"), f"--figure: it is for .png and .pdf; the output is {given[0]}")
+    if scale is not None:
+        refuse_if(
+            figure or suffix not in (".png", *ANIMATED),
+            f"--scale {scale}: it is for plain pictures (.png, {', '.join(ANIMATED)}), without --figure; the output is "
+            f"{given[0]}",
+        )
+        require_count("scale", scale, maximum=_LARGEST_SCALE)
+    return Drawing(Brightness(exposure, percentile), scale, figure)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:

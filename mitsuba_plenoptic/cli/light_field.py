@@ -14,19 +14,30 @@ from ..lightfield.depth import is_focused
 from ..lightfield.exchange import open_light_field, open_micro_images, require_light_field_path, save_light_field
 from ..lightfield.refocus import METHODS
 from ..lightfield.views import AXES
-from ..report.output_files import require_picture_path, write_depth, write_epipolar_image, write_stack, write_views
+from ..report.animations import ANIMATED, sweep_distances
+from ..report.output_files import (
+    require_picture_path,
+    write_depth,
+    write_epipolar_image,
+    write_focal_sweep,
+    write_orbit,
+    write_stack,
+    write_views,
+)
 from ..runtime.progress import progress_bar
 from .inputs import (
     CameraFile,
     Distances,
     Exposure,
+    Figure,
     LightFieldSource,
     Linear,
     Percentile,
+    Scale,
     Truth,
     ViewCount,
     White,
-    brightness_of,
+    drawing_of,
     named_camera,
     numeric,
     output_option,
@@ -38,7 +49,9 @@ def views(
     output: Annotated[
         Path,
         output_option(
-            "FILE", "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png."
+            "FILE",
+            "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled "
+            "grid if in .pdf, a tour round the pupil if in .gif or .mp4.",
         ),
     ],
     count: Annotated[int | None, numeric("Write N x N views, evenly spread over the pupil.", "all")] = None,
@@ -49,6 +62,8 @@ def views(
     truth: Truth = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
+    scale: Scale = None,
+    figure: Figure = False,
 ) -> None:
     """Show the scene from many positions on the main lens.
 
@@ -61,21 +76,27 @@ def views(
       mitsuba-plenoptic views raw.exr -o views.png --count 5
 
       mitsuba-plenoptic views raw.exr -o centre.png --count 1
+
+      mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    require_apart(require_picture_path(output), source, white, truth)
-    brightness = brightness_of(exposure, percentile, output)
+    require_apart(require_picture_path(output, animated=True), source, white, truth)
+    drawing = drawing_of(exposure, percentile, scale, figure, output)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
     )
     if count is not None:
         lf = pick_views(lf, count)
-    write_views(output, lf, brightness)
+    if output.suffix.lower() in ANIMATED:
+        frames = write_orbit(output, lf, drawing)
+        typer.echo(f"{output}: {frames} views of {lf.sizes['s']} x {lf.sizes['t']} pixels, one after the other")
+        return
+    write_views(output, lf, drawing)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
 
 
 def epi(
     source: LightFieldSource,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png four times as large.")],
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png four times as large, or .pdf with axes.")],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float | None,
@@ -99,6 +120,8 @@ def epi(
     camera: CameraFile = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
+    scale: Scale = None,
+    figure: Figure = False,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
@@ -109,14 +132,14 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     require_apart(require_picture_path(output), source, white)
-    brightness = brightness_of(exposure, percentile, output)
+    drawing = drawing_of(exposure, percentile, scale, figure, output)
     image = epipolar_image(
         open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
         axis,
         at=at,
         through=through,
     )
-    write_epipolar_image(output, image, brightness)
+    write_epipolar_image(output, image, drawing)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")
 
@@ -128,7 +151,7 @@ def stack(
         output_option(
             "FILE",
             "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
-            "in .png.",
+            "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif or .mp4.",
         ),
     ],
     distance: Distances,
@@ -141,6 +164,8 @@ def stack(
     camera: CameraFile = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
+    scale: Scale = None,
+    figure: Figure = False,
 ) -> None:
     """Make a focal stack: one image for each distance, in focus there and blurred elsewhere.
 
@@ -151,13 +176,20 @@ def stack(
     [bold]Example:[/bold]
 
       mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
+
+      mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
-    require_apart(require_picture_path(output), source, white)
-    brightness = brightness_of(exposure, percentile, output)
+    require_apart(require_picture_path(output, animated=True), source, white)
+    drawing = drawing_of(exposure, percentile, scale, figure, output)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
-        images = focal_stack(lf, distance, method=method, progress=progress)
-    write_stack(output, images, brightness)
+        images = focal_stack(lf, sweep_distances(distance) if animated else distance, method=method, progress=progress)
+    if animated:
+        frames = write_focal_sweep(output, images, drawing)
+        typer.echo(f"{output}: {frames} images from {distance[0]:g} to {distance[-1]:g} mm and back")
+        return
+    write_stack(output, images, drawing)
     rows, columns = images.shape[1:3]
     typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")
 
@@ -173,7 +205,8 @@ def depth(
         output_option(
             "FILE",
             "File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
-            "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence.",
+            "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence; if in .pdf "
+            "these with their scales.",
         ),
     ],
     near: Annotated[
@@ -190,6 +223,8 @@ def depth(
     truth: Truth = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
+    scale: Scale = None,
+    figure: Figure = False,
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
@@ -203,7 +238,7 @@ def depth(
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     require_apart(require_picture_path(output), source, white, truth)
-    brightness = brightness_of(exposure, percentile, output)
+    drawing = drawing_of(exposure, percentile, scale, figure, output)
     known = named_camera(camera)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)
     images = None
@@ -211,7 +246,7 @@ def depth(
         images = open_micro_images(source, white=white, linear=linear, camera=known)
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
-    write_depth(output, found, brightness)
+    write_depth(output, found, drawing)
     sure = found.confidence > 0.5
     where = found.depth.where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"

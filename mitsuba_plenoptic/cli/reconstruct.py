@@ -15,8 +15,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
-from ..report.images import Brightness
-from ..report.output_files import reconstruction_paths, write_reconstructions
+from ..report.output_files import Drawing, reconstruction_paths, write_reconstructions
 from ..runtime.backend import set_variant
 from ..runtime.progress import progress_bar
 from .inputs import (
@@ -24,11 +23,13 @@ from .inputs import (
     CaptureFile,
     Distances,
     Exposure,
+    Figure,
     Linear,
     Percentile,
+    Scale,
     Variant,
     batches_on,
-    brightness_of,
+    drawing_of,
     named_camera,
     numeric,
     output_option,
@@ -46,7 +47,8 @@ def reconstruct(
             "FILE",
             "File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
             "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into "
-            "one volume with voxel sizes if it ends in .tif (ImageJ), .ome.tif (OME) or .zarr.",
+            "one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif (ImageJ), "
+            ".ome.tif (OME) or .zarr.",
         ),
     ],
     distance: Distances,
@@ -151,6 +153,8 @@ def reconstruct(
     ] = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
+    scale: Scale = None,
+    figure: Figure = False,
     variant: Variant = None,
 ) -> None:
     """Refocus a capture to one or several distances.
@@ -184,7 +188,8 @@ def reconstruct(
             f"--{option}: method {method} does not take it; methods that do: deconvolved",
         )
     whole = output.suffix.lower() in SUFFIXES
-    paths = [] if whole else reconstruction_paths(output, distance)
+    drawing = drawing_of(exposure, percentile, scale, figure, output, overview)
+    paths = [] if whole else reconstruction_paths(output, distance, drawing)
     if whole:
         require_volume_path(output, distance)
     if overview:
@@ -193,7 +198,6 @@ def reconstruct(
     require_different(*written)
     for path in filter(None, written):
         require_apart(path, capture, white)
-    brightness = brightness_of(exposure, percentile, output, overview)
     require_linear(linear, capture, white)
     known = named_camera(camera)
     recorded = read_recorded(capture, known, linear)
@@ -225,9 +229,9 @@ def reconstruct(
                 batch_map=batch_map,
             )
         if not whole:
-            write_reconstructions(paths, results, recorded.metadata, brightness)
-        _write_volume(output if whole else None, overview, results, brightness)
-    for path, result in zip(paths or [output] * len(results), results, strict=True):
+            write_reconstructions(paths, results, recorded.metadata, drawing)
+        _write_volume(output if whole else None, overview, results, drawing)
+    for path, result in zip(paths if len(paths) == len(results) else [output] * len(results), results, strict=True):
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_described(result.facts)}")
@@ -238,9 +242,7 @@ def _period(interleave: str | None) -> int | str | None:
     return int(interleave) if interleave and interleave.isdecimal() and len(interleave) < 10 else interleave
 
 
-def _write_volume(
-    path: Path | None, overview: Path | None, results: list[Reconstruction], brightness: Brightness
-) -> None:
+def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
     """Write all distances together, as a volume and as a picture, where these are asked for."""
     if path is None and overview is None:
         return
@@ -253,7 +255,7 @@ def _write_volume(
         # Brings libraries that take a second to load.
         from ..report.volumes import write_volume_overview
 
-        write_volume_overview(overview, made, brightness.white([made.values]))
+        write_volume_overview(overview, made, drawing.brightness.white([made.values]))
         typer.echo(f"{overview}: overview")
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -111,30 +113,49 @@ _ACCENT = "#ffb000"
 class Canvas:
     """A figure whose parts are placed in inches from its upper left corner."""
 
-    def __init__(self, width: float, height: float) -> None:
+    def __init__(self, width: float, height: float, dpi: int = _DPI) -> None:
         self._size = width, height
-        self._figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
-        FigureCanvasAgg(self._figure)
+        self.figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+        FigureCanvasAgg(self.figure)
 
     def axes(self, left: float, top: float, width: float, height: float) -> Axes:
         """Add axes without frame and ticks."""
         across, down = self._size
-        axes = self._figure.add_axes((left / across, 1 - (top + height) / down, width / across, height / down))
+        axes = self.figure.add_axes((left / across, 1 - (top + height) / down, width / across, height / down))
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_frame_on(False)
         return axes
 
-    def colour_bar(self, drawn: Any, left: float, top: float, height: float, label: str) -> None:
-        """Add the scale of a difference image."""
-        bar = self._figure.colorbar(drawn, cax=self.axes(left, top, 0.14, height))
-        bar.ax.tick_params(labelsize=8, color=_FAINT, labelcolor=_INK)
-        bar.set_label(label, size=8, color=_INK)
+    def colour_bar(
+        self,
+        drawn: Any,
+        left: float,
+        top: float,
+        height: float,
+        label: str,
+        *,
+        width: float = 0.14,
+        text: float = 8,
+        extend: str = "neither",
+    ) -> Any:
+        """Add the scale of an image, along the longer side of what it fills, and return it."""
+        along = "vertical" if height > width else "horizontal"
+        axes = self.axes(left, top, width, height)
+        bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
+        # A frame, or white would end in the page.
+        axes.set_frame_on(True)
+        bar.outline.set(linewidth=0.5, edgecolor=_FAINT)
+        bar.ax.tick_params(labelsize=text, color=_FAINT, labelcolor=_INK)
+        bar.set_label(label, size=text, color=_INK)
+        return bar
 
-    def save(self, path: Path) -> None:
-        """Write it as PNG."""
-        with atomic_output(path, ".png") as temporary:
-            self._figure.savefig(temporary, dpi=_DPI)
+    def save(self, path: str | Path) -> None:
+        """Write it as PNG, or as PDF with text as text and lines as lines."""
+        with atomic_output(path, ".png", ".pdf") as temporary, matplotlib.rc_context({"pdf.fonttype": 42}):
+            # Without the date, the same figure gives the same file.
+            dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
+            self.figure.savefig(temporary, metadata=dated)
 
 
 def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:
@@ -173,7 +194,7 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
     )
 
 
-def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: bool = False) -> None:
+def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: bool = False, size: float = 8) -> None:
     """Draw a bar of `length` into an image that is `width` wide, in the same unit, or below it."""
     fraction = length / width
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
@@ -183,13 +204,19 @@ def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: boo
     outline = [] if below else [withStroke(linewidth=2, foreground="black")]
     axes.add_patch(Rectangle((x, y), fraction, height, color=colour, linewidth=0, path_effects=outline, **frame))
     if below:
-        axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=8, va="center", **frame)
+        axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=size, va="center", **frame)
     else:
-        axes.text(x, y + 1.8 * height, label, color=colour, size=8, va="bottom", path_effects=outline, **frame)
+        axes.text(x, y + 1.8 * height, label, color=colour, size=size, va="bottom", path_effects=outline, **frame)
+
+
+def bar_length(width: float) -> float:
+    """Return a round length that suits a field of a width."""
+    digit = 10.0 ** math.floor(math.log10(0.3 * width))
+    return next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
     """Lay a scale bar in the object plane, of a length that suits the field."""
     width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
-    length = next(step for step in (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.0) if step < 0.3 * width)
+    length = bar_length(width)
     scale_bar(axes, length, width, f"{length:g} mm")

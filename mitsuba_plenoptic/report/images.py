@@ -32,7 +32,7 @@ def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
         peak = float(values.max())
     # An image that is all black stays so.
     values = np.clip(values / peak, 0, 1) if peak > 0 else np.zeros_like(values)
-    return np.round(255 * _srgb(values)).astype(np.uint8)
+    return np.round(255 * srgb(values)).astype(np.uint8)
 
 
 def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
     """
     known = np.isfinite(image if image.ndim == 2 else image.sum(axis=2))
     values = np.where(known if image.ndim == 2 else known[..., None], image, 0)
-    codes = np.rint((2**bits - 1) * _srgb(np.clip(values / full, 0, 1))).astype(np.uint16)
+    codes = np.rint((2**bits - 1) * srgb(np.clip(values / full, 0, 1))).astype(np.uint16)
     pixels = (codes if bits == 8 else np.concatenate([codes >> 8, codes & 255])).astype(np.uint8)
     if not known.all():
         opaque = np.tile(known, (bits // 8, 1)).astype(np.uint8) * 255
@@ -52,6 +52,11 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
     Image.fromarray(pixels).save(buffer, format="PNG")
     source = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
     return {"source": source, "bits": bits, "full": full, "channels": 1 if image.ndim == 2 else 3}
+
+
+def enlarge(image: np.ndarray, scale: int) -> np.ndarray:
+    """Repeat each pixel `scale` times along both axes."""
+    return image.repeat(scale, axis=0).repeat(scale, axis=1)
 
 
 def shrink(image: np.ndarray, longest: int) -> np.ndarray:
@@ -67,7 +72,7 @@ def shrink(image: np.ndarray, longest: int) -> np.ndarray:
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
 
 
-def _srgb(linear: np.ndarray) -> np.ndarray:
+def srgb(linear: np.ndarray) -> np.ndarray:
     """Encode linear values from 0 to 1 (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 

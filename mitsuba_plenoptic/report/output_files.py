@@ -1,9 +1,11 @@
-"""Files of reconstructions, views, stacks and depth maps: OpenEXR or 8-bit pictures, by the suffix."""
+"""Files of reconstructions, views, stacks and depth maps: OpenEXR, pictures, figures or animations, by the suffix."""
 
 from __future__ import annotations
 
+import importlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,32 +18,56 @@ from ..io.files import require_writable
 from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
 from ..reconstruction import Reconstruction, write_reconstruction
-from .images import Brightness, write_png
+from .animations import ANIMATED, require_animation, write_animation
+from .images import Brightness, enlarge, write_png
 
-_AUTOMATIC = Brightness()
+PICTURES = (".png", ".pdf", *ANIMATED)
+"""Suffixes of files that show radiances as brightness."""
 
-_SUFFIXES = (".exr", ".png")
+_SUFFIXES = (".exr", ".png", ".pdf")
 
-# How many times as large lines of an epipolar image and pixels of a small map are drawn.
+# How many times as large lines of an epipolar image and pixels of a small map are drawn by default.
 _ENLARGED = 4
 
 
-def require_picture_path(path: str | Path) -> Path:
-    """Check, before a long computation, that a file ends in .exr or .png and can be written."""
-    return require_writable(path, *_SUFFIXES)
+@dataclass(frozen=True)
+class Drawing:
+    """How pictures are drawn."""
+
+    brightness: Brightness = field(default_factory=Brightness)
+    # Pixels that a bin is wide; None: as suits the picture.
+    scale: int | None = None
+    # Whether a PNG is a labelled figure; a PDF always is.
+    figure: bool = False
+
+    def is_figure(self, path: Path) -> bool:
+        """Return whether a file becomes a labelled figure."""
+        return self.figure or path.suffix.lower() == ".pdf"
 
 
-def reconstruction_paths(path: str | Path, distances: Sequence[float]) -> list[Path]:
+_AUTOMATIC = Drawing()
+
+
+def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
+    """Check, before a long computation, that a file of a picture or of data can be written."""
+    path = require_writable(path, *_SUFFIXES, *(ANIMATED if animated else ()))
+    if path.suffix.lower() in ANIMATED:
+        require_animation(path)
+    return path
+
+
+def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing = _AUTOMATIC) -> list[Path]:
     """Name a file for each distance, and check that all can be written.
 
-    One distance gives `path` itself, several give ``name_210.exr``, ``name_240.exr``; none may be given twice.
+    A figure shows all distances, and has the name `path`. Otherwise one distance gives `path` itself, and several give
+    ``name_210.exr``, ``name_240.exr``; none may be given twice.
     """
     path = require_picture_path(path)
-    if len(distances) == 1:
-        return [path]
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
     for name, distance in zip(names, distances, strict=True):
         refuse_if(names.count(name) > 1, f"distance = {distance:g}: it is given twice")
+    if len(distances) == 1 or drawing.is_figure(path):
+        return [path]
     return [require_writable(path.with_name(name)) for name in names]
 
 
@@ -49,22 +75,25 @@ def write_reconstructions(
     paths: Sequence[Path],
     results: Sequence[Reconstruction],
     source: dict[str, Any] | None = None,
-    brightness: Brightness = _AUTOMATIC,
+    drawing: Drawing = _AUTOMATIC,
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 
     Pictures share one scale. OpenEXR files keep in their headers the metadata of the capture, `source`.
     """
-    peak = brightness.white([result.image for result in results])
+    peak = drawing.brightness.white([result.image for result in results])
+    if drawing.is_figure(paths[0]):
+        _figures().contact_sheet(results, peak).save(paths[0])
+        return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
-            write_png(path, result.image, peak=peak)
+            write_png(path, enlarge(result.image, drawing.scale or 1), peak=peak)
         else:
             write_reconstruction(path, result, source)
 
 
-def write_views(path: str | Path, lf: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
-    """Write the views of a light field: a part each named by its position on the pupil, or a mosaic as PNG.
+def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
+    """Write the views of a light field: a part each named by its position on the pupil, or a mosaic.
 
     Ground truth that the light field has is in each part, too, in the channels of its own file.
     """
@@ -75,24 +104,59 @@ def write_views(path: str | Path, lf: xr.DataArray, brightness: Brightness = _AU
         for j in range(lf.sizes["v"])
         for i in range(lf.sizes["u"])
     }
-    _write(path, "views", lf, parts, view_mosaic(lf), brightness.white([lf.values]))
+    white = drawing.brightness.white([lf.values])
+    picture = enlarge(view_mosaic(lf), drawing.scale or 1)
+    _write(path, "views", lf, parts, picture, white, drawing, lambda: _figures().views_figure(lf, white))
 
 
-def write_epipolar_image(path: str | Path, image: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
+def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
     """Write an epipolar image, as PNG enlarged."""
     values = np.asarray(image.values)
-    _write(path, "epipolar image", image, _images(epipolar=values), _enlarged(values), brightness.white([values]))
-
-
-def write_stack(path: str | Path, stack: xr.DataArray, brightness: Brightness = _AUTOMATIC) -> None:
-    """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
-    images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
+    white = drawing.brightness.white([values])
+    picture = enlarge(values, drawing.scale or _ENLARGED)
+    parts = _images(epipolar=values)
     _write(
-        path, "focal stack", stack, _images(**images), _tiled(list(images.values())), brightness.white([stack.values])
+        path, "epipolar image", image, parts, picture, white, drawing, lambda: _figures().epipolar_figure(image, white)
     )
 
 
-def write_depth(path: str | Path, found: xr.Dataset, brightness: Brightness = _AUTOMATIC) -> None:
+def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
+    """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
+    images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
+    white = drawing.brightness.white([stack.values])
+    picture = enlarge(_tiled(list(images.values())), drawing.scale or 1)
+    parts = _images(**images)
+    _write(path, "focal stack", stack, parts, picture, white, drawing, lambda: _figures().stack_figure(stack, white))
+
+
+def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
+    """Write a focal stack as an animation, there and back; return the number of its frames."""
+    frames = [(np.asarray(image.values), f"{float(image.distance):.4g} mm") for image in stack]
+    frames += frames[-2:0:-1]
+    write_animation(path, frames, drawing.brightness.white([stack.values]), drawing.scale)
+    return len(frames)
+
+
+def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
+    """Write views along a circle on the pupil as an animation; return the number of its frames."""
+    frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
+    write_animation(path, frames, drawing.brightness.white([image for image, _ in frames]), drawing.scale)
+    return len(frames)
+
+
+def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
+    """Return the views (row, column) nearest to a circle of three quarters of the pupil's radius, each once."""
+    u, v = lf.u.values, lf.v.values
+    radius = 0.75 * max(np.abs(u).max(), np.abs(v).max())
+    angles = np.linspace(0, 2 * np.pi, 8 * max(len(u), len(v)), endpoint=False)
+    near = [
+        (int(np.abs(v - radius * np.sin(angle)).argmin()), int(np.abs(u - radius * np.cos(angle)).argmin()))
+        for angle in angles
+    ]
+    return list(dict.fromkeys(near))
+
+
+def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
     """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or pictures as PNG.
 
     The true depth is a part, too, where it is known.
@@ -104,10 +168,12 @@ def write_depth(path: str | Path, found: xr.Dataset, brightness: Brightness = _A
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
     closeness = (high - parts["disparity"]) / ((high - low) or 1)
-    maps = [parts["image"] / brightness.white([parts["image"]]), closeness, parts["confidence"]]
+    white = drawing.brightness.white([parts["image"]])
+    maps = [parts["image"] / white, closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
-    _write(path, "depth", found, _images(**parts), _enlarged(np.concatenate(maps, axis=1)), 1.0)
+    picture = enlarge(np.concatenate(maps, axis=1), drawing.scale or _ENLARGED)
+    _write(path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: _figures().depth_figure(found, white))
 
 
 def _write(
@@ -117,9 +183,14 @@ def _write(
     parts: dict[str, dict[str, np.ndarray]],
     picture: np.ndarray,
     peak: float,
+    drawing: Drawing,
+    figure: Callable[[], Any],
 ) -> None:
-    """Write the parts with the coordinates and attributes of the data, or the picture, by the suffix."""
+    """Write the parts with the coordinates and attributes of the data, the picture, or the figure, by the suffix."""
     path = require_picture_path(path)
+    if drawing.is_figure(path):
+        figure().save(path)
+        return
     if path.suffix.lower() == ".png":
         write_png(path, picture, peak=peak)
         return
@@ -133,8 +204,9 @@ def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
     return {name: image_channels(image) for name, image in images.items()}
 
 
-def _enlarged(image: np.ndarray) -> np.ndarray:
-    return image.repeat(_ENLARGED, axis=0).repeat(_ENLARGED, axis=1)
+def _figures() -> Any:
+    """Return the module that draws figures, whose libraries take a second to load."""
+    return importlib.import_module(".figures", __package__)
 
 
 def _tiled(images: list[np.ndarray]) -> np.ndarray:

@@ -124,3 +124,49 @@ def test_convert_there_and_back(raw, lf, tmp_path, run):
     run("stack", tmp_path / "a.mat", "-o", tmp_path / "a.exr", "--distance", 210)
     image = parts(tmp_path / "a.exr")[0]["210 mm"]
     np.testing.assert_allclose(image, refocus(lf, 210).values, atol=2e-4)
+
+
+def test_figures_enlarged_pictures_and_animations(raw, lf, tmp_path, run):
+    distances = ["--distance", 236, "--distance", 244]
+    for command, *options in (["reconstruct", *distances], ["stack", *distances], ["views"], ["epi"], ["depth"]):
+        run(command, raw, "-o", tmp_path / f"{command}.pdf", *options)
+        run(command, raw, "-o", tmp_path / f"{command}.png", "--figure", *options)
+        assert (tmp_path / f"{command}.pdf").read_bytes()[:5] == b"%PDF-"
+        assert Image.open(tmp_path / f"{command}.png").width in (1020, 2100)
+    assert len(list(tmp_path.iterdir())) == 10
+
+    for command, *options in (["stack", *distances], ["views", "--count", 2]):
+        run(command, raw, "-o", tmp_path / "plain.png", *options)
+        run(command, raw, "-o", tmp_path / "large.png", "--scale", 3, *options)
+        plain, large = (np.asarray(Image.open(tmp_path / f"{name}.png")) for name in ("plain", "large"))
+        np.testing.assert_array_equal(large[1::3, 1::3], plain)
+        assert large.shape == (3 * plain.shape[0], 3 * plain.shape[1])
+    run("epi", raw, "-o", tmp_path / "large.png", "--scale", 1)
+    assert Image.open(tmp_path / "large.png").size == (8, lf.sizes["u"])
+
+    assert "46 images from 236 to 244 mm and back" in run(
+        "stack", raw, "-o", tmp_path / "a.gif", *distances, "--scale", 2
+    )
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert (picture.n_frames, picture.size) == (46, (16, 16))
+    assert "one after the other" in run("views", raw, "-o", tmp_path / "b.gif")
+    assert Image.open(tmp_path / "b.gif").size == (480, 480)
+
+
+def test_refused_drawings(raw, tmp_path, complaint):
+    for arguments, message in [
+        (["views", "-o", "a.exr", "--scale", 2], "--scale 2: it is for plain pictures (.png, .gif, .mp4), without"),
+        (["views", "-o", "a.png", "--figure", "--scale", 2], "--scale 2: it is for plain pictures"),
+        (["depth", "-o", "a.pdf", "--scale", 2], "--scale 2: it is for plain pictures"),
+        (["views", "-o", "a.gif", "--figure"], "--figure: it is for .png and .pdf; the output is a.gif"),
+        (["views", "-o", "a.png", "--scale", 65], "--scale = 65: it must be at most 64"),
+        (["epi", "-o", "a.gif"], "a.gif: give a name that ends in .exr or .png or .pdf"),
+        (
+            ["stack", "-o", "a.gif", "--distance", 240],
+            "--distance: a focal sweep goes from one distance to another, and 1 are given",
+        ),
+        (["reconstruct", "-o", "a.pdf", "--distance", 240, "--distance", 240], "--distance = 240: it is given twice"),
+        (["views", "-o", "a.exr", "--exposure", 1], "--exposure: it is for pictures (.png, .pdf, .gif, .mp4)"),
+    ]:
+        command, *options = arguments
+        assert complaint(command, raw, *options).startswith(message), message

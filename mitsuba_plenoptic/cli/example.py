@@ -1,0 +1,37 @@
+"""``mitsuba-plenoptic example``: a finished capture to try the other commands on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..io import examples
+from ..io.captures import write_capture
+from ..io.files import require_writable
+from ..io.ground_truth import NAME, truth_path, write_ground_truth
+from .inputs import output_option
+
+
+def example(
+    name: Annotated[str, typer.Argument(metavar="|".join(examples.NAMES), help="Which capture.")],
+    output: Annotated[Path | None, output_option("FILE.exr", "File to write. Default: named as the capture.")] = None,
+) -> None:
+    """Write a finished capture, with its ground truth next to it, to try the other commands on.
+
+    All are by one camera of 48 x 48 microlenses. The letters are at 210, 240
+    and 280 mm; white is a luminous wall, for [bold]--white[/bold].
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic example letters-wave -o wave.exr
+    """
+    capture, truth = examples.example(name), examples.example_truth(name)
+    path = require_writable(output or Path(f"{name}.exr"), ".exr")
+    truth_file = require_writable(truth_path(path))
+    write_ground_truth(truth_file, truth)
+    write_capture(path, replace(capture, metadata={**capture.metadata, NAME: truth_file.name}))
+    rows, columns = capture.camera.shape
+    typer.echo(f"{path}: capture of {columns} x {rows} pixels, {capture.model} model; ground truth in {truth_file}")

@@ -1,0 +1,64 @@
+"""Finished captures that come with the package, so that reconstruction can be tried without rendering."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import require_choice
+from .captures import Capture, read_capture
+from .ground_truth import GroundTruth, read_ground_truth, truth_path
+
+NAMES = ("letters-ray", "letters-wave", "white")
+"""The scene of the letters by both models of light, and a luminous wall by the same camera."""
+
+FOLDER = Path(__file__).parents[1] / "examples"
+
+
+def example(name: str) -> Capture:
+    """Read a finished capture that comes with the package.
+
+    All are by one camera of 48 x 48 microlenses with 16 x 16 pixels each, focused at 240 mm. ``letters-ray`` and
+    ``letters-wave`` are the scene ``letters`` by both models of light, at 0.6 times its size: an 8 at 210 mm, an F at
+    240 mm and a # at 280 mm. ``white`` is a luminous wall by the ray model, for the argument `white` of `reconstruct`
+    and `decode`. ``tools/make_examples.py`` makes them.
+
+    Parameters
+    ----------
+    name : {"letters-ray", "letters-wave", "white"}
+        Which capture.
+
+    Returns
+    -------
+    Capture
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists the names.
+    """
+    return read_capture(_path(name))
+
+
+def example_truth(name: str) -> GroundTruth:
+    """Read the ground truth of an `example`: the depth that each pixel and each view see.
+
+    Parameters
+    ----------
+    name : {"letters-ray", "letters-wave", "white"}
+        Which capture.
+
+    Returns
+    -------
+    GroundTruth
+        Its only quantity is ``depth``, rounded to 2^-10 mm.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; the message lists the names.
+    """
+    return read_ground_truth(truth_path(_path(name)))
+
+
+def _path(name: str) -> Path:
+    return FOLDER / f"{require_choice('example', name, NAMES)}.exr"

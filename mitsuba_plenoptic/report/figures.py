@@ -1,0 +1,329 @@
+"""Figures for papers: images in rows and columns with a colour bar and scale bars, depth maps, epipolar images.
+
+All are as wide as a column or a page, with text of 7 points, and are written as PNG or PDF. What is NaN is hatched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import FuncNorm, Normalize
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+
+from ..errors import refuse_if
+from ..lightfield.exchange.pictures import linear_of
+from ..lightfield.geometry import camera_of
+from ..reconstruction import Reconstruction
+from .framing import Canvas, bar_length, scale_bar
+from .images import Brightness, srgb, to_bytes
+
+__all__ = ["contact_sheet", "depth_figure", "epipolar_figure", "stack_figure", "views_figure"]
+
+_COLUMN, _PAGE = 3.4, 7.0
+"""Widths in inches of a column and of a page of two columns."""
+
+_DPI = 300
+_TEXT = 7.0
+_INK, _BACK, _HATCH = "#1b1f24", "#eef0f3", "#9aa3ad"
+_GAP, _TITLE, _SIDE, _BAR = 0.06, 0.2, 0.24, 0.55
+_LONGEST_BAR = 2.0
+_MOST_LABELS = 9
+
+
+@dataclass(frozen=True)
+class Panel:
+    """An image of a sheet, its title, and how many millimetres of the object it is wide, if that is known."""
+
+    image: np.ndarray
+    title: str = ""
+    width: float | None = None
+
+
+def contact_sheet(results: Sequence[Reconstruction], white: float | None = None) -> Canvas:
+    """Lay out reconstructions: a row for each method and a column for each distance, on one scale.
+
+    Parameters
+    ----------
+    results : sequence of Reconstruction
+        In any order; of a method and a distance the last is shown, and what is missing stays empty.
+    white : float, optional
+        Radiance that becomes white. Default: that which 99.5 % of the bins do not surpass.
+
+    Returns
+    -------
+    Canvas
+        Its method `save` writes PNG or PDF.
+
+    Raises
+    ------
+    InputError
+        If there is no reconstruction, or they are by several cameras.
+    """
+    refuse_if(not results, "results: give at least one")
+    refuse_if(any(one.camera != results[0].camera for one in results), "results: they must be by one camera")
+    found = {(one.method, one.distance): one for one in results}
+    methods = list(dict.fromkeys(one.method for one in results))
+    distances = sorted({one.distance for one in results})
+
+    def panel(row: int, method: str, distance: float) -> Panel:
+        one = found.get((method, distance))
+        title = _distance(distance) if row == 0 else ""
+        if one is None:
+            return Panel(np.zeros((0, 0)), title)
+        width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
+        return Panel(one.image, title, width if row == 0 else None)
+
+    rows = [[panel(row, method, distance) for distance in distances] for row, method in enumerate(methods)]
+    return _sheet(rows, methods if len(methods) > 1 else [], white)
+
+
+def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
+    """Lay out a focal stack in rows, each image with its distance.
+
+    Parameters
+    ----------
+    stack : xarray.DataArray
+        As `focal_stack` returns it: distance, t, s[, c].
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Canvas
+        Its method `save` writes PNG or PDF.
+    """
+    camera = camera_of(stack)
+    panels = [
+        Panel(
+            np.asarray(image.values),
+            _distance(float(image.distance)),
+            image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
+        )
+        for image in stack
+    ]
+    columns = len(panels) if len(panels) < 5 else int(np.ceil(np.sqrt(len(panels))))
+    return _sheet([panels[start : start + columns] for start in range(0, len(panels), columns)], [], white)
+
+
+def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
+    """Lay out the views of a light field as they lie on the pupil, labelled by their positions u and v.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Canvas
+        Its method `save` writes PNG or PDF.
+    """
+    known = "camera" in lf.attrs
+    unit = " mm" if known else ""
+    across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
+    width = abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
+    values = _sampled(lf)
+    rows = [
+        [
+            Panel(values[j, i], across[i] if j == 0 else "", width if known and i == j == 0 else None)
+            for i in range(lf.sizes["u"])
+        ]
+        for j in range(lf.sizes["v"])
+    ]
+    return _sheet(rows, down, white)
+
+
+def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
+    """Draw an epipolar image with its axes: position on the pupil over position in the plane in focus.
+
+    Parameters
+    ----------
+    image : xarray.DataArray
+        As `epipolar_image` returns it: (u, s[, c]) or (v, t[, c]).
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Canvas
+        Its method `save` writes PNG or PDF.
+    """
+    down, across = (str(name) for name in image.dims[:2])
+    unit = " (mm)" if "camera" in image.attrs else ""
+    values = _sampled(image)
+    left, top, tall, bottom = 0.5, 0.08, 1.3, 0.4
+    wide = _COLUMN - left - (_BAR + _GAP if values.ndim == 2 else 0.1)
+    canvas = Canvas(_COLUMN, top + tall + bottom, _DPI)
+    axes = canvas.axes(left, top, wide, tall)
+    edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
+    drawn = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
+    axes.set_frame_on(True)
+    for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
+        axis.set_major_locator(MaxNLocator(5))
+        axis.set_label_text(f"{name}{unit}", size=_TEXT, color=_INK)
+    _plain(axes)
+    if values.ndim == 2:
+        _radiance_bar(canvas, drawn, values, _COLUMN - _BAR, top, tall)
+    return canvas
+
+
+def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
+    """Draw a depth map: the image in focus everywhere, the depth, and its confidence, each with its scale.
+
+    Parameters
+    ----------
+    found : xarray.Dataset
+        As `depth_map` returns it. Where its depth is NaN it is hatched.
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Canvas
+        Its method `save` writes PNG or PDF.
+    """
+    image, depth = np.asarray(found["image"].values), np.asarray(found["depth"].values)
+    known = depth[np.isfinite(depth)]
+    near, far = (float(known.min()), float(known.max())) if known.size else (found.attrs["near"], found.attrs["far"])
+    gap, margin = 0.26, 0.12
+    wide = (_PAGE - 2 * gap - 2 * margin) / 3
+    tall = wide * depth.shape[0] / depth.shape[1]
+    canvas = Canvas(_PAGE, _TITLE + tall + 0.5, _DPI)
+    unknown = "" if known.size == depth.size else "; hatched: unknown"
+    parts: list[tuple[str, np.ndarray, Any, str, str]] = [
+        ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
+        ("Depth", depth, Normalize(near, far), "viridis_r", f"mm from the main lens{unknown}"),
+        ("Confidence", np.asarray(found["confidence"].values), Normalize(0, 1), "gray", "probability"),
+    ]
+    for index, (title, values, norm, colours, label) in enumerate(parts):
+        left = margin + index * (wide + gap)
+        axes = canvas.axes(left, _TITLE, wide, tall)
+        drawn = _draw(axes, values, norm, colours)
+        _write(axes, title, "")
+        if values.ndim == 3:
+            _state_white(axes, norm)
+        else:
+            below, end = _TITLE + tall + 0.07, _end(values, norm)
+            bar = canvas.colour_bar(drawn, left, below, 0.09, label, width=wide, text=_TEXT, extend=end)
+            bar.locator = MaxNLocator(4)
+            bar.update_ticks()
+    return canvas
+
+
+def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None) -> Canvas:
+    """Lay out panels of one size and one scale, with labels at the left of the rows."""
+    images = [panel.image for row in rows for panel in row if panel.image.size]
+    aspect = images[0].shape[0] / images[0].shape[1]
+    grey = images[0].ndim == 2
+    columns = max(len(row) for row in rows)
+    across = _COLUMN if columns < 3 else _PAGE
+    left, bar = (_SIDE if labels else 0.0), (_BAR + _GAP if grey else 0.0)
+    wide = (across - left - bar - (columns - 1) * _GAP) / columns
+    tall = wide * aspect
+    titles = [_TITLE if any(panel.title for panel in row) else _GAP for row in rows]
+    tops = [sum(titles[: index + 1]) + index * tall for index in range(len(rows))]
+    canvas = Canvas(across, tops[-1] + tall + (_GAP if grey else _TITLE), _DPI)
+    norm, drawn = _grey(images, white), None
+    for down, row in enumerate(rows):
+        for index, panel in enumerate(row):
+            axes = canvas.axes(left + index * (wide + _GAP), tops[down], wide, tall)
+            _write(axes, panel.title, labels[down] if labels and index == 0 else "")
+            if not panel.image.size:
+                continue
+            shown = _draw(axes, panel.image, norm)
+            drawn = drawn or shown
+            if panel.width is not None:
+                length = bar_length(panel.width)
+                scale_bar(axes, length, panel.width, f"{length:g} mm", size=_TEXT)
+            if not grey and index == 0 and down == len(rows) - 1:
+                _state_white(axes, norm)
+    if grey:
+        height = min(_LONGEST_BAR, tops[-1] + tall - tops[0])
+        _radiance_bar(
+            canvas, drawn, np.concatenate([image.ravel() for image in images]), across - _BAR, tops[0], height
+        )
+    return canvas
+
+
+def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
+    """Return the scale of radiances from black to white, encoded in sRGB as pictures are."""
+    peak = Brightness().white(images) if white is None else white
+    return FuncNorm(
+        (lambda values: srgb(np.clip(np.asarray(values) / peak, 0, None)), lambda codes: peak * linear_of(codes)),
+        vmin=0,
+        vmax=peak,
+    )
+
+
+def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
+    """Draw an image or a map; what is NaN is hatched."""
+    known = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
+    if not known.all():
+        with matplotlib.rc_context({"hatch.linewidth": 0.4}):
+            back = Rectangle((0, 0), 1, 1, transform=axes.transAxes, zorder=-1, linewidth=0, hatch="/////////")
+            back.set(facecolor=_BACK, edgecolor=_HATCH)
+            axes.add_patch(back)
+    options |= {"interpolation": "none", "aspect": "auto"}
+    if values.ndim == 2:
+        return axes.imshow(np.ma.masked_where(~known, values), cmap=colours, norm=norm, **options)
+    opaque = 255 * known.astype(np.uint8)
+    return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
+
+
+def _state_white(axes: Axes, norm: Normalize) -> None:
+    """State below a colour image, which has no scale, which radiance is white."""
+    axes.set_xlabel(f"white: radiance {norm.vmax:.3g}", size=_TEXT, color=_INK, loc="left", labelpad=3)
+
+
+def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, top: float, height: float) -> None:
+    """Add the scale of radiances."""
+    end = _end(values, drawn.norm)
+    canvas.colour_bar(drawn, left, top, height, "radiance", width=0.1, text=_TEXT, extend=end)
+
+
+def _end(values: np.ndarray, norm: Normalize) -> str:
+    """Return how a scale ends: with an arrow where some values surpass it."""
+    return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
+
+
+def _sampled(lf: xr.DataArray) -> np.ndarray:
+    """Return the samples of a light field or a part of it, NaN where no light comes from."""
+    return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
+
+
+def _edges(positions: np.ndarray) -> tuple[float, float]:
+    """Return the outer edges of evenly spaced samples; a single one is drawn 1 wide."""
+    half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
+    return float(positions[0] - half), float(positions[-1] + half)
+
+
+def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
+    """Label positions, of many only some, so that the labels do not overlap; the first states what they are."""
+    every = -(-len(positions) // _MOST_LABELS)
+    texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
+    return [f"{name} = {texts[0]}{unit}", *texts[1:]]
+
+
+def _distance(distance: float) -> str:
+    return f"{distance:g} mm" if np.isfinite(distance) else "infinity"
+
+
+def _write(axes: Axes, title: str, side: str) -> None:
+    axes.set_title(title, size=_TEXT, color=_INK, loc="left", pad=3)
+    axes.set_ylabel(side, size=_TEXT, color=_INK, labelpad=3)
+
+
+def _plain(axes: Axes) -> None:
+    """Draw thin axes with small text."""
+    axes.tick_params(labelsize=_TEXT, labelcolor=_INK, color=_INK, width=0.5, length=2)
+    for spine in axes.spines.values():
+        spine.set(linewidth=0.5, color=_INK)
