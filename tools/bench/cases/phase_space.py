@@ -153,6 +153,7 @@ class Wall:
         pitch = camera.mla_pitch
         self.blur = abs(blur)
         self._pupil_distance, self._pupil_radius = camera.pupil_distance, camera.pupil_radius
+        self._thin = camera.main_lens is None
         lens = camera.objective
         if lens is not None:
             self.distance = blur * pitch / (lens.magnification * math.tan(lens.half_angle))
@@ -193,9 +194,10 @@ class Wall:
     def _fall(self, pupil: tuple[Any, Any, Any], x: Any, y: Any) -> Any:
         """Return cos^4 of the angle between a ray from a pupil point and the axis, over its mean over the pupil.
 
-        Points spread their power over the detector with this factor, which captures of scenes leave out by convention.
+        Points behind thin lenses spread their power over the detector with this factor, which captures of scenes leave
+        out by convention.
         """
-        if self._objective is not None:
+        if not self._thin:
             return 1.0
         b, radius = self._pupil_distance, self._pupil_radius
         own = dr.square(pupil[0] - x) + dr.square(pupil[1] - y)
