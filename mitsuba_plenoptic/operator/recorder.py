@@ -135,8 +135,7 @@ class Recorder:
     def _integrals(self) -> PixelIntegrals:
         if self._whole is not None and self._grid.rotation == 0:
             whole = self._whole
-            pixels, samples = _slices(self._pixels, whole._pixels), _slices(self.box, whole.box)
-            return whole._integrals.cut(pixels, samples)
+            return whole._integrals.cut(_slices(self._pixels, whole._pixels), _slices(self.box, whole.box))
         x, y = self._grid.pitch.tolist()
         pitch, origin, samples = (x, y), self._origin, (self.box.rows, self.box.columns)
         if self._grid.rotation != 0:
