@@ -34,7 +34,8 @@ class StoredOperator(CaptureOperator):
     camera, points, **options
         As for `CaptureOperator`.
     budget : float
-        Memory in GiB that the spreads may take. More is refused before any of them is computed.
+        Memory in GiB that the spreads may take, and twice that while they are computed. More is refused before any of
+        them is computed.
     dtype : {"float32", "float64"}
         Type of the stored spreads and of the images. The spreads have the accuracy of single precision in both, but
         the products with "float64" are linear to double precision.
@@ -139,6 +140,8 @@ class StoredOperator(CaptureOperator):
         mixed = [part.after @ part.before.T for part in parts]
         entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))
         check_memory(2.0 * entries * (self._dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
+        if len(parts) == mixed[0].size == 1:
+            return matrices[parts[0].wavelength] * self._dtype.type(mixed[0].item())
         return sum(
             scipy.sparse.kron(matrices[part.wavelength], own.astype(self._dtype), format="csc")
             for part, own in zip(parts, mixed, strict=True)
