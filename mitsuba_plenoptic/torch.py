@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import PlenopticCamera
-from .errors import InputError, refuse_if, require_known
+from .errors import InputError, refuse_if, require_known, short_repr
 from .operator.derivatives import DIFFERENTIABLE, WAVELENGTH
 from .operator.operator import CaptureOperator
 from .reconstruction import CoherentRefocus, RayRefocus
@@ -186,7 +186,7 @@ def render(
     def image(*tensors: Any) -> Any:
         for name, tensor in zip(values, tensors, strict=True):
             kind = type(parameters[name])
-            parameters[name] = kind(tensor) if dr.is_tensor_v(kind) else dr.unravel(kind, tensor.array)
+            parameters[name] = kind(tensor) if dr.is_tensor_v(kind) else dr.unravel(kind, tensor.array, order="C")
         parameters.update()
         return mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed)
 
@@ -263,7 +263,8 @@ class _Refocus(torch.autograd.Function):
 
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
-    """Return the memory of a tensor, or a copy of it on the processor."""
+    """Return the memory of a tensor, or a copy of it on the processor; refuse anything else."""
+    refuse_if(not isinstance(tensor, torch.Tensor), f"{short_repr(tensor)}: it must be a tensor of PyTorch")
     return tensor.detach().cpu().numpy()
 
 
@@ -276,7 +277,8 @@ def _images(operator: CaptureOperator, weights: NDArray[Any]) -> NDArray[Any]:
     """Apply the operator to weights."""
     made = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
     before, after = _axes(operator)
-    return np.concatenate(made).reshape(*weights.shape[: -len(before)], *after)
+    # In the order of memory that PyTorch's layers are fast with.
+    return np.ascontiguousarray(np.concatenate(made)).reshape(*weights.shape[: -len(before)], *after)
 
 
 def _products(operator: CaptureOperator, images: NDArray[Any]) -> NDArray[Any]:
@@ -308,7 +310,7 @@ def _split(name: str, given: NDArray[Any], last: tuple[int, ...], operator: Capt
     """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
     refuse_if(
         given.shape[-len(last) :] != last or not given.size,
-        f"{name} of shape {given.shape}: the last axes must be {last}",
+        f"{name} of shape {given.shape}: it must not be empty, and its last axes must be {last}",
     )
     flat = given.reshape(-1, *last)
     return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
@@ -318,7 +320,7 @@ def _together(function: _Map, captures: NDArray[Any]) -> NDArray[Any]:
     """Apply a function of an image with channels to a batch of images."""
     refuse_if(captures.ndim < 2 or not captures.size, f"captures of shape {captures.shape}: give (..., rows, columns)")
     made = function(np.moveaxis(captures.reshape(-1, *captures.shape[-2:]), 0, -1))
-    return np.moveaxis(made, -1, 0).reshape(*captures.shape[:-2], *made.shape[:2])
+    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*captures.shape[:-2], *made.shape[:2])
 
 
 def _shaped(gradient: NDArray[np.float64], value: torch.Tensor) -> NDArray[np.float64]:

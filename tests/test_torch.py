@@ -61,7 +61,7 @@ def test_batches_are_the_operator_one_by_one():
     operator, weights = stored(), random(2, 4, 3)
     images = bridge.forward(operator, weights)
     assert images.shape == (2, 4, *CAMERA.shape)
-    assert images.dtype == torch.float64
+    assert images.dtype == torch.float64 and images.is_contiguous()
     np.testing.assert_allclose(images[1, 2].detach(), operator.forward(weights[1, 2].detach().numpy()))
     np.testing.assert_allclose(bridge.adjoint(operator, images)[1, 2].detach(), operator.adjoint(images[1, 2].detach()))
 
@@ -193,8 +193,10 @@ def test_captures_of_scenes():
 
 
 def test_mistakes():
-    with pytest.raises(InputError, match=r"^weights of shape \(2, 4\): the last axes must be \(3,\)$"):
+    with pytest.raises(InputError, match=r"^weights of shape \(2, 4\): it must not be empty, and its last axes"):
         bridge.forward(stored(), random(2, 4))
+    with pytest.raises(InputError, match=r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"):
+        bridge.forward(stored(), [1, 2, 3])
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
     with pytest.raises(InputError, match=r"^captures of shape \(3,\): give \(\.\.\., rows, columns\)$"):
