@@ -190,7 +190,7 @@ def render(
         parameters.update()
         return mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed)
 
-    return dr.wrap(source="torch", target="drjit")(image)(*(value.float() for value in values.values()))
+    return dr.wrap(source="torch", target="drjit")(image)(*(_required(value).float() for value in values.values()))
 
 
 class _Linear(torch.autograd.Function):
@@ -263,9 +263,14 @@ class _Refocus(torch.autograd.Function):
 
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
-    """Return the memory of a tensor, or a copy of it on the processor; refuse anything else."""
-    refuse_if(not isinstance(tensor, torch.Tensor), f"{short_repr(tensor)}: it must be a tensor of PyTorch")
-    return tensor.detach().cpu().numpy()
+    """Return the memory of a tensor, or a copy of it on the processor."""
+    return _required(tensor).detach().cpu().numpy()
+
+
+def _required(value: Any) -> torch.Tensor:
+    """Return a tensor, or refuse anything else."""
+    refuse_if(not isinstance(value, torch.Tensor), f"{short_repr(value)}: it must be a tensor of PyTorch")
+    return value
 
 
 def _tensor(array: Any, like: torch.Tensor) -> torch.Tensor:

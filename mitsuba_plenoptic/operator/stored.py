@@ -181,8 +181,8 @@ class StoredOperator(CaptureOperator):
         needed = sum(plans.checked(wavelength, job, 1).pixels for wavelength in wavelengths) * entry / 2**30
         refuse_if(
             needed > self._budget,
-            f"budget = {self._budget:g} GiB: the spreads of {count} points at {len(wavelengths)} wavelengths "
-            f"take {needed:.3g} GiB",
+            f"budget = {self._budget:g} GiB: the spreads of {count} points at {len(wavelengths)} "
+            f"wavelength{'s' * (len(wavelengths) > 1)} take {needed:.3g} GiB; CaptureOperator stores none",
         )
         with guards.watch():
             self._matrices = {
@@ -197,7 +197,7 @@ class StoredOperator(CaptureOperator):
         empty = np.zeros(0, np.int32), np.zeros(0, self._dtype)
         columns = [empty] * len(self.points)
         for spread in spreads:
-            column = index[spread.window].ravel(), spread.pixels.ravel().astype(self._dtype)
+            column = index[spread.window].ravel(), spread.pixels.ravel().astype(self._dtype, copy=False)
             for point in spread.points.tolist():
                 columns[point] = column
         rows, values = (np.concatenate([column[k] for column in columns] or [empty[k]]) for k in (0, 1))
