@@ -35,8 +35,8 @@ def _camera(pixels: int) -> PlenopticCamera:
 def least_squares(*, points: int = 25, pixels: int = 256, steps: int = 60, computed: int = 3) -> Iterator[Row]:
     """Find the weights of random points from a capture with noise."""
     camera, rng = _camera(pixels), np.random.default_rng(0)
-    half = camera.detector_width
-    positions = np.column_stack([rng.uniform(-half, half, (points, 2)), rng.uniform(215, 260, points)])
+    reach = camera.detector_width  # of points at twice the distance of the microlenses
+    positions = np.column_stack([rng.uniform(-reach, reach, (points, 2)), rng.uniform(215, 260, points)])
     weights, options = rng.uniform(0.5, 1, points), {"wavelength": WAVELENGTH, "accuracy": 0}
     plain = CaptureOperator(camera, positions, **options)
     image = plain.forward(weights)  # plans the sums, and compiles the kernels
