@@ -43,6 +43,7 @@ from .lenses.lens_system import LensSystem
 from .objective import Objective
 from .operator.operator import CaptureOperator
 from .operator.point_spread import point_spread_function
+from .operator.stored import StoredOperator
 from .operator.volumes import volume_points
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
@@ -92,6 +93,7 @@ __all__ = [
     "Prescription",
     "Reconstruction",
     "Spectrum",
+    "StoredOperator",
     "Viewer",
     "calibrate",
     "decode",

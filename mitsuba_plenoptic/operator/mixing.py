@@ -92,10 +92,10 @@ class WeightChannels:
         for part in self.parts(weights.shape[1]):
             yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
 
-    def check_image(self, image: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
+    def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels), or refuse it."""
         with refusing("image: it must be numbers, (rows, columns) or (rows, columns, channels)", *NO_ARRAY):
-            pixels = np.asarray(image, np.float32)
+            pixels = np.asarray(image, dtype)
         rows, columns = shape
         refuse_if(
             pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all(),
@@ -162,8 +162,8 @@ class WavelengthPlans:
         return plan
 
 
-def mix(image: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mix the channels of an image, (rows, columns, channels), by a matrix (new channels, channels)."""
+def mix(image: NDArray[Any], matrix: NDArray[np.float32]) -> NDArray[Any]:
+    """Mix the channels of an image, (..., channels), by a matrix (new channels, channels)."""
     return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
 
 

@@ -99,6 +99,7 @@ class CaptureOperator:
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
+        self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
         require_choice("method", method, METHODS)
         refuse_if(

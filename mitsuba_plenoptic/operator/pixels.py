@@ -145,6 +145,12 @@ class PixelIntegrals:
         edges_x, edges_y = (axis.at_edges(np.full(axis.count + 1, math.pi / 180)) for axis in self._axes)
         return PixelIntegrals(*self._axes, [(moment_y, edges_x), (edges_y, -moment_x)])
 
+    def cut(self, pixels: tuple[slice, slice], samples: tuple[slice, slice]) -> PixelIntegrals:
+        """Return the integrals over some rows and columns of the pixels, from some rows and columns of the samples."""
+        (rows, columns), (down, across) = pixels, samples
+        terms = [(along_y[rows, down], along_x[columns, across]) for along_y, along_x in self._terms]
+        return PixelIntegrals(*self._axes, terms)
+
     def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Integrate samples (rows, columns) per square millimetre over the pixels, on the device of the samples."""
         return _sum_of_products(self._terms, intensity)

@@ -25,11 +25,19 @@ _EDGE = 8
 class Recorder:
     """The recorded pixels that some patches reach, and the samples that these pixels feel: `box`, on a grid.
 
-    `low` and `high`, (n, 2), are the first sample of each patch along x and y, and the one after its last.
+    `low` and `high`, (n, 2), are the first sample of each patch along x and y, and the one after its last. `whole` is a
+    recorder of these patches and others, whose data are used.
     """
 
-    def __init__(self, camera: PlenopticCamera, grid: Grid, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
-        self._camera, self._grid = camera, grid
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        grid: Grid,
+        low: NDArray[np.int64],
+        high: NDArray[np.int64],
+        whole: Recorder | None = None,
+    ) -> None:
+        self._camera, self._grid, self._whole = camera, grid, whole
         pitch, p = grid.pitch, camera.pixel_size
         start = np.array(camera.crop_offset)
         stop = start + np.array(camera.crop_size)
@@ -53,6 +61,11 @@ class Recorder:
         return corners.min(0), corners.max(0)
 
     @property
+    def count(self) -> int:
+        """Number of the pixels."""
+        return self._pixels.rows * self._pixels.columns
+
+    @property
     def memory(self) -> float:
         """Bytes that a channel takes while it is recorded."""
         image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
@@ -67,24 +80,28 @@ class Recorder:
         detector's position).
         """
         image = np.zeros((*self._camera.shape, len(sums)), np.float32)
-        target = image[self._window]
+        target = image[self.window]
         for channel, samples in enumerate(sums):
-            upright = samples if self._upright is None else self._upright.forward(samples)
-            target[..., channel] = backend().to_host(self._pixels_of(move).forward(upright))
+            target[..., channel] = self.integrate(samples, move)
         return image
+
+    def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+        """Integrate one channel as `record` does, but return the pixels in the `window` only, (rows, columns)."""
+        upright = samples if self._upright is None else self._upright.forward(samples)
+        return backend().to_host(self._pixels_of(move).forward(upright))
 
     def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
         """Apply the adjoint of `record`."""
         arrays = backend().arrays
         channels = []
-        for channel in np.moveaxis(image[self._window], -1, 0):
+        for channel in np.moveaxis(image[self.window], -1, 0):
             samples = self._pixels_of(move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
             channels.append(samples if self._upright is None else self._upright.adjoint(samples))
         return arrays.stack(channels)
 
     @property
-    def _window(self) -> tuple[slice, slice]:
-        """Where the pixels lie in the image."""
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the pixels in the image."""
         left, top = (self._pixels.left, self._pixels.top)
         left, top = left - self._camera.crop_offset[0], top - self._camera.crop_offset[1]
         return slice(top, top + self._pixels.rows), slice(left, left + self._pixels.columns)
@@ -116,6 +133,9 @@ class Recorder:
 
     @cached_property
     def _integrals(self) -> PixelIntegrals:
+        if self._whole is not None and self._grid.rotation == 0:
+            whole = self._whole
+            return whole._integrals.cut(_slices(self._pixels, whole._pixels), _slices(self.box, whole.box))
         x, y = self._grid.pitch.tolist()
         pitch, origin, samples = (x, y), self._origin, (self.box.rows, self.box.columns)
         if self._grid.rotation != 0:
@@ -153,3 +173,9 @@ class Recorder:
     def _upright_origin(self) -> tuple[float, float]:
         step = float(self._grid.pitch.min())
         return self._edge[0] - _EDGE * step, self._edge[1] - _EDGE * step
+
+
+def _slices(part: Box, whole: Box) -> tuple[slice, slice]:
+    """Return the rows and columns of a rectangle within another."""
+    top, left = part.top - whole.top, part.left - whole.left
+    return slice(top, top + part.rows), slice(left, left + part.columns)

@@ -1,0 +1,104 @@
+"""Point spreads one by one, in the pixels that each of them reaches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..optics import guards
+from ..runtime.backend import backend
+from ..runtime.batches import Part, add
+from ..runtime.jobs import Job
+from .full_field import FullFieldPlan
+from .patch_plan import PatchPlan
+from .recorder import Recorder
+from .tile import Copies, Scatter
+
+_TOGETHER_BYTES = 2**26
+"""Memory of the patches that are computed together."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The point spread that some points share, in the pixels of a window of the image."""
+
+    points: NDArray[np.int64]
+    window: tuple[slice, slice]
+    pixels: NDArray[np.float32]
+
+
+class PatchSpreads(PatchPlan):
+    """The spreads of `PatchPlan`, not added."""
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels in the windows of the spreads of all points."""
+        patterns = range(len(self._positions))
+        return sum(recorder.count * len(points) for p in patterns for points, _, recorder in self._recorded(p))
+
+    def spreads(self, job: Job, done: int, total: int) -> Iterator[Spread]:
+        """Yield the spreads of all points whose light reaches the recorded window.
+
+        `done` of the `total` points of a job are already complete.
+        """
+        parts = [part for chunk in self._chunks for part in self._few(chunk)]
+        members, arrived = self._last - self._first, 0.0
+        items = [int(members[part].sum()) for part in parts]
+        results = job.each(map(self._apart, parts), items, done + self._count - sum(items), total)
+        for part, made in zip(parts, results, strict=True):
+            for pattern, sums in zip(part.tolist(), made.sums, strict=True):
+                arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
+                for points, shift, recorder in self._recorded(pattern):
+                    (dx, dy), box = shift.tolist(), recorder.box
+                    samples: Any = backend().arrays.zeros((1, box.rows, box.columns), np.float32)
+                    moved = replace(made.box, left=made.box.left + dx, top=made.box.top + dy)
+                    add(Part(moved, sums[None]), box, samples)
+                    yield Spread(points, recorder.window, recorder.integrate(samples[0]))
+        loss = self.loss(self._chunks, np.ones((self._count, 1)), arrived)
+        if loss is not None:
+            guards.check(guards.PATCH, loss)
+
+    def _few(self, chunk: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Divide a chunk into parts whose patterns fit into memory next to each other."""
+        corner, samples = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
+        tile = 4.0 * float((np.ptp(corner, axis=0) + samples).prod())
+        size = max(1, int(_TOGETHER_BYTES // tile))
+        return [chunk[first : first + size] for first in range(0, len(chunk), size)]
+
+    def _apart(self, patterns: NDArray[np.int64]) -> Scatter:
+        """Describe patterns with a channel each."""
+        channels = np.eye(len(patterns), dtype=np.float32)
+        copies = [Copies(np.zeros((1, 2), np.int64), channel[None]) for channel in channels]
+        return Scatter(self._fields(patterns), np.full(len(patterns), self.gain**0.5), copies)
+
+    def _recorded(self, pattern: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Recorder]]:
+        """Yield the points, the shift and the pixels of each copy of a pattern that reaches any."""
+        members = slice(self._first[pattern], self._last[pattern])
+        shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
+        for index, shift in enumerate(shifts):
+            low = (self._placement.corner[pattern] + shift)[None]
+            high = low + self._placement.samples[pattern]
+            recorder = Recorder(self._camera, self._grid, low, high, self._recorder)
+            if recorder.count:
+                yield self._order[members][copy.reshape(-1) == index], shift, recorder
+
+
+class FullFieldSpreads(FullFieldPlan):
+    """The spreads of `FullFieldPlan`, not added."""
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels of all spreads."""
+        return math.prod(self._camera.shape) * len(self._points)
+
+    def spreads(self, job: Job, done: int, total: int) -> Iterator[Spread]:
+        """Yield the spreads of all points; see `PatchSpreads.spreads`."""
+        one, count, window = np.ones(1, np.float32), len(self._points), (slice(None), slice(None))
+        batches = (self.batch(point, one) for point in range(count))
+        for point, part in enumerate(job.each(batches, [1] * count, done, total)):
+            yield Spread(np.array([point]), window, part.sums[0])
