@@ -24,9 +24,7 @@ from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw,
 from ..io.checkpoints import Checkpoint
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
-from ..report.animations import ANIMATED
-from ..report.images import Brightness
-from ..report.output_files import PICTURES, Drawing
+from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.batches import BatchMap, Cluster
 from ..runtime.progress import ProgressBar

@@ -14,7 +14,8 @@ from ..lightfield.depth import is_focused
 from ..lightfield.exchange import open_light_field, open_micro_images, require_light_field_path, save_light_field
 from ..lightfield.refocus import METHODS
 from ..lightfield.views import AXES
-from ..report.animations import ANIMATED, sweep_distances
+from ..report.animations import sweep_distances
+from ..report.images import ANIMATED
 from ..report.output_files import (
     require_picture_path,
     write_depth,

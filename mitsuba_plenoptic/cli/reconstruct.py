@@ -15,7 +15,8 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
-from ..report.output_files import Drawing, reconstruction_paths, write_reconstructions
+from ..report.images import Drawing
+from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.backend import set_variant
 from ..runtime.progress import progress_bar
 from .inputs import (

@@ -98,7 +98,9 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
     fine = np.where(moved, (frequency - _COARSE) / (_FINE - _COARSE), 0)
     aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), fine).clip(0, 1)
-    possible = aliased * ((1.3 - contrast / finer) / 0.3).clip(0, 1)
+    # What is dark or has no frequency is far above 1.3, and must not overflow.
+    ratio = np.minimum(contrast, 1e3) / np.maximum(finer, 1e-6)
+    possible = aliased * ((1.3 - ratio) / 0.3).clip(0, 1)
     return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
 
 

@@ -12,9 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import argument, refuse_if, require_module, require_number
 from ..io.files import atomic_output
-from .images import enlarge, to_bytes
-
-ANIMATED = (".gif", ".mp4")
+from .images import ANIMATED, enlarge, to_bytes
 
 _RATE = 12.5
 """Frames a second: whole hundredths of a second each, as GIF stores them."""

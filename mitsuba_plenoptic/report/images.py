@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,11 @@ from PIL import Image
 
 from ..errors import InputError, require_number
 from ..io.files import atomic_output
+
+ANIMATED = (".gif", ".mp4")
+
+PICTURES = (".png", ".pdf", *ANIMATED)
+"""Suffixes of files that show radiances as brightness."""
 
 
 def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
@@ -112,3 +117,18 @@ class Brightness:
             if value > 0:
                 return float(value)
         return 1.0
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How pictures are drawn."""
+
+    brightness: Brightness = field(default_factory=Brightness)
+    # Pixels that a bin is wide; None: as suits the picture.
+    scale: int | None = None
+    # Whether a PNG is a labelled figure; a PDF always is.
+    figure: bool = False
+
+    def is_figure(self, path: Path) -> bool:
+        """Return whether a file becomes a labelled figure."""
+        return self.figure or path.suffix.lower() == ".pdf"

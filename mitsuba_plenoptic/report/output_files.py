@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +17,13 @@ from ..io.files import require_writable
 from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
 from ..reconstruction import Reconstruction, write_reconstruction
-from .animations import ANIMATED, require_animation, write_animation
-from .images import Brightness, enlarge, write_png
-
-PICTURES = (".png", ".pdf", *ANIMATED)
-"""Suffixes of files that show radiances as brightness."""
+from .animations import require_animation, write_animation
+from .images import ANIMATED, Drawing, enlarge, write_png
 
 _SUFFIXES = (".exr", ".png", ".pdf")
 
 # How many times as large lines of an epipolar image and pixels of a small map are drawn by default.
 _ENLARGED = 4
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """How pictures are drawn."""
-
-    brightness: Brightness = field(default_factory=Brightness)
-    # Pixels that a bin is wide; None: as suits the picture.
-    scale: int | None = None
-    # Whether a PNG is a labelled figure; a PDF always is.
-    figure: bool = False
-
-    def is_figure(self, path: Path) -> bool:
-        """Return whether a file becomes a labelled figure."""
-        return self.figure or path.suffix.lower() == ".pdf"
 
 
 _AUTOMATIC = Drawing()
