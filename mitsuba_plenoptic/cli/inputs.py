@@ -369,11 +369,8 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
     """Return a context of the requested workers, or of None."""
-    return (
-        contextlib.nullcontext()
-        if workers is None and scheduler is None
-        else Cluster(workers=workers, scheduler=scheduler)
-    )
+    given = workers is not None or scheduler is not None
+    return Cluster(workers=workers, scheduler=scheduler) if given else contextlib.nullcontext()
 
 
 @contextlib.contextmanager

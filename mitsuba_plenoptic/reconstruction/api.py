@@ -290,7 +290,7 @@ def reconstruct(
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
         "interleave": require_interleave(interleave, partition, camera),
-        "partition": require_partition(partition, camera),
+        "partition": None if partition is None else require_partition(partition, camera),
         "relay": relay is None or require_flag("relay", relay),
         "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),

@@ -240,10 +240,8 @@ def coloured(capture: Capture | NDArray[Any], distance: float, *, camera: Plenop
     return _separate(_light_in_bins(capture, lenses, distance), np.array(lenses.centres)).reshape(lenses.shape)
 
 
-def require_partition(partition: Any, camera: PlenopticCamera) -> Labels | None:
-    """Return labels of all lenses, numbered from 0 without gaps; None if there are none."""
-    if partition is None:
-        return None
+def require_partition(partition: Any, camera: PlenopticCamera) -> Labels:
+    """Return labels of all lenses, numbered from 0 without gaps."""
     shape = LensArray.of(camera).shape
     try:
         labels = np.asarray(partition)
