@@ -300,7 +300,8 @@ def test_depth_of_the_still_life():
     z = pinhole_picture(scene, 640, 640, 8.192, integrator=integrator, spp=1)[..., -1]
     truth = np.median(z.reshape(128, 5, 128, 5).swapaxes(1, 2).reshape(128, 128, 25), axis=2)
     found = depth_map(decode(capture), 195, 310)
-    sure = found.confidence.values > 0.5
+    # A depth whose neighbours disagree is unknown, whatever its own confidence.
+    sure = (found.confidence.values > 0.5) & np.isfinite(found.depth.values)
     error = np.abs(found.depth.values - truth) / (truth.max() - truth.min())
     assert sure.mean() > 0.3
     assert np.median(error[sure]) < 0.01
