@@ -16,7 +16,7 @@ from mitsuba_plenoptic.runtime import progress
 @pytest.fixture
 def often(monkeypatch):
     """Print lines as often as a test can wait for."""
-    monkeypatch.setattr(progress, "FIRST_LINE", 0.02)
+    monkeypatch.setattr(progress, "FIRST_LINE", 0.001)
     monkeypatch.setattr(progress, "INTERVAL", 0.02)
 
 
