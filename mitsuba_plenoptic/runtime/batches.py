@@ -184,7 +184,9 @@ class Cluster:
                             silence_logs=logging.CRITICAL,
                         )
                     )
-                self._client = opened.enter_context(distributed.Client(address, timeout=_PATIENCE))
+                # As the default client, one that finds no scheduler would leave Dask's own settings changed for good.
+                client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
+                self._client = opened.enter_context(client)
                 self._client.wait_for_workers(1, timeout=_PATIENCE)
                 found = self._client.run(software)
             except (OSError, ValueError, ImportError, RuntimeError) as error:

@@ -206,6 +206,16 @@ def test_mistakes(tmp_path, capfd, monkeypatch, words, message):
     assert not output.exists()
 
 
+@pytest.mark.parametrize("address", ["here", "tcp://127.0.0.1:1"])
+def test_dask_is_left_as_it_was(monkeypatch, address):
+    dask = pytest.importorskip("dask")
+    monkeypatch.setattr(distributed, "_PATIENCE", "1s")
+    before = dask.config.get("scheduler", None)
+    with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
+        pass
+    assert dask.config.get("scheduler", None) == before
+
+
 def test_rays_need_no_workers(cluster):
     scene = load_scene("letters", parameters={"resolution": "64"})
     with pytest.raises(InputError, match=r"batch_map: a ray capture does not take it"):
