@@ -212,6 +212,17 @@ class CameraParameters:
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
     )
+    mla_medium: Parameter[float, float] = Parameter(
+        default=1.0,
+        check=partial(require_number, minimum=1, maximum=4),
+        words=(
+            "Refractive index of the medium between the microlenses and the detector, the same at all wavelengths. "
+            "`mla_focal_length` and `detector_distance` are lengths in it: parallel light converges there at the "
+            "focal length."
+        ),
+        scale=_one,
+        known_to=Captures.NONE,
+    )
     detector_distance: Parameter[float | None, float] = Parameter(
         default=None,
         check=require_length,

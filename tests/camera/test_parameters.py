@@ -76,6 +76,7 @@ OTHER = {
     "mla_tilt": (0.1, -0.2),
     "mla_aperture": "circle",
     "mla_fill": 0.83,
+    "mla_medium": 1.5,
     "detector_distance": 0.49,
     "detector_width": 8.3,
     "resolution": (4000, 3000),
