@@ -73,6 +73,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         If the data cannot determine a camera; the message says what they lack.
     """
     require_camera(start, "start").require_thin("cameras are calibrated")
+    refuse_if(start.mla_medium != 1, f"mla_medium = {start.mla_medium:g}: cameras are calibrated with 1 only")
     size = np.array(start.crop_size)
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)

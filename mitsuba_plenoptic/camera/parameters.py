@@ -221,7 +221,7 @@ class CameraParameters:
             "focal length."
         ),
         scale=_one,
-        known_to=Captures.NONE,
+        known_to=Captures.ALL,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
         default=None,

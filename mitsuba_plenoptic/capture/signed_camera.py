@@ -306,7 +306,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     ):
         centre = offset + (q - m - held) * pitch
         aside.append((rays.pupil_point(P, t, -b) - centre) / pitch)
-        landed.append((centre - (P - centre) * (larger * z / b)) / (step * width / camera.detector_width))
+        landed.append((centre - (P - centre) * (larger * z / (b * camera.mla_medium))) / (step * width / camera.detector_width))
     u, v = camera.lattice.to_frame(*aside)
     square = slope[0] * slope[0] + slope[1] * slope[1]
     grid = 2 * dr.log(width)

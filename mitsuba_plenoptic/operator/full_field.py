@@ -114,9 +114,10 @@ def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field,
         _apply(system.microlenses.factors(grids.bend), grids, samples)
         if before > 0:
             guards.check(guards.MICROLENS, 1 - power(samples) / before)
+    camera = system.camera
     with resting_drjit():
         spectrum = fft2(samples)
-    return advance(spectrum, grids.pitch, system.camera.detector_distance, system.wavelength)
+    return advance(spectrum, grids.pitch, camera.detector_distance, camera.medium_wavelength(system.wavelength))
 
 
 def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:

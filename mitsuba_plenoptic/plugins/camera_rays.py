@@ -115,7 +115,10 @@ class Dispersion:
 
 
 class Passage(NamedTuple):
-    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length."""
+    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length.
+
+    The focal length is reduced by the index of the medium behind the array.
+    """
 
     point: Pair
     centre: Pair
@@ -130,7 +133,7 @@ class CameraRays:
     camera: PlenopticCamera
     lens: MainLens
     lattice: Lattice
-    # Focal lengths of the microlenses, one for each type or one for all.
+    # Reduced focal lengths of the microlenses, one for each type or one for all.
     focal_lengths: Any
     # Distance from the array to the detector.
     detector_distance: Any
@@ -157,7 +160,7 @@ class CameraRays:
             camera,
             main_lens(camera, varying=numbers | {"wavefront": aberrations}),
             lattice,
-            numbers["mla_focal_length"],
+            numbers["mla_focal_length"] / camera.mla_medium,
             numbers["detector_distance"],
             Dispersion.of(camera),
         )
@@ -176,7 +179,7 @@ class CameraRays:
         `pixel` is the detector point, a pair of Dr.Jit arrays.
         """
         lattice = self.lattice
-        b, z = self.lens.pupil_distance, self.detector_distance
+        b, z = self.lens.pupil_distance, self.detector_distance / self.camera.mla_medium
         x, y = (self.lens.chief_point(p, z) for p in pixel)
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / b
@@ -210,19 +213,24 @@ class CameraRays:
         if light is not None:
             f2 = f2 * light.mla_ratio
             lens = light.through(lens)
-        z = self.detector_distance
+        z, n = self.detector_distance, self.camera.mla_medium
         height = self._height(cx, cy) if any(self.camera.mla_tilt) else None
         if height is not None:
             z = z + height
         if self.camera.lens_model == "ideal":
-            slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
+            slope = tuple(rays.microlens_slope(p, m, c, z / n, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
+            emerges = mi.Bool(True)
         else:
             sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-            slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            sx, sy = n * sx - (mx - cx) / f2, n * sy - (my - cy) / f2
+            # The rest is reflected totally.
+            emerges = sx * sx + sy * sy < 1
+            slope = rays.cosines_to_slopes(*(dr.select(emerges, cosine, 0) for cosine in (sx, sy)))
         if height is not None:
             # The point at which the ray crosses the plane of the lens on the axis.
             mx, my = mx - height * slope[0], my - height * slope[1]
-        return lens.trace((mx, my), slope)
+        point, slope, is_open = lens.trace((mx, my), slope)
+        return point, slope, is_open & emerges
 
     def from_pupil(self, pupil: Pair, position: Pair) -> Traced:
         """Trace the rays through points of the array and points of the pupil."""

@@ -332,7 +332,7 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
-    micro, main = camera.detector_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
+    micro, main = camera.reduced_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),

@@ -138,7 +138,7 @@ class ArrayKernels:
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
         """Return the sampling of `kernels`: lag step in fine steps, and numbers of lags and samples on either side."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
@@ -148,7 +148,7 @@ class ArrayKernels:
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
         """Return `kernels` with a given sampling, even if another one would suit them better."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every, farthest, count = samples
         transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, self.kinds[kind])
@@ -162,7 +162,7 @@ class ArrayKernels:
         wavelength = in_millimetres(self.wavelength)
         made = []
         for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
-            scale = wavelength * kind.detector_distance
+            scale = wavelength * kind.distance
             waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
             phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
             field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
@@ -176,7 +176,7 @@ class ArrayKernels:
         :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is a sum of products of transforms of aperture times
         power.
         """
-        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.detector_distance
+        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
         parts = math.ceil(_KEPT * step * float(lattice.aperture_width) / scale)
         count = math.ceil(reach / step)
         fine, far = step / parts, (count + 1) * parts - 1
@@ -203,7 +203,7 @@ class ArrayKernels:
         """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
         # Waves from a point of an objective's stop are plane.
         own = self.camera.lens_data.converges / self.camera.pupil_distance
-        return 1 / kind.detector_distance + own - 1 / kind.focal_length
+        return 1 / kind.distance + own - 1 / kind.focal_length
 
     def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
         """Return the integrals of polynomial times T T* over a cell at given lags in steps, the same along x and y."""

@@ -43,7 +43,7 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     """Return the transmission, with all of its orders, at Dr.Jit float64 positions in millimetres, as Complex2f."""
     dx, dy, which = from_centre(camera, x, y)
     types = array_types(x)
-    focal_length = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), which)
+    focal_length = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), which)
     phase = phasor(parabola(dx * dx + dy * dy, focal_length, wavelength))
     return dr.select(camera.lattice.in_aperture(dx, dy), phase, 0)
 
@@ -61,7 +61,7 @@ def bend(camera: PlenopticCamera) -> float:
     """Return the largest change of a direction cosine by a microlens, along an axis: :math:`D_2 / 2 f_2`."""
     lattice = camera.lattice
     half = lattice.aperture_width / 2 if lattice.separable else lattice.aperture_reach
-    return float(half) / min(camera.mla_focal_lengths)
+    return float(half) / min(camera.reduced_focal_lengths)
 
 
 def scattering(camera: PlenopticCamera) -> float:

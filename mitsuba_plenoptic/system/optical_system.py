@@ -108,7 +108,8 @@ class RayPupil:
 
         The centres lie by a height nearer to the main lens than `detector_distance` before the detector.
         """
-        slopes = ((c - p) / (detector_distance + height) for c, p in zip(centre, detector, strict=True))
+        z, n = detector_distance + height, self.system.camera.mla_medium
+        slopes = ((c - p) * n / z for c, p in zip(centre, detector, strict=True))
         lens = self.system.lens
         return tuple(lens.pupil_point(c, slope, height) for c, slope in zip(centre, slopes, strict=True))
 

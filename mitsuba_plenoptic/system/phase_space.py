@@ -100,7 +100,7 @@ class PhaseSpace(ArrayKernels):
         if not self.by_points:
             return 0.0
         camera = self.camera
-        most = max(abs(self.convergence(kind)) * kind.detector_distance for kind in self.kinds)
+        most = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
         width = in_millimetres(self.wavelength) * camera.pupil_distance / (2 * camera.pupil_radius)
         return most * width / camera.pixel_size
 
@@ -110,8 +110,8 @@ class PhaseSpace(ArrayKernels):
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
         own = camera.lens_data.converges / camera.pupil_distance
-        powers = [1 / f2 - own for f2 in camera.mla_focal_lengths]
-        near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
+        powers = [1 / f2 - own for f2 in camera.reduced_focal_lengths]
+        near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
     @cached_property

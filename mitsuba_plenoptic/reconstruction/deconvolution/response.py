@@ -151,7 +151,7 @@ def _trace(batch: RayBatch) -> Part:
     """Trace the rays of a bin, and distribute each to the four samples around it."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
     lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
-    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
+    pairs, b, z = _pairs(), camera.mla_distance, camera.reduced_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
@@ -166,7 +166,7 @@ def _trace(batch: RayBatch) -> Part:
     offset = [position - centre for position, centre in zip(m, lattice.centre(*index), strict=True)]
     passes = lattice.in_aperture(*offset)
     types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
-    f2 = np.array(camera.mla_focal_lengths)[types]
+    f2 = np.array(camera.reduced_focal_lengths)[types]
     # the inverse of `optics.rays.microlens_slope`
     landed = np.stack([x - z * ((P - x) / b + dx / f2) for x, P, dx in zip(m, pupil, offset, strict=True)], axis=-1)
     position = ((landed - grid.origin) / grid.pitch)[passes]
