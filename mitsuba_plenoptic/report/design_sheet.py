@@ -140,6 +140,9 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
         lattice.append(f"moved by ({', '.join(map(_four, camera.mla_offset))}) mm")
     if any(camera.mla_tilt):
         lattice.append(f"tilted by ({', '.join(map(_four, camera.mla_tilt))}) deg")
+    medium = []
+    if camera.mla_medium != 1:
+        medium = [("medium behind it", f"{camera.mla_medium:g}", "", "refractive index, by which z is divided below")]
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
     return [
@@ -148,6 +151,7 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
         ("lens width", _four(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
         ("distance to detector", _four(camera.detector_distance), "mm", ""),
+        *medium,
     ]
 
 
