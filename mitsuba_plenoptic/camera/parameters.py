@@ -31,6 +31,7 @@ from ..errors import (
 )
 from ..lattice import APERTURES, LATTICES
 from ..lens_data import LensData
+from ..microlens import MicrolensShape, known_shape
 from ..prescription import Glass
 from .entry import Captures, Form, Parameter, record
 from .given_lens import known_glass, known_lens
@@ -112,8 +113,8 @@ class CameraParameters:
         instead_of="mla_distance",
         known_to=Captures.ALL,
     )
-    mla_focal_lengths: Parameter[float | Sequence[float], tuple[float, ...]] = Parameter(
-        default=0.512,
+    mla_focal_lengths: Parameter[float | Sequence[float] | None, tuple[float, ...]] = Parameter(
+        default=None,
         check=require_lengths,
         words=(
             "Focal length :math:`f_2` of a microlens. Three on a hexagonal lattice make a multi-focus array: three "
@@ -122,6 +123,7 @@ class CameraParameters:
         ),
         form=Form.SEVERAL,
         takes="float or three floats",
+        otherwise="0.512, or that of `mla_shape`",
         unit="mm",
         known_to=Captures.ALL,
         gradients=Captures.ALL,
@@ -221,6 +223,19 @@ class CameraParameters:
             "focal length."
         ),
         scale=_one,
+        known_to=Captures.ALL,
+    )
+    mla_shape: Parameter[MicrolensShape | str | Path | dict[str, Any] | None, MicrolensShape | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_shape(value),
+        words=(
+            "Shape of the microlenses, see `mitsuba_plenoptic.microlens`: a sphere, conic or asphere, a sampled surface, "
+            "a sampled phase, or a diffractive lens, as a JSON file or its text, in Python also as an object or as a "
+            "dictionary. `mla_focal_length` follows from it, and rays refract at it in either `lens_model`."
+        ),
+        form=Form.SHAPE,
+        otherwise="a parabolic phase of the focal length",
+        shortest=lambda shape: shape and shape.to_plain(),
         known_to=Captures.ALL,
     )
     detector_distance: Parameter[float | None, float] = Parameter(

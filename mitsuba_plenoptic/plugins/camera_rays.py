@@ -72,10 +72,15 @@ class Dispersion:
             dr.make_opaque(table)
             return table
 
+        microlenses = along(camera.mla_glass, Glass.focal_ratio)
+        if camera.mla_shape is not None:
+            shape = camera.mla_shape
+            microlenses = mi.Float([1 / shape.strength(wavelength) for wavelength in wavelengths])
+            dr.make_opaque(microlenses)
         surfaces = camera.lens_data.traced_surfaces
         indices = [along(surface.glass, Glass.at) for surface in surfaces] if surfaces else None
         return cls(
-            wavelengths, along(camera.glass, Glass.focal_ratio), along(camera.mla_glass, Glass.focal_ratio), indices
+            wavelengths, along(camera.glass, Glass.focal_ratio), microlenses, indices
         )
 
     def ends(self, camera: PlenopticCamera) -> list[PlenopticCamera]:
@@ -217,12 +222,13 @@ class CameraRays:
         height = self._height(cx, cy) if any(self.camera.mla_tilt) else None
         if height is not None:
             z = z + height
-        if self.camera.lens_model == "ideal":
+        if self.camera.mla_shape is None and self.camera.lens_model == "ideal":
             slope = tuple(rays.microlens_slope(p, m, c, z / n, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
             emerges = mi.Bool(True)
         else:
             sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-            sx, sy = n * sx - (mx - cx) / f2, n * sy - (my - cy) / f2
+            turn_x, turn_y = self._turn((mx - cx, my - cy), f2)
+            sx, sy = n * sx + turn_x, n * sy + turn_y
             # The rest is reflected totally.
             emerges = sx * sx + sy * sy < 1
             slope = rays.cosines_to_slopes(*(dr.select(emerges, cosine, 0) for cosine in (sx, sy)))
@@ -231,6 +237,16 @@ class CameraRays:
             mx, my = mx - height * slope[0], my - height * slope[1]
         point, slope, is_open = lens.trace((mx, my), slope)
         return point, slope, is_open & emerges
+
+    def _turn(self, offset: Pair, f2: Any) -> Pair:
+        """Return the change of the direction cosines of rays at offsets from the centres of lenses."""
+        shape = self.camera.mla_shape
+        if shape is None:
+            return tuple(-value / f2 for value in offset)
+        # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
+        weaker = self.camera.reduced_focal_lengths[0] / f2
+        slopes = shape.slopes(*self.lattice.to_frame(*offset))
+        return tuple(slope * weaker for slope in self.lattice.from_frame(*slopes))
 
     def from_pupil(self, pupil: Pair, position: Pair) -> Traced:
         """Trace the rays through points of the array and points of the pupil."""

@@ -297,7 +297,7 @@ class MicrolensArray:
 
     @functools.cached_property
     def _holes(self) -> MicrolensArray:
-        return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT), self._wavelength)
+        return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT, mla_shape=None), self._wavelength)
 
 
 @functools.lru_cache(maxsize=4)

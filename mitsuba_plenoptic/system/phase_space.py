@@ -49,6 +49,9 @@ _OVERSAMPLING, _FINEST = 1.4, 64
 MOST_SHIFT = 0.3
 """Largest displacement in pixels by the pupil's diffraction where the defocus exceeds `MOST_PHASE`."""
 
+_SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
+"""The rule for the shape of microlenses."""
+
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
@@ -89,6 +92,8 @@ class PhaseSpace(ArrayKernels):
             ),
             ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
             ("mla_glass", camera.mla_glass is not None, "taken at the wavelength, by camera.at_wavelength"),
+            ("mla_shape", camera.mla_shape is not None and self.aberration > MOST_PHASE, _SMOOTH),
+            ("mla_shape", camera.mla_shape is not None and self.by_points, "near the microlenses' focus"),
             ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:

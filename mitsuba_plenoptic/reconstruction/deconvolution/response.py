@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_no_shape
 from ...capture.scene_points import sample_pairs
 from ...design import resolution_limit
 from ...operator.accuracy import band_for
@@ -109,6 +110,7 @@ _NO_WAVE = 1.0
 def ray_grid(camera: PlenopticCamera) -> Grid:
     """Lay a grid whose samples are at most half as wide as pixels."""
     camera.require_thin("this is done")
+    require_no_shape(camera, "this is done")
     turned = upright(camera)
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
