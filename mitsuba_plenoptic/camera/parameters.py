@@ -229,9 +229,9 @@ class CameraParameters:
         default=None,
         check=lambda _, value: known_shape(value),
         words=(
-            "Shape of the microlenses, see `mitsuba_plenoptic.microlens`: a sphere, conic or asphere, a sampled surface, "
-            "a sampled phase, or a diffractive lens, as a JSON file or its text, in Python also as an object or as a "
-            "dictionary. `mla_focal_length` follows from it, and rays refract at it in either `lens_model`."
+            "Shape of the microlenses, see `mitsuba_plenoptic.microlens`: a sphere, conic or asphere, a sampled surface "
+            "or phase, or a diffractive lens, as a JSON file or its text, in Python also as an object or a dictionary. "
+            "`mla_focal_length` follows from it, and rays refract at it exactly in either `lens_model`."
         ),
         form=Form.SHAPE,
         otherwise="a parabolic phase of the focal length",

@@ -33,7 +33,6 @@ from .entry import Captures, record
 from .geometry import CameraGeometry
 from .parameters import PARAMETERS
 
-
 _MLA_FOCAL_LENGTH = 0.512
 """Focal length of the microlenses in millimetres, where neither it nor a shape is given."""
 
@@ -125,7 +124,7 @@ def require_whole(camera: CameraGeometry) -> None:
     camera.lens_data.require_fit(camera)
     if camera.mla_shape is not None:
         rim = np.linspace(0, 1, 65)
-        x, y = (camera.lattice.aperture_point(*np.meshgrid(rim, rim)))
+        x, y = camera.lattice.aperture_point(*np.meshgrid(rim, rim))
         covered = camera.mla_shape.covers(*camera.lattice.to_frame(x, y))
         refuse_if(not np.all(covered), "mla_shape: it must be defined all over a lens's aperture, and ends within it")
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))

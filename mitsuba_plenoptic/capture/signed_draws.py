@@ -221,7 +221,7 @@ class Draws:
         return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
 
     def incidence(self, drawn: Drawn) -> Any:
-        """Return the angles of incidence on the detector, in the medium; for points outside a lens, those from its nearest point."""
+        """Return the angles of incidence on the detector, in the medium; points outside a lens have its nearest's."""
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return dr.atan(aside / (self._camera.detector_distance + drawn.height))

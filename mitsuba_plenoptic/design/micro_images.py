@@ -36,8 +36,8 @@ def micro_image_distance(camera: PlenopticCamera) -> float:
 def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Radius of a microlens's focal spot, from its centre to the first zero.
 
-    :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc of
-    diameter d; for a hexagon that of the disc of its area.
+    :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
+    of diameter d; for a hexagon that of the disc of its area.
 
     Parameters
     ----------

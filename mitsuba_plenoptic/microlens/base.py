@@ -147,7 +147,9 @@ def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensSha
             with refusing("it must be a JSON object:", *NO_RECORD):
                 value = json.loads(text)
         if not isinstance(value, dict) or "form" not in value:
-            raise InputError(f"{short_repr(value)}: it must be a shape, a dictionary with an entry form, or a JSON file")
+            raise InputError(
+                f"{short_repr(value)}: it must be a shape, a dictionary with an entry form, or a JSON file"
+            )
         entries = dict(value)
         kind = MicrolensShape.kinds[require_choice("form", entries.pop("form"), MicrolensShape.kinds)]
         return kind.from_plain(entries)

@@ -21,8 +21,8 @@ class Conic(MicrolensShape):
 
     .. math:: s(r) = \frac{r^2 / R}{1 + \sqrt{1 - (1 + k)\, r^2 / R^2}} + \sum_i a_i\, r^{4 + 2 i},
 
-    and light of the wavelength :math:`\lambda` gains the phase :math:`-(n - 1)\, s / \lambda` in waves: the thin element
-    turns air into the lens's material of index n.
+    and light of the wavelength :math:`\lambda` gains the phase :math:`-(n - 1)\, s / \lambda` in waves: at the thin
+    element, material of index n takes the place of air.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,8 +45,8 @@ class PhaseMap(MicrolensShape):
     Raises
     ------
     InputError
-        If the phases are not numbers in 4 to 1024 rows and columns, or not one for each wavelength, or a value is out of
-        range.
+        If the phases are not numbers in 4 to 1024 rows and columns, or not one map for each wavelength, or a value is
+        out of range.
     """
 
     form = "phase_map"
@@ -59,7 +60,7 @@ class PhaseMap(MicrolensShape):
         given = self.wavelengths if hasattr(self.wavelengths, "__len__") else [self.wavelengths]
         wavelengths = tuple(require_wavelength(value, "wavelengths") for value in given)  # type: ignore[union-attr]
         refuse_if(
-            not wavelengths or any(b <= a for a, b in zip(wavelengths, wavelengths[1:], strict=False)),
+            not wavelengths or any(b <= a for a, b in itertools.pairwise(wavelengths)),
             f"wavelengths = {short_repr(self.wavelengths)}: they must rise",
         )
         maps = [self.phase] if len(wavelengths) == 1 and np.ndim(self.phase) != 3 else self.phase
@@ -80,7 +81,7 @@ class PhaseMap(MicrolensShape):
 
     @cached_property
     def _smooth(self) -> NDArray[np.float64]:
-        """Phases without jumps, (wavelengths, rows, columns); those of adjacent wavelengths differ least at the centre."""
+        """Phases without jumps, (wavelengths, rows, columns); at the centre, nor between adjacent wavelengths."""
         rows, columns = self.phase.shape[1:]
         smooth = np.unwrap(self.phase, period=1, axis=2)
         # Along the middle column first, which the rows then join.

@@ -19,8 +19,8 @@ from .sampled_grid import SampledGrid, known_samples
 class Sampled(MicrolensShape):
     r"""A thin lens whose surface towards the main lens is sampled.
 
-    Light gains the phase :math:`(n - 1) h / \lambda` in waves, h being the height of the surface. Between samples it is a
-    bicubic spline, whose gradient deflects rays.
+    Light gains the phase :math:`(n - 1) h / \lambda` in waves, h being the height of the surface. Between samples it is
+    a bicubic spline, whose gradient deflects rays.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from ..system.optical_system import OpticalSystem
 
 
 def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:
-    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`, the part of a point's weight that depends on the camera.
+    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`, the camera's part of a point's weight.
 
     The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that it represents.
     """

@@ -79,9 +79,7 @@ class Dispersion:
             dr.make_opaque(microlenses)
         surfaces = camera.lens_data.traced_surfaces
         indices = [along(surface.glass, Glass.at) for surface in surfaces] if surfaces else None
-        return cls(
-            wavelengths, along(camera.glass, Glass.focal_ratio), microlenses, indices
-        )
+        return cls(wavelengths, along(camera.glass, Glass.focal_ratio), microlenses, indices)
 
     def ends(self, camera: PlenopticCamera) -> list[PlenopticCamera]:
         """Return the camera at its shortest and at its longest wavelength."""

@@ -3,7 +3,8 @@ r"""The microlens array as a thin element: apertures, and a phase in each.
 .. math:: t(m) = \exp\left(-i \pi \frac{n |m - c|^2}{\lambda f_2}\right)
 
 in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
-5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. A grid that cannot represent the steep orders of the edges uses its orders instead: see `microlens_orders`.
+5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. A grid that cannot represent the
+steep orders of the edges uses its orders instead: see `microlens_orders`.
 """
 
 from __future__ import annotations

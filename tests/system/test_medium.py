@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, calibrate, design, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    PlenopticCamera,
+    calibrate,
+    design,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.operator.full_field import point_fields
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
@@ -141,7 +149,9 @@ def test_points_by_rays_lie_where_waves_have_them():
 
 def width(image, lens):
     """Return the full width at half of the maximum of a mean micro-image, in pixels."""
-    profile = image.reshape(-1, lens, image.shape[1] // lens, lens).mean((0, 2))[:, lens // 2 - 1 : lens // 2 + 1].mean(1)
+    profile = (
+        image.reshape(-1, lens, image.shape[1] // lens, lens).mean((0, 2))[:, lens // 2 - 1 : lens // 2 + 1].mean(1)
+    )
     fine = np.linspace(0, lens - 1, 100 * lens)
     return np.mean(np.interp(fine, np.arange(lens), profile) > profile.max() / 2) * lens
 
@@ -161,5 +171,5 @@ def test_a_wall_is_as_bright_by_waves_as_by_rays(changes):
 
 
 def test_calibrations_refuse_a_medium():
-    with pytest.raises(InputError, match="mla_medium = 1.5: cameras are calibrated with 1 only"):
+    with pytest.raises(InputError, match=r"mla_medium = 1\.5: cameras are calibrated with 1 only"):
         calibrate([], None, PlenopticCamera(mla_medium=1.5))

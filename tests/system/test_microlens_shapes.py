@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from wave_cases import HALF, error, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, reconstruct, render_capture
-from mitsuba_plenoptic.microlens import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, calibrate, reconstruct, render_capture
+from mitsuba_plenoptic.microlens import Conic, PhaseMap, Sampled, ZoneLens
 from mitsuba_plenoptic.operator.full_field import point_fields
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.prescription.glass import LINE_D
@@ -215,8 +215,11 @@ def white_micro_image(camera, name, wavelength, step=5e-4):
     path = path_of(name, u, v, wavelength) + (u * u + v * v) * (1 / z + 1 / b) / 2
     wave = np.exp(-2j * np.pi * np.outer(place, along) / (lam * z))
     spot = np.abs(wave @ np.exp(2j * np.pi * path / lam) @ wave.T) ** 2
-    inside = np.hypot(x, y) <= camera.pupil_radius * z / b
+    # At the middles of steps, of which pixels have a whole number.
+    inside = np.hypot(x + step / 2, y + step / 2) <= camera.pupil_radius * z / b
     image = np.fft.ifft2(np.fft.fft2(np.fft.ifftshift(spot)) * np.fft.fft2(inside)).real
+    # The window is two lenses wide: neighbours bring the light that leaves it, and that of the next ones.
+    image = sum(np.roll(image, (down, right), (0, 1)) for down in (0, count // 2) for right in (0, count // 2))
     each = round(camera.pixel_size / step)
     half = pixels * each // 2
     inner = image[count // 2 - half : count // 2 + half, count // 2 - half : count // 2 + half]
@@ -231,7 +234,81 @@ def test_signed_rays_of_a_wall_against_its_moved_spot(name):
     scene = mi.load_dict(
         {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}, "camera": camera.to_sensor()}
     )
-    image = render_capture(scene, model="wave", method="signed_rays", spp=64, wavelength=WAVELENGTH).image
+    image = render_capture(scene, model="wave", method="signed_rays", spp=32, wavelength=WAVELENGTH).image
     found, expected = image[16:32, 16:32], white_micro_image(camera, name, WAVELENGTH)
-    print(error(found, expected), found.mean() / expected.mean())
-    assert error(found, expected) < 0.02
+    assert error(found, expected) < 0.025
+
+
+@shapes
+def test_shapes_from_their_forms(name, tmp_path):
+    shape = SHAPES[name]
+    camera = PlenopticCamera(mla_shape=shape)
+    text = json.dumps(shape.to_plain())
+    (tmp_path / "lens.json").write_text(text)
+    for given in (shape.to_plain(), text, tmp_path / "lens.json", str(tmp_path / "lens.json")):
+        assert PlenopticCamera(mla_shape=given) == camera
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    assert hash(PlenopticCamera.from_json(camera.to_json())) == hash(camera)
+    assert mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>').sensors()[0].camera == camera
+    assert camera.replace(mla_medium=1.5).mla_focal_length == pytest.approx(1.5 * camera.mla_focal_length)
+    assert camera.replace(mla_shape=None).mla_focal_length == camera.mla_focal_length
+
+
+def test_samples_from_files(tmp_path):
+    height = bumpy(X, Y).astype(np.float32)
+    np.save(tmp_path / "height.npy", height)
+    mi.Bitmap(height).write(str(tmp_path / "height.exr"))
+    shapes = [Sampled(given, 0.066) for given in (height, tmp_path / "height.npy", str(tmp_path / "height.exr"))]
+    assert shapes[0] == shapes[1] == shapes[2]
+
+
+@pytest.mark.parametrize(
+    ("shape", "fault"),
+    [
+        ({"form": "cone"}, "mla_shape: form = 'cone'"),
+        ({"form": "conic"}, "mla_shape: form conic: curvature_radius is missing"),
+        ({"form": "conic", "curvature_radius": 0.2, "conc": 1}, "did you mean conic"),
+        ({"form": "conic", "curvature_radius": -0.2}, "mla_shape: curvature_radius = -0.2"),
+        ({"form": "conic", "curvature_radius": 0.03}, "mla_shape: it must be defined all over a lens's aperture"),
+        ({"form": "conic", "curvature_radius": 0.2, "glass": 1.0}, "its index must be greater than 1"),
+        ({"form": "sampled", "height": [[0, 1], [1, 0]], "width": 0.064}, "mla_shape: height of shape"),
+        ({"form": "sampled", "height": (-bumpy(X, Y)).tolist(), "width": 0.066}, "it must focus light"),
+        ({"form": "sampled", "height": bumpy(X, Y).tolist(), "width": 0.05}, "all over a lens's aperture"),
+        ({"form": "phase_map", "phase": "lens.txt", "width": 0.066}, "mla_shape: lens.txt"),
+        ({"form": "phase_map", "phase": X.tolist(), "width": 0.066, "wavelengths": [600, 500]}, "they must rise"),
+        ("lens.json", "mla_shape: lens.json"),
+        (3, "mla_shape: 3: it must be a shape"),
+    ],
+)
+def test_refuses_what_is_no_shape(shape, fault):
+    with pytest.raises(InputError, match=fault):
+        PlenopticCamera(mla_shape=shape)
+
+
+def test_refuses_what_contradicts_a_shape():
+    for values, fault in (
+        ({"mla_focal_length": 0.4}, "mla_focal_length = .0.4.*with this mla_shape it is 0.5; leave it out"),
+        ({"mla_glass": 1.5}, "mla_glass: an mla_shape brings its own"),
+    ):
+        with pytest.raises(InputError, match=fault):
+            PlenopticCamera(mla_shape=SHAPES["sphere"], **values)
+
+
+def test_what_needs_parabolic_microlenses_refuses_others():
+    camera, image = small_camera(2, mla_shape=SHAPES["sphere"]), np.ones((64, 64), np.float32)
+    operator = CaptureOperator(camera, [(0.0, 0.0, 230.0)], wavelength=WAVELENGTH)
+    for call in (
+        lambda: reconstruct(image, 230.0, camera=camera, method="coherent", wavelength=WAVELENGTH),
+        lambda: operator.derivative([1.0], {"mla_distance": 1.0}),
+        lambda: calibrate([], None, camera),
+    ):
+        with pytest.raises(InputError, match=r"mla_shape = .*with parabolic microlenses only"):
+            call()
+    assert np.isfinite(reconstruct(image, 230.0, camera=camera).image).all()
+
+
+def test_signed_rays_refuse_shapes_far_from_a_parabola():
+    camera = small_camera(2, mla_shape=Conic(0.25, 0.0, (3e3,)))
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "direct"}, "camera": camera.to_sensor()})
+    with pytest.raises(InputError, match=r"mla_shape = .*closer to a parabola"):
+        render_capture(scene, model="wave", method="signed_rays", spp=4)
