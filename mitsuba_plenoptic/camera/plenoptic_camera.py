@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
@@ -102,6 +103,10 @@ def _check_array(values: dict[str, Any]) -> None:
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
         rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
         raise InputError(f"mla_focal_length = {short_repr(focal_lengths)}: it must be {rule}")
+    size, length = values["mla_figure_error"]
+    refuse_if(
+        size > 0 and length == 0, f"mla_figure_error = {(size, length)}: its correlation length must be greater than 0"
+    )
     bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
     for value, most in zip(values["mla_jitter"], bounds, strict=True):
         require_number("mla_jitter", value, maximum=most)
@@ -140,17 +145,27 @@ def require_whole(camera: CameraGeometry) -> None:
     )
 
 
-def require_known_to(camera: CameraGeometry, captures: Captures, what: str, instead: str = "") -> None:
-    """Refuse a camera with a parameter that captures of a kind would ignore; `what` begins the rule."""
+IRREGULAR = ("mla_jitter", "mla_figure_error")
+"""Parameters of irregular arrays."""
+
+
+def require_known_to(
+    camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
+) -> None:
+    """Refuse a camera with a parameter that captures of a kind would ignore, `besides` some; `what` begins the rule."""
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
-        if captures not in entry.known_to and value != entry.default:
+        if name not in besides and captures not in entry.known_to and value != entry.default:
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
 
 
-def require_ideal(camera: CameraGeometry) -> None:
-    """Refuse a camera with features that the wave model of points does not support, such as an irregular array."""
-    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ")
+def require_ideal(camera: CameraGeometry, *, irregular: bool = False) -> None:
+    """Refuse a camera with features that the wave model of points does not support.
+
+    Among these are irregular arrays, except where fields are computed in full.
+    """
+    besides = IRREGULAR if irregular else ()
+    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
 def require_no_shape(camera: CameraGeometry, what: str) -> None:

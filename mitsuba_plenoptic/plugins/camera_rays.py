@@ -20,6 +20,7 @@ from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
+from ..system.figure_error import FigureError
 from ..system.lens_kinds import MOST_DEVIATIONS, irregularities
 
 _STEP = 1.0
@@ -220,13 +221,18 @@ class CameraRays:
         height = self._height(cx, cy) if any(self.camera.mla_tilt) else None
         if height is not None:
             z = z + height
+        error = FigureError.of(self.camera) if any(self.camera.mla_figure_error) else None
         if self.camera.mla_shape is None and self.camera.lens_model == "ideal":
             slope = tuple(rays.microlens_slope(p, m, c, z / n, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
+            if error is not None:
+                slope = tuple(t + turn for t, turn in zip(slope, error.slopes(mx, my), strict=True))
             emerges = mi.Bool(True)
         else:
             sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
             turn_x, turn_y = self._turn((mx - cx, my - cy), f2)
             sx, sy = n * sx + turn_x, n * sy + turn_y
+            if error is not None:
+                sx, sy = (cosine + turn for cosine, turn in zip((sx, sy), error.slopes(mx, my), strict=True))
             # The rest is reflected totally.
             emerges = sx * sx + sy * sy < 1
             slope = rays.cosines_to_slopes(*(dr.select(emerges, cosine, 0) for cosine in (sx, sy)))

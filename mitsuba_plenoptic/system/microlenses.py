@@ -3,8 +3,8 @@ r"""The microlens array as a thin element: apertures, and a phase in each.
 .. math:: t(m) = \exp\left(-i \pi \frac{n |m - c|^2}{\lambda f_2}\right)
 
 in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
-5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. A grid that cannot represent the
-steep orders of the edges uses its orders instead: see `microlens_orders`.
+5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. A grid that
+cannot represent the steep orders of the edges uses its orders instead: see `microlens_orders`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from ..camera import PlenopticCamera
 from ..lattice import Lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
+from .figure_error import FigureError
+from .lens_kinds import irregularities
 
 _HARD_EDGES = 1.4
 """Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
@@ -49,13 +51,20 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission, with all of its orders, at Dr.Jit float64 positions in millimetres, as Complex2f."""
     dx, dy, which = from_centre(camera, x, y)
+    inside, longer = camera.lattice.in_aperture(dx, dy), 1.0
+    types = array_types(x)
+    if any(camera.mla_jitter):
+        # The light of each cell passes its own lens, wherever this lies.
+        right, up, longer = (types.Float64(value) for value in irregularities(camera, *camera.lattice.cell(x, y)))
+        dx, dy = dx - right, dy - up
     if camera.mla_shape is not None:
-        waves = camera.mla_shape.waves(*camera.lattice.to_frame(dx, dy), wavelength)
+        waves = camera.mla_shape.waves(*camera.lattice.to_frame(dx, dy), wavelength) / longer
     else:
-        types = array_types(x)
-        focal_length = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), which)
+        focal_length = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), which) * longer
         waves = parabola(dx * dx + dy * dy, focal_length, wavelength)
-    return dr.select(camera.lattice.in_aperture(dx, dy), phasor(waves), 0)
+    if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
+        waves += error.path(x, y) / in_millimetres(wavelength)
+    return dr.select(inside, phasor(waves), 0)
 
 
 def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:

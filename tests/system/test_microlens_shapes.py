@@ -112,7 +112,10 @@ def test_slopes_are_those_of_the_phase(name):
 
 
 def propagated(camera, name, position, wavelength, finer=4):
-    """Return the pixels of a point's light, propagated from before the array on a finer grid."""
+    """Return the pixels of a point's light, propagated from before the array on a finer grid.
+
+    `name` is that of a shape, or the path as a function of the position on the array.
+    """
     fields = point_fields(OpticalSystem(camera, wavelength), position)
     before, (rows, columns) = fields.mla, fields.mla.samples.shape
     spectrum = np.fft.fftshift(np.fft.fft2(before.samples.astype(complex)))
@@ -120,9 +123,12 @@ def propagated(camera, name, position, wavelength, finer=4):
     light = np.fft.ifft2(np.fft.ifftshift(np.pad(spectrum, room))) * finer**2
     pitch, n, lam = before.pitch / finer, camera.mla_medium, wavelength * 1e-6
     x, y = (before.origin[axis] + np.arange(light.shape[1 - axis]) * pitch for axis in (0, 1))
-    cx, cy = camera.lattice.centre(*camera.lattice.cell(*np.meshgrid(x, y)))
-    u, v = camera.lattice.to_frame(x - cx, y[:, None] - cy)
-    light *= np.exp(2j * np.pi * path_of(name, u, v, wavelength) / lam)
+    if callable(name):
+        path = name(*np.meshgrid(x, y))
+    else:
+        cx, cy = camera.lattice.centre(*camera.lattice.cell(*np.meshgrid(x, y)))
+        path = path_of(name, *camera.lattice.to_frame(x - cx, y[:, None] - cy), wavelength)
+    light *= np.exp(2j * np.pi * path / lam)
     fx, fy = (np.fft.fftfreq(size, pitch) for size in light.shape[::-1])
     axial = np.sqrt(np.maximum((n / lam) ** 2 - fx**2 - fy[:, None] ** 2, 0))
     light = np.fft.ifft2(np.fft.fft2(light) * np.exp(2j * np.pi * camera.detector_distance * (axial - n / lam)))
