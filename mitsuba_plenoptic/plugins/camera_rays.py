@@ -137,7 +137,7 @@ class CameraRays:
     camera: PlenopticCamera
     lens: MainLens
     lattice: Lattice
-    # Reduced focal lengths of the microlenses, one for each type or one for all.
+    # Focal lengths of the microlenses, one for each type or one for all.
     focal_lengths: Any
     # Distance from the array to the detector.
     detector_distance: Any
@@ -164,7 +164,7 @@ class CameraRays:
             camera,
             main_lens(camera, varying=numbers | {"wavefront": aberrations}),
             lattice,
-            numbers["mla_focal_length"] / camera.mla_medium,
+            numbers["mla_focal_length"],
             numbers["detector_distance"],
             Dispersion.of(camera),
         )
@@ -199,7 +199,7 @@ class CameraRays:
             i, j = (index + step for index, step in zip((i, j), steps, strict=True))
         cx, cy = lattice.centre(i, j)
         dx, dy = lattice.aperture_point(within, lens_sample[1])
-        f2 = self.focal_lengths
+        f2 = self.focal_lengths / self.camera.mla_medium
         if dr.width(f2) > 1:
             f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
         if any(self.camera.mla_jitter):

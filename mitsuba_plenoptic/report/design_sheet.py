@@ -145,8 +145,9 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
         medium = [("medium behind it", f"{camera.mla_medium:g}", "", "refractive index, by which z is divided below")]
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
+    form = "" if camera.mla_shape is None else f"of the {camera.mla_shape.form.replace('_', ' ')} mla_shape"
     return [
-        ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", ""),
+        ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", form),
         ("pitch", " x ".join(map(_four, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
         ("lens width", _four(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
