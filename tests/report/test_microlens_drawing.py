@@ -18,5 +18,5 @@ def test_draws_any_microlens(changes, tmp_path):
 
 
 def test_refuses_what_is_no_png(tmp_path):
-    with pytest.raises(InputError, match="give a name that ends in .png"):
+    with pytest.raises(InputError, match=r"give a name that ends in \.png"):
         draw_microlens(tmp_path / "lens.jpg", PlenopticCamera())
