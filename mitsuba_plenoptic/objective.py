@@ -143,7 +143,7 @@ class Objective(LensData):
         Parameters
         ----------
         detector_distance : float
-            Distance z from the array to the detector in millimetres.
+            Distance z from the array to the detector in millimetres, `PlenopticCamera.reduced_distance` in a medium.
         """
         return detector_distance * self.magnification / self.last_focal_length
 
@@ -207,7 +207,7 @@ class Objective(LensData):
     def bin_size(self, camera: Any, distance: float) -> float:
         """Return the width of a lens in the object, or in the Fourier arrangement that of a pixel, at all depths."""
         if self.is_fourier:
-            return float(camera.pixel_size / self.view_scale(camera.detector_distance))
+            return float(camera.pixel_size / self.view_scale(camera.reduced_distance))
         return float(camera.mla_pitch / self.magnification)
 
     def image_blur(self, camera: Any, distance: float) -> float:

@@ -87,7 +87,13 @@ class TestCameras:
     @settings(quick, max_examples=200)
     @given(LENGTHS, anything)
     def test_a_length_is_taken_exactly_if_the_documentation_allows_it(self, name, value):
-        if value is None and name in ("focal_length", "aperture_radius", "mla_distance", "detector_distance"):
+        if value is None and name in (
+            "focal_length",
+            "aperture_radius",
+            "mla_distance",
+            "mla_focal_length",
+            "detector_distance",
+        ):
             return
         if isinstance(value, (list, tuple)) and name in ("mla_focal_length", "mla_pitch"):
             return  # of these a camera may have several

@@ -12,7 +12,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 # Each may import what stands before it. Of io, the modules that read lens files serve the camera, too.
 FLOORS = (
     "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
-    "io.files", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
+    "io.files", "microlens", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
     "plugins", "lightfield", "calibration", "fitting", "reconstruction", "optimisation", "torch", "report", "dataset",
     "cli", "__main__",

@@ -24,6 +24,7 @@ class Form(Enum):
     FILM = "(int, int)", ""
     LENS = "Prescription, Objective, str, path or dict", "|string|"
     GLASS = "Glass, str, float or dict", "|string| or |float|"
+    SHAPE = "MicrolensShape, path or dict", "|string|"
 
 
 class Captures(Flag):

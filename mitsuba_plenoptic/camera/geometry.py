@@ -119,14 +119,31 @@ class CameraGeometry(CameraParameters):
         return self.mla_focal_lengths[0]
 
     @property
+    def reduced_distance(self) -> float:
+        """Distance :math:`z / n` from the MLA to the detector, reduced by the index of the medium between them.
+
+        Light near the axis passes the medium as it passes this distance of air.
+        """
+        return self.detector_distance / self.mla_medium
+
+    @property
+    def reduced_focal_lengths(self) -> tuple[float, ...]:
+        """Focal lengths :math:`f_2 / n` of the microlenses, reduced alike: the reciprocals of their powers."""
+        return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
+
+    def medium_wavelength(self, wavelength: float) -> float:
+        """Return the wavelength between the MLA and the detector of light with this wavelength in air."""
+        return wavelength / self.mla_medium
+
+    @property
     def pixel_size(self) -> float:
         """Width of a pixel."""
         return self.detector_width / self.resolution[0]
 
     @property
     def pupil_step(self) -> float:
-        """Width of a pixel projected through its lens's centre onto the pupil: its width times :math:`b / z`."""
-        return self.pixel_size * self.pupil_distance / self.detector_distance
+        """Width of a pixel projected through its lens's centre onto the pupil: its width times :math:`n b / z`."""
+        return self.pixel_size * self.pupil_distance / self.reduced_distance
 
     @property
     def lit_radius(self) -> float:
@@ -136,13 +153,13 @@ class CameraGeometry(CameraParameters):
     def pupil_shift(self, mla_focal_length: float) -> float:
         r"""Return the displacement of the pupil point that a detector point sees, per displacement on the microlens.
 
-        :math:`\kappa = 1 + b/z - b/f_2`, which is 1 for :math:`z = f_2`. Behind an objective, whose stop all lenses see
-        in the same directions, it is smaller by 1.
+        :math:`\kappa = 1 + n b/z - n b/f_2`, which is 1 for :math:`z = f_2`. Behind an objective, whose stop all lenses
+        see in the same directions, it is smaller by 1.
         """
         return (
             self.lens_data.converges
-            + self.pupil_distance / self.detector_distance
-            - self.pupil_distance / mla_focal_length
+            + self.pupil_distance / self.reduced_distance
+            - self.pupil_distance / (mla_focal_length / self.mla_medium)
         )
 
     @property
@@ -264,15 +281,15 @@ class CameraGeometry(CameraParameters):
 
     @property
     def micro_image_diameter(self) -> float:
-        """Diameter of the main lens's image under one microlens, :math:`D_1 z / b`."""
-        return 2 * self.pupil_radius * self.detector_distance / self.pupil_distance
+        """Diameter of the main lens's image under one microlens, :math:`D_1 z / n b`."""
+        return 2 * self.pupil_radius * self.reduced_distance / self.pupil_distance
 
     @property
     def micro_image_pitch(self) -> float:
-        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z) / b`; the pitch behind an objective."""
+        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z/n) / b`; the pitch behind an objective."""
         if not self.lens_data.converges:
             return self.mla_pitch
-        return self.mla_pitch * (self.pupil_distance + self.detector_distance) / self.pupil_distance
+        return self.mla_pitch * (self.pupil_distance + self.reduced_distance) / self.pupil_distance
 
     # -- object side ---------------------------------------------------------------------------------
 

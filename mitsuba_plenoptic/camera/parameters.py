@@ -31,6 +31,7 @@ from ..errors import (
 )
 from ..lattice import APERTURES, LATTICES
 from ..lens_data import LensData
+from ..microlens import MicrolensShape, known_shape
 from ..prescription import Glass
 from .entry import Captures, Form, Parameter, record
 from .given_lens import known_glass, known_lens
@@ -112,8 +113,8 @@ class CameraParameters:
         instead_of="mla_distance",
         known_to=Captures.ALL,
     )
-    mla_focal_lengths: Parameter[float | Sequence[float], tuple[float, ...]] = Parameter(
-        default=0.512,
+    mla_focal_lengths: Parameter[float | Sequence[float] | None, tuple[float, ...]] = Parameter(
+        default=None,
         check=require_lengths,
         words=(
             "Focal length :math:`f_2` of a microlens. Three on a hexagonal lattice make a multi-focus array: three "
@@ -122,6 +123,7 @@ class CameraParameters:
         ),
         form=Form.SEVERAL,
         takes="float or three floats",
+        otherwise="0.512, or that of `mla_shape`",
         unit="mm",
         known_to=Captures.ALL,
         gradients=Captures.ALL,
@@ -221,7 +223,20 @@ class CameraParameters:
             "focal length."
         ),
         scale=_one,
-        known_to=Captures.NONE,
+        known_to=Captures.ALL,
+    )
+    mla_shape: Parameter[MicrolensShape | str | Path | dict[str, Any] | None, MicrolensShape | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_shape(value),
+        words=(
+            "Shape of the microlenses, see `mitsuba_plenoptic.microlens`: a sphere, conic, asphere, a sampled surface "
+            "or phase, or a diffractive lens, as a JSON file or its text, in Python also as an object or a dictionary. "
+            "`mla_focal_length` follows from it, and rays refract at it exactly in either `lens_model`."
+        ),
+        form=Form.SHAPE,
+        otherwise="a parabolic phase of the focal length",
+        shortest=lambda shape: shape and shape.to_plain(),
+        known_to=Captures.ALL,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
         default=None,
@@ -314,17 +329,28 @@ class CameraParameters:
         default=(0.0, 0.0),
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
-            "Standard deviations of what is irregular in the array, for rays: of the lenses' positions along x and "
-            "along y, in millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most "
-            "0.1; see `mitsuba_plenoptic.system.lens_kinds`. Decoding and refocusing assume the regular array."
+            "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
+            "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1, for rays, "
+            "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.system.lens_kinds`. "
+            "Decoding and refocusing assume the regular array."
         ),
         form=Form.PLACE,
         known_to=Captures.RAYS | Captures.SCENES,
     )
+    mla_figure_error: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(0.0, 0.0),
+        check=partial(require_numbers, count=2, minimum=0.0),
+        words=(
+            "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
+            "and its correlation length in millimetres along the array; see `mitsuba_plenoptic.system.figure_error`. "
+            "For rays, and for waves of points by method ``full_field``."
+        ),
+        form=Form.PLACE,
+    )
     mla_seed: Parameter[int, int] = Parameter(
         default=0,
         check=partial(require_count, minimum=0, maximum=MOST_SEED),
-        words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter`.",
+        words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter` and `mla_figure_error`.",
         form=Form.COUNT,
         known_to=Captures.ALL,
     )

@@ -6,6 +6,8 @@ The table of parameters has the check of each one by itself.
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
@@ -24,13 +26,16 @@ from ..errors import (
     suggest_keywords,
 )
 from ..lattice import LATTICES
-from ..lens_data import THIN, image_distance
+from ..lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
 from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
 from .parameters import PARAMETERS
+
+_MLA_FOCAL_LENGTH = 0.512
+"""Focal length of the microlenses in millimetres, where neither it nor a shape is given."""
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
@@ -41,6 +46,7 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
         missing = value is None and entry.default is None
         values[entry.attribute] = None if missing else entry.check(name, value)
     _complete_lens(values)
+    _complete_microlenses(values)
     _check_array(values)
     if values["detector_distance"] is None:
         values["detector_distance"] = values["mla_focal_lengths"][0]
@@ -69,6 +75,27 @@ def _complete_lens(values: dict[str, Any]) -> None:
     values["focus_distance"] = data.focus_distance(values["focal_length"], values["mla_distance"])
 
 
+def _complete_microlenses(values: dict[str, Any]) -> None:
+    """Fill in the focal length of the microlenses; refuse one that contradicts their shape."""
+    shape, focal_lengths = values["mla_shape"], values["mla_focal_lengths"]
+    if shape is None:
+        if focal_lengths is None:
+            values["mla_focal_lengths"] = (_MLA_FOCAL_LENGTH,)
+        return
+    refuse_if(
+        not shape.power > 0,
+        f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",
+    )
+    own = values["mla_medium"] / shape.power
+    if focal_lengths is not None and not all(math.isclose(own, each, rel_tol=SINGLE) for each in focal_lengths):
+        raise InputError(
+            f"mla_focal_length = {short_repr(focal_lengths)}: with this mla_shape it is {own:.7g}; leave it out"
+        )
+    values["mla_focal_lengths"] = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
+    if values["mla_glass"] is not None:
+        raise InputError("mla_glass: an mla_shape brings its own material; leave it out")
+
+
 def _check_array(values: dict[str, Any]) -> None:
     """Refuse focal lengths for which the lattice has no lens types, and arrays too irregular for their pitches."""
     types, focal_lengths = LATTICES[values["mla_lattice"]].lens_types, values["mla_focal_lengths"]
@@ -76,6 +103,10 @@ def _check_array(values: dict[str, Any]) -> None:
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
         rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
         raise InputError(f"mla_focal_length = {short_repr(focal_lengths)}: it must be {rule}")
+    size, length = values["mla_figure_error"]
+    refuse_if(
+        size > 0 and length == 0, f"mla_figure_error = {(size, length)}: its correlation length must be greater than 0"
+    )
     bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
     for value, most in zip(values["mla_jitter"], bounds, strict=True):
         require_number("mla_jitter", value, maximum=most)
@@ -96,6 +127,11 @@ def _complete_window(values: dict[str, Any]) -> None:
 def require_whole(camera: CameraGeometry) -> None:
     """Refuse parameters that are valid one by one but not in combination."""
     camera.lens_data.require_fit(camera)
+    if camera.mla_shape is not None:
+        rim = np.linspace(0, 1, 65)
+        x, y = camera.lattice.aperture_point(*np.meshgrid(rim, rim))
+        covered = camera.mla_shape.covers(*camera.lattice.to_frame(x, y))
+        refuse_if(not np.all(covered), "mla_shape: it must be defined all over a lens's aperture, and ends within it")
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
     refuse_if(
@@ -109,17 +145,35 @@ def require_whole(camera: CameraGeometry) -> None:
     )
 
 
-def require_known_to(camera: CameraGeometry, captures: Captures, what: str, instead: str = "") -> None:
-    """Refuse a camera with a parameter that captures of a kind would ignore; `what` begins the rule."""
+IRREGULAR = ("mla_jitter", "mla_figure_error")
+"""Parameters of irregular arrays."""
+
+
+def require_known_to(
+    camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
+) -> None:
+    """Refuse a camera with a parameter that captures of a kind would ignore, `besides` some; `what` begins the rule."""
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
-        if captures not in entry.known_to and value != entry.default:
+        if name not in besides and captures not in entry.known_to and value != entry.default:
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
 
 
-def require_ideal(camera: CameraGeometry) -> None:
-    """Refuse a camera with features that the wave model of points does not support, such as an irregular array."""
-    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ")
+def require_ideal(camera: CameraGeometry, *, irregular: bool = False) -> None:
+    """Refuse a camera with features that the wave model of points does not support.
+
+    Among these are irregular arrays, except where fields are computed in full.
+    """
+    besides = IRREGULAR if irregular else ()
+    require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
+
+
+def require_no_shape(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera with shaped microlenses, for computations with parabolic ones; `what` begins the rule."""
+    refuse_if(
+        camera.mla_shape is not None,
+        f"mla_shape = {camera.mla_shape}: {what} with parabolic microlenses only; leave it out",
+    )
 
 
 def require_no_glass(camera: CameraGeometry, what: str) -> None:
@@ -350,6 +404,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
             If a name is unknown or a value is out of range.
         """
         values = self.arguments()
+        if changes.get("mla_shape", self.mla_shape) is not None:
+            # It follows from the shape.
+            values.pop("mla_focal_length")
         if "resolution" in changes and not self.is_cropped:
             values.pop("crop_size")
         for name in changes:
@@ -364,7 +421,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         """Whether the paths of rays through the camera depend on their wavelength."""
         glasses = self.glass, self.mla_glass
         own = any(glass is not None and glass.form != "index" for glass in glasses)
-        return own or self.lens_data.disperses
+        shaped = self.mla_shape is not None and self.mla_shape.disperses
+        return own or shaped or self.lens_data.disperses
 
     def at_wavelength(self, wavelength: float) -> PlenopticCamera:
         """Return the camera with the focal lengths of its thin lenses at one wavelength, and without their glasses.

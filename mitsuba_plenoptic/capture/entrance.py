@@ -44,7 +44,7 @@ class LensWindow:
         """Find the window of a camera's recorded pixels."""
         camera, lattice = system.camera, system.lattice
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
-        recorded = system.lens.chief_point(edges * camera.pixel_size, camera.detector_distance)
+        recorded = system.lens.chief_point(edges * camera.pixel_size, camera.reduced_distance)
         pitch = max(camera.mla_pitches)
         margin = (_MARGIN + 0.5) * pitch
         # Lenses are included even if only the lower edge of their cell is recorded.

@@ -47,7 +47,17 @@ PARAMETERS = with_gradient(Captures.SCENES)
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
 """Parameters on which the kernels depend."""
 
-_REFUSED = ("main_lens", "wavefront", "distortion", "glass", "mla_glass", "mla_jitter", "mla_tilt", "pixel_response")
+_REFUSED = (
+    "main_lens",
+    "wavefront",
+    "distortion",
+    "glass",
+    "mla_glass",
+    "mla_jitter",
+    "mla_tilt",
+    "pixel_response",
+    "mla_shape",
+)
 """Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
 
 _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
@@ -306,7 +316,9 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     ):
         centre = offset + (q - m - held) * pitch
         aside.append((rays.pupil_point(P, t, -b) - centre) / pitch)
-        landed.append((centre - (P - centre) * (larger * z / b)) / (step * width / camera.detector_width))
+        landed.append(
+            (centre - (P - centre) * (larger * z / (b * camera.mla_medium))) / (step * width / camera.detector_width)
+        )
     u, v = camera.lattice.to_frame(*aside)
     square = slope[0] * slope[0] + slope[1] * slope[1]
     grid = 2 * dr.log(width)

@@ -74,7 +74,7 @@ class SignedCapture:
         camera = self.camera
         if any(node.plan.by_points for node in self.nodes):
             return 1  # the kernels of these plans are integrated over pixels
-        extent = in_millimetres(min(node.plan.wavelength for node in self.nodes)) * camera.detector_distance
+        extent = in_millimetres(min(node.plan.wavelength for node in self.nodes)) * camera.reduced_distance
         highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
         return math.ceil(_KEPT[self.accuracy < FINE] * highest)
 
@@ -133,7 +133,7 @@ class SignedCapture:
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
         """Return the channels of an image that only noise can make negative, with negative values compensated."""
-        extent = in_millimetres(max(node.plan.wavelength for node in self.nodes)) * self.camera.detector_distance
+        extent = in_millimetres(max(node.plan.wavelength for node in self.nodes)) * self.camera.reduced_distance
         spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
         size = 2 * math.ceil(_SPOTS * spot) + 1
         channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()

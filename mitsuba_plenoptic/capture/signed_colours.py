@@ -251,7 +251,7 @@ def _enough(
     if wavelengths[0] == wavelengths[-1]:
         return [float(wavelengths[0])]
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
-    width = in_millimetres(dense[-1]) * camera.detector_distance / float(camera.lattice.aperture_width)
+    width = in_millimetres(dense[-1]) * camera.reduced_distance / float(camera.lattice.aperture_width)
     step = width * dense[0] / dense[-1] / _SPOTS[1]
     along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step
     spots = np.stack([PhaseSpace(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)

@@ -140,7 +140,7 @@ class Draws:
         """Return the radius in the pupil's plane within which the ray through a lit cell's centre passes."""
         camera = self._camera
         # Other points of the cell see other points of the pupil.
-        cell = self._step * camera.pupil_distance / camera.detector_distance * ORDER / math.sqrt(2)
+        cell = self._step * camera.pupil_distance / camera.reduced_distance * ORDER / math.sqrt(2)
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
         return self._lens.reach + cell + lens
 
@@ -160,7 +160,7 @@ class Draws:
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
         camera = self._camera
-        farthest = radius * camera.detector_distance / self._lens.pupil_distance_from(camera.detector_distance)
+        farthest = radius * camera.reduced_distance / self._lens.pupil_distance_from(camera.reduced_distance)
         return farthest * max(self.enlargements)
 
     def aims(self, cells: Cells) -> Aims:
@@ -174,7 +174,7 @@ class Draws:
             (mi.Float(mi.Int32(index) + low) + 0.5) * self._step - 0.5 * camera.resolution[axis] * camera.pixel_size
             for axis, index, low in ((0, cells.index - row * columns, left), (1, row, top))
         )
-        z = camera.detector_distance + self.kinds.height(x, y)
+        z = camera.reduced_distance + self.kinds.height(x, y) / camera.mla_medium
         i, j = lattice.cell(*(self._lens.chief_point(p, z) for p in (x, y)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
         centre, height = self.kinds.place(i, j)
@@ -221,7 +221,7 @@ class Draws:
         return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
 
     def incidence(self, drawn: Drawn) -> Any:
-        """Return the angles of incidence on the detector; for points outside a lens, those from its nearest point."""
+        """Return the angles of incidence on the detector, in the medium; points outside a lens have its nearest's."""
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return dr.atan(aside / (self._camera.detector_distance + drawn.height))

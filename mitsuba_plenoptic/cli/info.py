@@ -40,6 +40,14 @@ def info(
             help="Draw the main_lens with rays, spots, light and distortion over the field.",
         ),
     ] = None,
+    microlens: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            show_default="none",
+            help="Draw a microlens: its phase, a section with rays, and its spot.",
+        ),
+    ] = None,
     define: Definitions = None,
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
@@ -55,6 +63,8 @@ def info(
       mitsuba-plenoptic info raw.exr
 
       mitsuba-plenoptic info camera.json --drawing lens.png
+
+      mitsuba-plenoptic info camera.json --microlens microlens.png
     """
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
@@ -72,6 +82,10 @@ def info(
         from ..report.lens_drawing import draw_main_lens
 
         draw_main_lens(drawing, camera)
+    if microlens is not None:
+        from ..report.microlens_drawing import draw_microlens
+
+        draw_microlens(microlens, camera, wavelength)
     console = Console(highlight=False)
     console.print(_table(design_sheet(camera, wavelength)))
     if capture:

@@ -124,7 +124,7 @@ def _behind_objective(
     r"""Return the same for a microscope: :math:`n w / 0.94 \lambda M d` and :math:`n z / 2 M p d`; 2 NA bounds them."""
     M, n, d = lens.magnification, lens.immersion, abs(depth)
     width = camera.lattice.aperture_width
-    pixels = n * camera.detector_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
+    pixels = n * camera.reduced_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
     waves, in_focus = math.inf, camera.blur_diameter(depth) < max(camera.mla_pitches)
     if wavelength is not None:
         lam = in_millimetres(require_wavelength(wavelength))

@@ -49,7 +49,7 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
     """
     # Rounding must not take a lens out of focus.
     limit = camera.pixel_size * (1 + 1e-9)
-    spots = [camera.lattice.aperture_width * (camera.detector_distance / f2 - 1) for f2 in camera.mla_focal_lengths]
+    spots = [camera.lattice.aperture_width * (camera.reduced_distance / f2 - 1) for f2 in camera.reduced_focal_lengths]
     return tuple("unfocused" if abs(s) <= limit else "keplerian" if s > 0 else "galilean" for s in spots)
 
 
@@ -62,14 +62,14 @@ def focus_type(camera: PlenopticCamera) -> str:
 def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
     """Distance a before the MLA, towards the main lens, of what each type of microlens images on the detector.
 
-    :math:`1/a + 1/z = 1/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
+    :math:`1/a + n/z = n/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
 
     Parameters
     ----------
     camera : PlenopticCamera
         The camera.
     """
-    return tuple(conjugate_distance(f2, camera.detector_distance) for f2 in camera.mla_focal_lengths)
+    return tuple(conjugate_distance(f2, camera.reduced_distance) for f2 in camera.reduced_focal_lengths)
 
 
 def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
@@ -96,7 +96,7 @@ def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
 
 
 def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
-    """Distance before the MLA of the main lens's image of an object, in units of z: :math:`v = a / z`.
+    """Distance before the MLA of the main lens's image of an object, in units of z/n: :math:`v = n a / z`.
 
     A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
     (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
@@ -109,7 +109,7 @@ def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
         Object distance from the main lens in millimetres.
     """
     camera.require_lens("virtual depth")
-    return (camera.mla_distance - image_distance(camera.focal_length, distance)) / camera.detector_distance
+    return (camera.mla_distance - image_distance(camera.focal_length, distance)) / camera.reduced_distance
 
 
 # -- how finely they see it --------------------------------------------------------------------------
@@ -285,7 +285,7 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
         infinite.
     """
     camera.require_lens("the range of depths")
-    slack = _finest(camera, wavelength) / camera.lattice.aperture_width / camera.detector_distance
+    slack = _finest(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
     found: list[tuple[float, float] | None] = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         if focus == "unfocused":

@@ -21,8 +21,8 @@ def image_f_number(camera: PlenopticCamera) -> float:
 
 
 def mla_f_number(camera: PlenopticCamera) -> float:
-    """F-number of a microlens as the detector sees it: :math:`z` over the width of its aperture."""
-    return camera.detector_distance / camera.lattice.aperture_width
+    """F-number of a microlens as the detector sees it: :math:`z / n` over the width of its aperture."""
+    return camera.reduced_distance / camera.lattice.aperture_width
 
 
 def micro_image_distance(camera: PlenopticCamera) -> float:
@@ -36,8 +36,8 @@ def micro_image_distance(camera: PlenopticCamera) -> float:
 def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Radius of a microlens's focal spot, from its centre to the first zero.
 
-    :math:`\lambda z / w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / d` for a disc of
-    diameter d; for a hexagon that of the disc of its area.
+    :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
+    of diameter d; for a hexagon that of the disc of its area.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     wavelength : float
         Wavelength in nanometres.
     """
-    return in_millimetres(require_wavelength(wavelength)) * camera.detector_distance / camera.lattice.diffraction_width
+    return in_millimetres(require_wavelength(wavelength)) * camera.reduced_distance / camera.lattice.diffraction_width
 
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
@@ -56,9 +56,9 @@ def direction_count(camera: PlenopticCamera, wavelength: float | None = None) ->
 
 
 def mla_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Fresnel number of a microlens of width w seen from the detector, :math:`(w/2)^2 / (\lambda z)`."""
+    r"""Fresnel number of a microlens of width w seen from the detector, :math:`n (w/2)^2 / (\lambda z)`."""
     return (camera.lattice.aperture_width / 2) ** 2 / (
-        in_millimetres(require_wavelength(wavelength)) * camera.detector_distance
+        in_millimetres(require_wavelength(wavelength)) * camera.reduced_distance
     )
 
 
@@ -130,7 +130,7 @@ def crosstalk_lenses(camera: PlenopticCamera) -> int:
 
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
     """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
-    b, z, lattice = camera.pupil_distance, camera.detector_distance, camera.lattice
+    b, z, lattice = camera.pupil_distance, camera.reduced_distance, camera.lattice
     # Behind an objective all lenses see the stop in the same directions.
     growth = camera.lens_data.converges + b / z
     reach = main_lens(camera).reach / growth

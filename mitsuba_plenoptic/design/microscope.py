@@ -35,7 +35,7 @@ def native_field(camera: PlenopticCamera) -> float:
     """
     lens = objective_of(camera)
     if lens.images_stop:
-        return camera.mla_pitch / lens.view_scale(camera.detector_distance)
+        return camera.mla_pitch / lens.view_scale(camera.reduced_distance)
     return camera.detector_width / lens.magnification
 
 
@@ -102,7 +102,7 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
         abs(sine) > math.sin(lens.half_angle),
         f"position = {position:g}: it must lie in the image of the stop, within {lens.blur_diameter(0) / 2:g}",
     )
-    return -camera.detector_distance * growth * math.tan(math.asin(sine))
+    return -camera.reduced_distance * growth * math.tan(math.asin(sine))
 
 
 def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
@@ -120,7 +120,7 @@ def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None
         elif part < 0.5:
             found.append(f"pixels are wasted: micro-images fill {part:.0%} of their pitch; {matching}")
     if wavelength is not None:
-        spot = in_millimetres(wavelength) * camera.detector_distance / camera.lattice.aperture_width
+        spot = in_millimetres(wavelength) * camera.reduced_distance / camera.lattice.aperture_width
         if camera.pixel_size > spot / 2:
             found.append(
                 f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um exceeds "

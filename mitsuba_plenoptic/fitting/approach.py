@@ -35,7 +35,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
         If the image shows no lattice.
     """
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
-    shrunk = camera.pupil_distance / (camera.pupil_distance + camera.detector_distance)
+    shrunk = camera.pupil_distance / (camera.pupil_distance + camera.reduced_distance)
     position = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)
     distance = np.hypot(*position.T)
     reach, found = 3 * max(camera.mla_pitches), camera

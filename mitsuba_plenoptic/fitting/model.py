@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.entry import Captures
-from ..camera.plenoptic_camera import require_known_to, require_no_glass
+from ..camera.plenoptic_camera import require_known_to, require_no_glass, require_no_shape
 from ..camera.vector import CameraVector
 from ..errors import refuse_if, short_repr
 from ..lattice import Lattice, make_lattice
@@ -157,6 +157,7 @@ class PointRays:
 def _require_known(camera: PlenopticCamera) -> None:
     """Refuse a camera through which the rays of points cannot be traced."""
     require_known_to(camera, Captures.POINTS, "points are followed")
+    require_no_shape(camera, "points are followed by rays")
     require_no_glass(camera, "points are followed at one wavelength;")
     camera.require_no_objective("points are followed by rays")
     refuse_if(
@@ -168,9 +169,9 @@ def _require_known(camera: PlenopticCamera) -> None:
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
     """Return the displacements of rays on the array and on the detector per displacement on the pupil."""
-    b, z = float(lens.pupil_distance), camera.detector_distance
+    b, z = float(lens.pupil_distance), camera.reduced_distance
     on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
-    bends = [1 + z / b - z / f2 for f2 in camera.mla_focal_lengths]
+    bends = [1 + z / b - z / f2 for f2 in camera.reduced_focal_lengths]
     return on_array, np.max([abs(on_array * bend - z / b) for bend in bends], axis=0)
 
 
@@ -260,18 +261,19 @@ class _Bundles:
     def _detector_position(self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any) -> tuple[Any, Any]:
         """Return the positions at which rays through lenses of the given indices hit the detector."""
         camera, lattice = self.camera, self._lattice
-        lengths = [self._number(length) for length in camera.mla_focal_lengths]
+        lengths = [self._number(length) for length in camera.reduced_focal_lengths]
         f2 = lengths[0]
         for number, length in enumerate(lengths[1:], 1):
             f2 = dr.select(abs(lattice.lens_type(i, j) - number) < 0.5, length, f2)
         b, z = self._number(self.lens.pupil_distance), self._number(camera.detector_distance)
+        n = self._number(camera.mla_medium)
         slope = tuple((q - P) / b for q, P in zip(position, pupil, strict=True))
         bent = tuple((q - c) / f2 for q, c in zip(position, lattice.centre(i, j), strict=True))
         if camera.lens_model == "ideal":
-            behind = tuple(s - turn for s, turn in zip(slope, bent, strict=True))
+            behind = tuple((s - turn) / n for s, turn in zip(slope, bent, strict=True))
         else:
             cosines = rays.slopes_to_cosines(*slope)
-            behind = rays.cosines_to_slopes(*(s - turn for s, turn in zip(cosines, bent, strict=True)))
+            behind = rays.cosines_to_slopes(*((s - turn) / n for s, turn in zip(cosines, bent, strict=True)))
         x, y = (q + z * s for q, s in zip(position, behind, strict=True))
         return x, y
 

@@ -114,7 +114,7 @@ def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarra
     """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
     pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
-    return np.asarray(rays.chief_point(p, camera.mla_distance, camera.detector_distance))
+    return np.asarray(rays.chief_point(p, camera.mla_distance, camera.reduced_distance))
 
 
 def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:

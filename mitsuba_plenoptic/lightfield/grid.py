@@ -147,7 +147,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
         not len(micro_image_centres(camera, 0)),
         f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window",
     )
-    scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.detector_distance)
+    scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.reduced_distance)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
     return covering_grid(camera.shape, np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)]), vectors, shifted)
@@ -161,7 +161,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
     x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.detector_distance)
+        rays.chief_point(camera.pixel_coordinates(axis)[[0, -1]], camera.mla_distance, camera.reduced_distance)
         for axis in (0, 1)
     )
     around = (margin + 1) * camera.pixel_size
@@ -179,7 +179,7 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     if len(camera.mla_focal_lengths) == 1:
         return np.zeros(centres.shape[:-1], dtype=np.int64)
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-    chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
     i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
     return camera.lattice.lens_type(i, j).astype(np.int64)
 
@@ -187,7 +187,7 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
 def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
     """Return the index of the lens of each recorded pixel's chief ray."""
     x, y = (
-        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
+        rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
         for axis in (0, 1)
     )
     index = np.empty((2, *camera.shape), np.int32)
@@ -264,5 +264,5 @@ def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarra
 
 def _pixel(camera: PlenopticCamera, centre: Any, axis: int) -> Any:
     """Coordinate on the recorded image of the micro-image of a lens."""
-    p = rays.chief_detector_point(centre, camera.mla_distance, camera.detector_distance)
+    p = rays.chief_detector_point(centre, camera.mla_distance, camera.reduced_distance)
     return p / camera.pixel_size + camera.resolution[axis] / 2 - camera.crop_offset[axis]

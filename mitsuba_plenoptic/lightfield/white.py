@@ -165,7 +165,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
             row = middle + (row - middle) / (1 - height[:, None] / camera.mla_distance)
         base = np.floor(row).astype(np.int64)
         # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
-        step = camera.pixel_size * (camera.mla_distance - height) / (camera.detector_distance + height)
+        distance = camera.reduced_distance + height / camera.mla_medium
+        step = camera.pixel_size * (camera.mla_distance - height) / distance
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
         fraction = fractions(lens_types(camera, row), height, x, y)
         down = base[:, 1, None, None] + window[:, None] + half
@@ -287,7 +288,7 @@ class _Fractions:
         """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-        chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+        chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
         lens = np.stack(camera.lattice.centre(*camera.lattice.cell(*chief.T)), axis=-1)
         return np.asarray(lens @ self._slopes)
 

@@ -35,6 +35,7 @@ from ..runtime.batches import BatchMap, Box, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
 from ..runtime.jobs import Job
 from ..system.microlens_orders import ArrayFactor
+from ..system.microlenses import transmission
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .arrival import (
@@ -49,6 +50,9 @@ from .arrival import (
 )
 from .patch_plan import Cost
 from .pupil_weights import PupilWeights
+
+_FINER = 6
+"""Samples of an irregular array along an axis in a sample of the field; they limit the accuracy of its edges."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +115,16 @@ def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field,
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
         before = _passed_power(system, grids, samples)
-        _apply(system.microlenses.factors(grids.bend), grids, samples)
+        if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
+            samples *= _irregular(system, grids)
+        else:
+            _apply(system.microlenses.factors(grids.bend), grids, samples)
         if before > 0:
             guards.check(guards.MICROLENS, 1 - power(samples) / before)
+    camera = system.camera
     with resting_drjit():
         spectrum = fft2(samples)
-    return advance(spectrum, grids.pitch, system.camera.detector_distance, system.wavelength)
+    return advance(spectrum, grids.pitch, camera.detector_distance, camera.medium_wavelength(system.wavelength))
 
 
 def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:
@@ -131,6 +139,24 @@ def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> Non
         position = backend().types.Float64(dr.arange(backend().types.UInt32, count)) * grids.pitch + start
         line = as_field(pack(factor.at(position)), (count,))
         samples *= line if axis == 0 else line[:, None]
+
+
+def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
+    """Return the transmission of an irregular array, which has no orders, without directions that the grid aliases."""
+    types, (columns, rows) = backend().types, grids.count
+    pitch, shape = grids.pitch / _FINER, (_FINER * rows, _FINER * columns)
+    check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
+    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    row, column = rows_and_columns(types, *shape)
+    x, y = types.Float64(column) * pitch + left, types.Float64(row) * pitch + top
+    fine = as_field(pack(transmission(system.camera, system.wavelength, x, y)), shape)
+    lam = in_millimetres(system.wavelength)
+    with resting_drjit():
+        spectrum = fft2(fine)
+        held = np.ix_(*(np.rint(np.fft.fftfreq(size) * size).astype(int) for size in (rows, columns)))
+        cosines = [np.fft.fftfreq(size, grids.pitch) * lam for size in (rows, columns)]
+        spectrum = spectrum[held] * backend().arrays.asarray(np.hypot(cosines[0][:, None], cosines[1]) <= grids.bend)
+        return fft2(backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
 
 
 def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: Field) -> float:

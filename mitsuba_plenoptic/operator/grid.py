@@ -151,12 +151,12 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     image = footprint(lens, positions)
     a, b = lens.pupil_radius, lens.pupil_distance
     # Between MLA and detector the light moves sideways: the patch is centred half-way.
-    aside = camera.detector_distance * lens.chief_slope(image.centre)
+    aside = camera.reduced_distance * lens.chief_slope(image.centre)
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
     # A margin on both sides contains the light that moves sideways between MLA and detector.
-    reach = camera.detector_distance * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
+    reach = camera.reduced_distance * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
     width = np.maximum(_WIDTH_PER_BLUR * blur + max(spread / 3, 2 * reach), spread) + np.abs(aside).max(1)
     check_samples(
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal, require_no_glass
+from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io.checkpoints import digest
 from ..optics import guards
@@ -95,7 +95,7 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        require_ideal(camera)
+        require_ideal(camera, irregular=method == "full_field")
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
@@ -292,6 +292,7 @@ class CaptureOperator:
         """Return the derivatives of the sums, or refuse methods that do not support them."""
         refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
+        require_no_shape(self.camera, "derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
             raise InputError(

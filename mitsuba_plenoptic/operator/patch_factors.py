@@ -266,4 +266,6 @@ class PatchFactors:
             * self._constant(self._steps[axis])
             for axis, index in ((0, column), (1, row))
         )
-        return transfer(sx, sy, elements.detector_distance, elements.wavelength)
+        # In the medium both direction cosines and wavelength are smaller by its index.
+        medium = self._constant(self._grid.camera.mla_medium)
+        return transfer(sx / medium, sy / medium, elements.detector_distance, elements.wavelength / medium)

@@ -13,18 +13,18 @@ from ..lenses.base import MainLens
 from ..system.optical_system import OpticalSystem
 
 
-def brightness(lattice: Any, pupil_radius: Any, detector_distance: Any, pixel_size: Any) -> Any:
-    r"""Return :math:`A_{pupil} z^2 / (A_{lens} A_{pixel})`, the part of a point's weight that depends on the camera.
+def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:
+    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`, the camera's part of a point's weight.
 
     The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that it represents.
     """
     pupil = math.pi * pupil_radius**2
-    return pupil * detector_distance**2 / (lattice.lens_area * pixel_size**2)
+    return pupil * reduced_distance**2 / (lattice.lens_area * pixel_size**2)
 
 
 def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
     """Return `brightness` for a camera with its main lens."""
-    return float(brightness(camera.lattice, lens.reach, camera.detector_distance, camera.pixel_size))
+    return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -72,7 +72,7 @@ def follow_back(
 ) -> tuple[Any, Any]:
     """Follow the ray from a detector point through a point of a lens to an object plane, which may be at infinity."""
     f2 = camera.mla_focal_length if mla_focal_length is None else mla_focal_length
-    t = microlens_slope(p, m, c, camera.detector_distance, f2)
+    t = microlens_slope(p, m, c, camera.reduced_distance, f2 / camera.mla_medium)
     P = pupil_point(m, t, camera.mla_distance)
     return P, -camera.mla_distance * object_direction(P, main_lens_slope(t, P, camera.focal_length), distance)
 

@@ -20,6 +20,7 @@ from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
+from ..system.figure_error import FigureError
 from ..system.lens_kinds import MOST_DEVIATIONS, irregularities
 
 _STEP = 1.0
@@ -72,11 +73,14 @@ class Dispersion:
             dr.make_opaque(table)
             return table
 
+        microlenses = along(camera.mla_glass, Glass.focal_ratio)
+        if camera.mla_shape is not None:
+            shape = camera.mla_shape
+            microlenses = mi.Float([1 / shape.strength(wavelength) for wavelength in wavelengths])
+            dr.make_opaque(microlenses)
         surfaces = camera.lens_data.traced_surfaces
         indices = [along(surface.glass, Glass.at) for surface in surfaces] if surfaces else None
-        return cls(
-            wavelengths, along(camera.glass, Glass.focal_ratio), along(camera.mla_glass, Glass.focal_ratio), indices
-        )
+        return cls(wavelengths, along(camera.glass, Glass.focal_ratio), microlenses, indices)
 
     def ends(self, camera: PlenopticCamera) -> list[PlenopticCamera]:
         """Return the camera at its shortest and at its longest wavelength."""
@@ -115,7 +119,10 @@ class Dispersion:
 
 
 class Passage(NamedTuple):
-    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length."""
+    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length.
+
+    The focal length is reduced by the index of the medium behind the array.
+    """
 
     point: Pair
     centre: Pair
@@ -176,7 +183,7 @@ class CameraRays:
         `pixel` is the detector point, a pair of Dr.Jit arrays.
         """
         lattice = self.lattice
-        b, z = self.lens.pupil_distance, self.detector_distance
+        b, z = self.lens.pupil_distance, self.detector_distance / self.camera.mla_medium
         x, y = (self.lens.chief_point(p, z) for p in pixel)
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / b
@@ -192,7 +199,7 @@ class CameraRays:
             i, j = (index + step for index, step in zip((i, j), steps, strict=True))
         cx, cy = lattice.centre(i, j)
         dx, dy = lattice.aperture_point(within, lens_sample[1])
-        f2 = self.focal_lengths
+        f2 = self.focal_lengths / self.camera.mla_medium
         if dr.width(f2) > 1:
             f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
         if any(self.camera.mla_jitter):
@@ -210,19 +217,40 @@ class CameraRays:
         if light is not None:
             f2 = f2 * light.mla_ratio
             lens = light.through(lens)
-        z = self.detector_distance
+        z, n = self.detector_distance, self.camera.mla_medium
         height = self._height(cx, cy) if any(self.camera.mla_tilt) else None
         if height is not None:
             z = z + height
-        if self.camera.lens_model == "ideal":
-            slope = tuple(rays.microlens_slope(p, m, c, z, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
+        error = FigureError.of(self.camera) if any(self.camera.mla_figure_error) else None
+        if self.camera.mla_shape is None and self.camera.lens_model == "ideal":
+            slope = tuple(rays.microlens_slope(p, m, c, z / n, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
+            if error is not None:
+                slope = tuple(t + turn for t, turn in zip(slope, error.slopes(mx, my), strict=True))
+            emerges = mi.Bool(True)
         else:
             sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-            slope = rays.cosines_to_slopes(sx - (mx - cx) / f2, sy - (my - cy) / f2)
+            turn_x, turn_y = self._turn((mx - cx, my - cy), f2)
+            sx, sy = n * sx + turn_x, n * sy + turn_y
+            if error is not None:
+                sx, sy = (cosine + turn for cosine, turn in zip((sx, sy), error.slopes(mx, my), strict=True))
+            # The rest is reflected totally.
+            emerges = sx * sx + sy * sy < 1
+            slope = rays.cosines_to_slopes(*(dr.select(emerges, cosine, 0) for cosine in (sx, sy)))
         if height is not None:
             # The point at which the ray crosses the plane of the lens on the axis.
             mx, my = mx - height * slope[0], my - height * slope[1]
-        return lens.trace((mx, my), slope)
+        point, slope, is_open = lens.trace((mx, my), slope)
+        return point, slope, is_open & emerges
+
+    def _turn(self, offset: Pair, f2: Any) -> Pair:
+        """Return the change of the direction cosines of rays at offsets from the centres of lenses."""
+        shape = self.camera.mla_shape
+        if shape is None:
+            return tuple(-value / f2 for value in offset)
+        # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
+        weaker = self.camera.reduced_focal_lengths[0] / f2
+        slopes = shape.slopes(*self.lattice.to_frame(*offset))
+        return tuple(slope * weaker for slope in self.lattice.from_frame(*slopes))
 
     def from_pupil(self, pupil: Pair, position: Pair) -> Traced:
         """Trace the rays through points of the array and points of the pupil."""

@@ -35,6 +35,7 @@ from ..errors import (
 )
 from ..io.lens_file import read_lens
 from ..lens_data import LensData
+from ..microlens import known_shape
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,
@@ -139,12 +140,21 @@ def _read_glass(props: Any, name: str) -> Any:
         return json.loads(source)
 
 
+def _read_shape(props: Any, name: str) -> Any:
+    """Read the shape of microlenses, given as a JSON file or its text."""
+    source = _plain(props[name])
+    if not isinstance(source, str):
+        raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
+    return known_shape(source, lambda path: str(mi.file_resolver().resolve(path)))
+
+
 _READERS = {
     Form.SEVERAL: _read_numbers,
     Form.NUMBERS: _read_numbers,
     Form.PLACE: _read_position,
     Form.LENS: _read_main_lens,
     Form.GLASS: _read_glass,
+    Form.SHAPE: _read_shape,
 }
 """Readers for the forms of parameters that scene files write differently from Python."""
 

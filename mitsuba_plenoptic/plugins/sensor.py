@@ -248,7 +248,7 @@ def make_class() -> type:
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if self.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        z = self.detector_distance
+                        z = self.detector_distance / self.camera.mla_medium
                         beside, turned = cast(RealLens, self._rays.lens).beside(point, slope, (-dx / z, -dy / z))
                     else:
                         beside, turned, _ = self._rays.trace((px + dx, py + dy), passage, light)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal
+from ..camera.plenoptic_camera import require_ideal, require_no_shape
 from ..detector import require_demosaiced
 from ..errors import (
     InputError,
@@ -310,6 +310,7 @@ def reconstruct(
     waves = chosen.waves and options.get("response") != "ray"
     if chosen.waves:
         require_ideal(camera)
+        require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.

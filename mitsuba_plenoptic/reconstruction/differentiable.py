@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal
+from ..camera.plenoptic_camera import require_ideal, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
 from ..io.captures import as_array, require_pixels
 from ..lens_data import image_distance
@@ -168,6 +168,7 @@ class CoherentRefocus:
     ) -> None:
         camera.require_thin("captures are reconstructed")
         require_ideal(camera)
+        require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
         # Images are formed by the ideal lens, without aberrations.
         camera = camera.replace(wavefront=())

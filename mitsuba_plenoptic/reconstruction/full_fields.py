@@ -222,8 +222,9 @@ class BackwardFields:
         found, n = [], self._grids.subsamples
         for strip, own in zip(self._grids.strips, on_array, strict=True):
             onto = strip.to_mla
-            light = converging(onto, camera, wavelength), onto, camera.detector_distance, wavelength, workspace
-            samples = self._whole(propagate_vjp(workspace.blocks(own), *light), onto.reversed)
+            light = converging(onto, camera, wavelength), onto, camera.detector_distance
+            shorter = camera.medium_wavelength(wavelength)
+            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, shorter, workspace), onto.reversed)
             real = workspace.libraries.to_host(samples).real
             shape = onto.y.count // n, n, onto.x.count // n, n
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
@@ -239,9 +240,10 @@ class BackwardFields:
         Light that strays to a cell from another lens's pixels is deflected by a micro-image and misses the main lens.
         So the light of all lenses may propagate to the MLA at once, and a subset is the light that passes its lenses.
         """
-        step, z = strip.to_mla, self._camera.detector_distance
-        light = converging(step, self._camera, self._wavelength, self._interleave, subset)
-        return propagate(self._samples(amplitude[strip.rows]), light, step, z, self._wavelength, self._workspace)
+        step, camera = strip.to_mla, self._camera
+        light = converging(step, camera, self._wavelength, self._interleave, subset)
+        z, wavelength = camera.detector_distance, camera.medium_wavelength(self._wavelength)
+        return propagate(self._samples(amplitude[strip.rows]), light, step, z, wavelength, self._workspace)
 
     def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
         if not self._relay:
@@ -311,7 +313,7 @@ def converging(
     subset: tuple[int, int] | None = None,
 ) -> ThinElement:
     """Return what lets light on the detector converge to the centres of all lenses, or of those of a subset only."""
-    b, z = camera.mla_distance, camera.detector_distance
+    b, z = camera.mla_distance, camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
         index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))

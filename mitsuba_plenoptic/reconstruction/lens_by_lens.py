@@ -74,7 +74,7 @@ class LensSet:
         camera = tile.camera
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size
-        low, high = rays.chief_point(ends, camera.mla_distance, camera.detector_distance).T
+        low, high = rays.chief_point(ends, camera.mla_distance, camera.reduced_distance).T
         half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
@@ -109,7 +109,7 @@ class LensSet:
     def batch(self, which: np.ndarray) -> LensBatch:
         """Return the batch of the lenses at the given positions."""
         tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
-        z, types = camera.detector_distance, np.array(camera.mla_focal_lengths)
+        z, types = camera.reduced_distance, np.array(camera.reduced_focal_lengths)
         axes = x, y = self._samples(which)
         along_x, along_y = (
             phasor(parabola((axis.coordinate - c[:, None]) ** 2, z, tile.wavelength))
@@ -165,7 +165,7 @@ class _DetectorSamples:
     def of(cls, centre: np.ndarray, tile: LensTile, axis: int) -> _DetectorSamples:
         """Take the samples of lenses with these centres."""
         camera, n = tile.camera, tile.subsamples
-        b, z = camera.mla_distance, camera.detector_distance
+        b, z = camera.mla_distance, camera.reduced_distance
         offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
         edge = rays.chief_detector_point(centre - tile.cell_width / 2, b, z)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)

@@ -106,7 +106,7 @@ class LensTile:
     def padded(self) -> int:
         """Samples of the window from detector to MLA: what wraps round misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
-        spread = self.camera.detector_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
+        spread = self.camera.reduced_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
         window = (source + self.cell_width) / 2 + self._chief_shift + spread
         # The pixels themselves must have room.
         return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
@@ -115,7 +115,7 @@ class LensTile:
     def _chief_shift(self) -> float:
         """Distance of micro-images at the rim of the detector from their lenses."""
         half_field = max(self.camera.detector_width, self.camera.detector_height) / 2
-        return half_field * self.camera.detector_distance / self.camera.mla_distance
+        return half_field * self.camera.reduced_distance / self.camera.mla_distance
 
     @cached_property
     def samples(self) -> int:
@@ -181,7 +181,7 @@ class LensTile:
     def transfer(self) -> Field:
         """Transfer function from detector to MLA."""
         ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
-        return advance(ones, self.pitch, self.camera.detector_distance, self.wavelength)
+        return advance(ones, self.pitch, self.camera.detector_distance, self.camera.medium_wavelength(self.wavelength))
 
     @property
     def transformed(self) -> int:

@@ -112,7 +112,7 @@ class LensArray:
 
 def _chief_points(camera: PlenopticCamera, axis: int) -> NDArray[np.float64]:
     """Return where the chief rays of the recorded columns (axis 0) or rows (axis 1) pass the array."""
-    points = rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.detector_distance)
+    points = rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
     return np.asarray(points)
 
 

@@ -211,7 +211,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     the MLA the microlens's bend besides the light that the main lens accepts, so that what is bent beyond the grid's
     directions does not come back among those.
     """
-    b, z = camera.mla_distance, camera.detector_distance
+    b, z = camera.mla_distance, camera.reduced_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
     converging = half_field / b + max(camera.mla_pitches) * (b + z) / (2 * b * z)
     accepted = (camera.aperture_radius + half_field) / b + bend(camera)
@@ -275,7 +275,7 @@ def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: S
 
     All directions are included, and the window has room for them on both sides.
     """
-    b, z = camera.mla_distance, camera.detector_distance
+    b, z = camera.mla_distance, camera.reduced_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
     first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
     spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
@@ -341,7 +341,7 @@ def object_extent(
     b = camera.mla_distance
     spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.mla_pitch / b
     edges = (np.array(lit) - camera.resolution[axis] / 2) * camera.pixel_size
-    high, low = -rays.chief_point(edges, b, camera.detector_distance) / b
+    high, low = -rays.chief_point(edges, b, camera.reduced_distance) / b
     light = (float(low) - spread, float(high) + spread)
     half_field = camera.bin_count[axis] / 2 * camera.mla_pitch / b
     return light, (min(max(light[0], -half_field), half_field), max(min(light[1], half_field), -half_field))

@@ -175,7 +175,7 @@ def _places(
     height = max(1, _BLOCK // len(px))
     for first in range(0, len(down), height):
         p = px, down[first : first + height, None]
-        cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.detector_distance) for q in p))
+        cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
         found = [
             np.broadcast_arrays(*rays.follow_back(q, c, c, distance, camera))
             for q, c in zip(p, camera.lattice.centre(*cells), strict=True)

@@ -112,7 +112,7 @@ def _axis(
     """Return the positions of the pixels of one axis on the bins, and on the pupil."""
     count = camera.bin_count[axis] * oversample
     p = camera.pixel_coordinates(axis)
-    chief = rays.chief_point(p, camera.mla_distance, camera.detector_distance)
+    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
     pupil, position = rays.follow_back(p, c, c, distance, camera)

@@ -197,7 +197,7 @@ def _landing(
         lens_type = np.zeros(lit.size, np.int8)
         if len(camera.mla_focal_lengths) > 1:
             pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            b, z = camera.pupil_distance, camera.detector_distance
+            b, z = camera.pupil_distance, camera.reduced_distance
             lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
         found.append([sample, lens_type, lit + rows.start * columns])
     sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -214,7 +214,7 @@ def _places(
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = px, down[first : first + height, None]
-        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.detector_distance) for q in p))
+        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
         shape = p[1].size, px.size
         (Px, x), (Py, y) = (
             [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]
@@ -282,10 +282,10 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
             dx, dy = lattice.aperture_point(u, v)
             for across, down in around:
                 cx, cy = lattice.centre(i + across, j + down)
-                f2: Any = camera.mla_focal_length
+                f2: Any = camera.reduced_focal_lengths[0]
                 if several:
                     kind = types.UInt32(lattice.lens_type(i + across, j + down))
-                    f2 = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), kind)
+                    f2 = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), kind)
                 _, _, is_open = _back(camera, lens, position, (cx + dx, cy + dy), (cx, cy), f2)
                 total += dr.select(is_open, 1.0, 0.0)
             dr.eval(total)
@@ -308,7 +308,7 @@ def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, A
 
 def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
     """Return the indices of the lenses whose centres the light of the pupil's middle passes on its way to pixels."""
-    b, z = camera.pupil_distance, camera.detector_distance
+    b, z = camera.pupil_distance, camera.reduced_distance
     i, j = camera.lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
     return i, j
 
@@ -317,7 +317,7 @@ def _back(
     camera: PlenopticCamera, lens: MainLens, position: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
 ) -> Any:
     """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
-    z = camera.detector_distance
+    z = camera.reduced_distance
     slope = [
         (m - p) / z if f2 is None else rays.microlens_slope(p, m, c, z, f2)
         for p, m, c in zip(position, through, centre, strict=True)

@@ -173,7 +173,7 @@ def _traced_throughput(
 def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
     """Power that comes back, and power sent, of the micro-image of a lens next to the axis."""
     camera = _around_axis(camera, 2)
-    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.detector_distance)
+    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.reduced_distance)
     px, py = (camera.pixel_coordinates(axis) - centre for axis in (0, 1))
     image = soft_edge((camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size)
     tile = LensTile(camera, wavelength, _THROUGHPUT_LENSES, 1)
@@ -197,7 +197,7 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
 
 def _white_micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return the micro-image of white behind one lens, and where its pixels see the pupil from its centre, at most."""
-    b, z = camera.mla_distance, camera.detector_distance
+    b, z = camera.mla_distance, camera.reduced_distance
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
     lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0

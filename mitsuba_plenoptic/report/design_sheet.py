@@ -140,14 +140,19 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
         lattice.append(f"moved by ({', '.join(map(_four, camera.mla_offset))}) mm")
     if any(camera.mla_tilt):
         lattice.append(f"tilted by ({', '.join(map(_four, camera.mla_tilt))}) deg")
+    medium = []
+    if camera.mla_medium != 1:
+        medium = [("medium behind it", f"{camera.mla_medium:g}", "", "refractive index, by which z is divided below")]
     area = camera.lattice.lens_area / camera.lattice.cell_area
     shape = "round" if camera.mla_aperture == "circle" else camera.mla_lattice
+    form = "" if camera.mla_shape is None else f"of the {camera.mla_shape.form.replace('_', ' ')} mla_shape"
     return [
-        ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", ""),
+        ("focal length", ", ".join(map(_four, camera.mla_focal_lengths)), "mm", form),
         ("pitch", " x ".join(map(_four, dict.fromkeys(camera.mla_pitches))), "mm", ", ".join(lattice)),
         ("lens width", _four(camera.lattice.aperture_width), "mm", f"{shape}, {area:.0%} of the area"),
         ("lenses", f"{columns} x {rows}", "", bins),
         ("distance to detector", _four(camera.detector_distance), "mm", ""),
+        *medium,
     ]
 
 
@@ -332,7 +337,7 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
-    micro, main = camera.detector_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
+    micro, main = camera.reduced_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),

@@ -29,6 +29,7 @@ from ..lattice import Lattice
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .lens_kinds import Kind, LensKinds
+from .microlenses import aperture_points
 
 _TRANSFER_SAMPLES = 64
 """Samples across a lens for its transfer functions: the phase between neighbours changes by a fifth of a period."""
@@ -61,6 +62,20 @@ class ArrayKernels:
         square = float(self.lattice.aperture_reach) ** 2
         most = max(abs(self.convergence(kind)) for kind in self.kinds)
         return math.pi * most * square / in_millimetres(self.wavelength)
+
+    @property
+    def aberration(self) -> float:
+        """Difference of the shape of lenses from the parabola by which rays land, in radians at the edge of a lens.
+
+        It is that of the slopes, since a phase may have jumps.
+        """
+        shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
+        assert shape is not None
+        u, v = lattice.to_frame(*aperture_points(lattice))
+        strength = shape.strength(self.wavelength)
+        slopes = (s * strength + place / focal_length for s, place in zip(shape.slopes(u, v), (u, v), strict=True))
+        most = float(np.hypot(*slopes).max())
+        return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
 
     @property
     def by_points(self) -> bool:
@@ -138,7 +153,7 @@ class ArrayKernels:
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
         """Return the sampling of `kernels`: lag step in fine steps, and numbers of lags and samples on either side."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
@@ -148,7 +163,7 @@ class ArrayKernels:
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
         """Return `kernels` with a given sampling, even if another one would suit them better."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].detector_distance
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every, farthest, count = samples
         transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, self.kinds[kind])
@@ -162,9 +177,11 @@ class ArrayKernels:
         wavelength = in_millimetres(self.wavelength)
         made = []
         for kind in self.kinds[: len(self.camera.mla_focal_lengths)]:
-            scale = wavelength * kind.detector_distance
+            scale = wavelength * kind.distance
             waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
             phase = self.convergence(kind) * (u * u + v * v) / (2 * wavelength)
+            if self.camera.mla_shape is not None:
+                phase = phase + self._beyond_parabola(u, v, kind)
             field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
             made.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
         return np.stack(made)
@@ -176,7 +193,7 @@ class ArrayKernels:
         :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is a sum of products of transforms of aperture times
         power.
         """
-        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.detector_distance
+        lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
         parts = math.ceil(_KEPT * step * float(lattice.aperture_width) / scale)
         count = math.ceil(reach / step)
         fine, far = step / parts, (count + 1) * parts - 1
@@ -203,7 +220,15 @@ class ArrayKernels:
         """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
         # Waves from a point of an objective's stop are plane.
         own = self.camera.lens_data.converges / self.camera.pupil_distance
-        return 1 / kind.detector_distance + own - 1 / kind.focal_length
+        return 1 / kind.distance + own - 1 / kind.focal_length
+
+    def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
+        """Return the phase of a lens in waves without that of the parabola by which rays land."""
+        shape = self.camera.mla_shape
+        assert shape is not None
+        ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
+        parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
+        return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
 
     def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
         """Return the integrals of polynomial times T T* over a cell at given lags in steps, the same along x and y."""
@@ -228,6 +253,8 @@ class ArrayKernels:
         if not self.by_points:
             # A quadratic phase shifts the landing point in proportion to the position on the lens.
             phase += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
+        if camera.mla_shape is not None:
+            phase += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
         inside = lattice.in_aperture(x - cx, y - cy)
         T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
         # Polynomials are undefined outside the aperture, where rays have no coefficients.

@@ -91,9 +91,9 @@ class Kind(NamedTuple):
 
     # Index of the design focal length of the lens.
     lens_type: int
-    # Focal length and distance to the detector of these lenses, in millimetres.
+    # Focal length and distance to the detector of these lenses, in millimetres, reduced by the index of the medium.
     focal_length: float
-    detector_distance: float
+    distance: float
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ class LensKinds:
         """All kinds: the combinations of each height, each focal length factor and each lens type."""
         camera = self.camera
         return [
-            Kind(kind, f2 * ratio, camera.detector_distance + height)
+            Kind(kind, f2 * ratio, camera.reduced_distance + height / camera.mla_medium)
             for height, ratio, (kind, f2) in itertools.product(
-                self._heights, self._ratios, enumerate(camera.mla_focal_lengths)
+                self._heights, self._ratios, enumerate(camera.reduced_focal_lengths)
             )
         ]
 
@@ -127,12 +127,13 @@ class LensKinds:
         r"""Return the mean factor by which a kind's micro-images are larger than those by rays through lens centres.
 
         Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
-        of a lens of power 1/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}`. The brightness
-        falls by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the lenses.
+        of a lens of power n/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium of
+        index n. The brightness falls by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the
+        lenses; the focal length is reduced.
         """
         camera = self.camera
         distance = camera.pupil_distance if mla_distance is None else mla_distance
-        square = (scale * (1 / focal_length - camera.lens_data.converges / distance)) ** 2
+        square = (scale * (1 / focal_length - camera.lens_data.converges / distance) / camera.mla_medium) ** 2
         second, fourth = self._moments
         return (1 - 2 * second * square + fourth * square * square) ** -0.5
 
@@ -177,14 +178,15 @@ class LensKinds:
         """Factors on the focal lengths."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
         # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
-        return 1 + _steps(most, _STEP / self._phase * self.camera.detector_distance)
+        return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
 
     @cached_property
     def _heights(self) -> NDArray[np.float64]:
         """Heights of a tilted array."""
         camera = self.camera
         most = abs(self.height(camera.detector_width / 2, 0.0)) + abs(self.height(0.0, camera.detector_height / 2))
-        return _steps(most, _STEP / self._phase * (camera.detector_distance - most) ** 2)
+        n = camera.mla_medium
+        return _steps(most, _STEP / self._phase * n * (camera.reduced_distance - most / n) ** 2)
 
 
 def _steps(most: float, widest: float) -> NDArray[np.float64]:

@@ -166,7 +166,7 @@ def axis_orders(
     """
     pitch = camera.mla_pitches[axis]
     width = camera.lattice.aperture_widths[axis] / pitch
-    area = in_millimetres(wavelength) * camera.mla_focal_length / pitch**2
+    area = in_millimetres(wavelength) * camera.reduced_focal_lengths[0] / pitch**2
     q = np.arange(-count, count + 1)
     shift = area * q
     scale = math.sqrt(2 / area)
@@ -209,7 +209,7 @@ class PlaneFactor(ArrayFactor):
             return -1j * math.pi * self._moment(axis, 2, lens_type)
         camera, pitch = self._camera, self._camera.mla_pitches[axis]
         result = plain - self._by_position(self._moment(axis, 1, None), axis) / (self.periods[axis] / pitch)
-        for each, length in enumerate(camera.mla_focal_lengths):
+        for each, length in enumerate(camera.reduced_focal_lengths):
             fresnel = pitch**2 / (in_millimetres(self._wavelength) * length)
             result = result - 2j * math.pi * fresnel * self._moment(axis, 2, each)
         return result / (camera.lattice.aperture_widths[axis] / pitch)
@@ -297,7 +297,7 @@ class MicrolensArray:
 
     @functools.cached_property
     def _holes(self) -> MicrolensArray:
-        return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT), self._wavelength)
+        return MicrolensArray(self._camera.replace(mla_focal_length=_FLAT, mla_shape=None), self._wavelength)
 
 
 @functools.lru_cache(maxsize=4)
@@ -316,7 +316,7 @@ class VaryingArrayFactor:
 
     factor: ArrayFactor
     lattice: Lattice
-    focal_lengths: list[Any]  # for each type of lens
+    focal_lengths: list[Any]  # for each type of lens, reduced by the index of the medium
     wavelength: Any
 
     @property

@@ -1,21 +1,27 @@
-r"""The microlens array as a thin element: apertures, and a parabolic phase in each.
+r"""The microlens array as a thin element: apertures, and a phase in each.
 
-.. math:: t(m) = \exp\left(-i \pi \frac{|m - c|^2}{\lambda f_2}\right)
+.. math:: t(m) = \exp\left(-i \pi \frac{n |m - c|^2}{\lambda f_2}\right)
 
 in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
-5.1). A grid that cannot represent the steep orders of the edges uses its orders instead: see `microlens_orders`.
+5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. A grid that
+cannot represent the steep orders of the edges uses its orders instead: see `microlens_orders`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lattice import turn
+from ..lattice import Lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
+from .figure_error import FigureError
+from .lens_kinds import irregularities
 
 _HARD_EDGES = 1.4
 """Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
@@ -23,13 +29,16 @@ _HARD_EDGES = 1.4
 _JOINED = 1 / 2
 """Orders that are retained where the phases of neighbouring lenses join, over those of separate apertures."""
 
+_POINTS = 65
+"""Points across a lens at which the slopes of its shape are sampled."""
+
 _STEEPEST = 0.7
 """Largest direction cosine that is retained for an aperture's diffraction: the limit of scalar thin elements."""
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
     """Whether the transmission is a function of x times one of y."""
-    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1
+    return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.mla_shape is None
 
 
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
@@ -42,10 +51,20 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission, with all of its orders, at Dr.Jit float64 positions in millimetres, as Complex2f."""
     dx, dy, which = from_centre(camera, x, y)
+    inside, longer = camera.lattice.in_aperture(dx, dy), 1.0
     types = array_types(x)
-    focal_length = dr.gather(types.Float64, types.Float64(camera.mla_focal_lengths), which)
-    phase = phasor(parabola(dx * dx + dy * dy, focal_length, wavelength))
-    return dr.select(camera.lattice.in_aperture(dx, dy), phase, 0)
+    if any(camera.mla_jitter):
+        # The light of each cell passes its own lens, wherever this lies.
+        right, up, longer = (types.Float64(value) for value in irregularities(camera, *camera.lattice.cell(x, y)))
+        dx, dy = dx - right, dy - up
+    if camera.mla_shape is not None:
+        waves = camera.mla_shape.waves(*camera.lattice.to_frame(dx, dy), wavelength) / longer
+    else:
+        focal_length = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), which) * longer
+        waves = parabola(dx * dx + dy * dy, focal_length, wavelength)
+    if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
+        waves += error.path(x, y) / in_millimetres(wavelength)
+    return dr.select(inside, phasor(waves), 0)
 
 
 def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
@@ -58,10 +77,19 @@ def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]
 
 
 def bend(camera: PlenopticCamera) -> float:
-    """Return the largest change of a direction cosine by a microlens, along an axis: :math:`D_2 / 2 f_2`."""
+    """Return the largest change of a direction cosine by a microlens, along an axis: :math:`n D_2 / 2 f_2`."""
     lattice = camera.lattice
+    if camera.mla_shape is not None:
+        slopes = np.hypot(*camera.mla_shape.slopes(*lattice.to_frame(*aperture_points(lattice))))
+        return float(slopes.max()) * (math.sqrt(0.5) if lattice.separable else 1)
     half = lattice.aperture_width / 2 if lattice.separable else lattice.aperture_reach
-    return float(half) / min(camera.mla_focal_lengths)
+    return float(half) / min(camera.reduced_focal_lengths)
+
+
+def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return offsets of points all over an aperture, its rim included."""
+    x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, _POINTS)]))
+    return np.asarray(x), np.asarray(y)
 
 
 def scattering(camera: PlenopticCamera) -> float:

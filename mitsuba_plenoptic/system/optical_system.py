@@ -78,12 +78,12 @@ class OpticalSystem:
         PhysicsError
             If the path through a real lens cannot be fitted.
         """
-        require_ideal(self.camera)
+        require_ideal(self.camera, irregular=True)
         return self.lens.waves_of(points)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
-        require_ideal(self.camera)
+        require_ideal(self.camera, irregular=True)
         return self.lens.waves_of_one(point)
 
 
@@ -108,7 +108,8 @@ class RayPupil:
 
         The centres lie by a height nearer to the main lens than `detector_distance` before the detector.
         """
-        slopes = ((c - p) / (detector_distance + height) for c, p in zip(centre, detector, strict=True))
+        z, n = detector_distance + height, self.system.camera.mla_medium
+        slopes = ((c - p) * n / z for c, p in zip(centre, detector, strict=True))
         lens = self.system.lens
         return tuple(lens.pupil_point(c, slope, height) for c, slope in zip(centre, slopes, strict=True))
 

@@ -49,6 +49,9 @@ _OVERSAMPLING, _FINEST = 1.4, 64
 MOST_SHIFT = 0.3
 """Largest displacement in pixels by the pupil's diffraction where the defocus exceeds `MOST_PHASE`."""
 
+_SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
+"""The rule for the shape of microlenses."""
+
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
@@ -89,6 +92,8 @@ class PhaseSpace(ArrayKernels):
             ),
             ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
             ("mla_glass", camera.mla_glass is not None, "taken at the wavelength, by camera.at_wavelength"),
+            ("mla_shape", camera.mla_shape is not None and self.aberration > MOST_PHASE, _SMOOTH),
+            ("mla_shape", camera.mla_shape is not None and self.by_points, "near the microlenses' focus"),
             ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
@@ -100,7 +105,7 @@ class PhaseSpace(ArrayKernels):
         if not self.by_points:
             return 0.0
         camera = self.camera
-        most = max(abs(self.convergence(kind)) * kind.detector_distance for kind in self.kinds)
+        most = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
         width = in_millimetres(self.wavelength) * camera.pupil_distance / (2 * camera.pupil_radius)
         return most * width / camera.pixel_size
 
@@ -110,8 +115,8 @@ class PhaseSpace(ArrayKernels):
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
         own = camera.lens_data.converges / camera.pupil_distance
-        powers = [1 / f2 - own for f2 in camera.mla_focal_lengths]
-        near, far = 1 / (min(powers) + aside), 1 / max(max(powers) - aside, 1e-9)
+        powers = [1 / f2 - own for f2 in camera.reduced_focal_lengths]
+        near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
     @cached_property

@@ -77,6 +77,8 @@ OTHER = {
     "mla_aperture": "circle",
     "mla_fill": 0.83,
     "mla_medium": 1.5,
+    "mla_shape": {"form": "conic", "curvature_radius": 0.25, "conic": -0.5, "coefficients": [3.0], "glass": 1.6},
+    "mla_figure_error": (1e-5, 0.02),
     "detector_distance": 0.49,
     "detector_width": 8.3,
     "resolution": (4000, 3000),

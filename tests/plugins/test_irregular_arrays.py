@@ -108,8 +108,14 @@ def test_mistakes(given, message):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("given", [{"mla_jitter": (0.001, 0)}, {"pixel_response": (0, 1, 20, 0.5)}])
-@pytest.mark.parametrize("more", [{}, {"method": "full_field"}])
+@pytest.mark.parametrize(
+    ("given", "more"),
+    [
+        ({"mla_jitter": (0.001, 0)}, {}),
+        ({"pixel_response": (0, 1, 20, 0.5)}, {}),
+        ({"pixel_response": (0, 1, 20, 0.5)}, {"method": "full_field"}),
+    ],
+)
 def test_waves_refuse_them(given, more):
     with pytest.raises(InputError, match="through cameras without it only; use ray captures"):
         CaptureOperator(CAMERA.replace(**given), [(0, 0, 240)], wavelength=633, **more)

@@ -46,7 +46,7 @@ def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArra
     if name == "mla_distance":
         return np.array([[-one / b, -one / b]])
     if name == "detector_distance":
-        return np.array([[none, -one / b]])
+        return np.array([[none, -one / (b * camera.mla_medium)]])
     if name == "mla_rotation":
         turn = math.pi / 180 * np.array([[0.0, -1.0], [1.0, 0.0]])
         return np.array([[turn, growth * turn]])

@@ -181,7 +181,8 @@ class VaryingParameters:
             x, y = get["mla_offset"]
             lattice = self._lattice(get, grid.camera, turn(x, y, -angle))
             factors = grid.microlenses.factors(cosine)
-            return [VaryingArrayFactor(factor, lattice, get["mla_focal_length"], wavelength) for factor in factors]
+            lengths = [length / grid.camera.mla_medium for length in get["mla_focal_length"]]
+            return [VaryingArrayFactor(factor, lattice, lengths, wavelength) for factor in factors]
 
         growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         aberration = None
@@ -200,7 +201,7 @@ class VaryingParameters:
         get = self._parameters
         lattice = self._lattice(get, camera, (0.0, 0.0))
         pixel = get["detector_width"][0] / camera.resolution[0]
-        return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0], pixel)
+        return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0] / camera.mla_medium, pixel)
 
     def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:
         """Return the upright lattice with an offset."""

@@ -151,7 +151,7 @@ class FourierResponse(StoredResponse):
         rows, columns = (length // per_bin for length in spread.shape)
         parts = spread.reshape(rows, per_bin, columns, per_bin).sum(axis=(1, 3))
         np.maximum(parts, 0, out=parts)  # what interpolation leaves below zero is not light
-        area = (camera.pixel_size / o * camera.mla_distance / camera.detector_distance) ** 2
+        area = (camera.pixel_size / o * camera.mla_distance / camera.reduced_distance) ** 2
         parts *= np.float32(radiance_weight(camera, self._lens, area))
         # From the bin in the middle to the recorded pixels; the fine window has more pixels on both sides.
         windows = np.array([columns, rows]) // o
@@ -198,7 +198,7 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
 
     The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
     """
-    p, z, lens = camera.pixel_size, camera.detector_distance, objective_of(camera)
+    p, z, lens = camera.pixel_size, camera.reduced_distance, objective_of(camera)
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     per_bin = max(1, math.ceil(p / oversample / finest))
     moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_no_shape
 from ...capture.scene_points import sample_pairs
 from ...design import resolution_limit
 from ...operator.accuracy import band_for
@@ -109,6 +110,7 @@ _NO_WAVE = 1.0
 def ray_grid(camera: PlenopticCamera) -> Grid:
     """Lay a grid whose samples are at most half as wide as pixels."""
     camera.require_thin("this is done")
+    require_no_shape(camera, "this is done")
     turned = upright(camera)
     steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
     origin = -np.array([camera.detector_width, camera.detector_height]) / 2
@@ -151,7 +153,7 @@ def _trace(batch: RayBatch) -> Part:
     """Trace the rays of a bin, and distribute each to the four samples around it."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
     lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
-    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
+    pairs, b, z = _pairs(), camera.mla_distance, camera.reduced_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
@@ -166,7 +168,7 @@ def _trace(batch: RayBatch) -> Part:
     offset = [position - centre for position, centre in zip(m, lattice.centre(*index), strict=True)]
     passes = lattice.in_aperture(*offset)
     types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
-    f2 = np.array(camera.mla_focal_lengths)[types]
+    f2 = np.array(camera.reduced_focal_lengths)[types]
     # the inverse of `optics.rays.microlens_slope`
     landed = np.stack([x - z * ((P - x) / b + dx / f2) for x, P, dx in zip(m, pupil, offset, strict=True)], axis=-1)
     position = ((landed - grid.origin) / grid.pitch)[passes]

@@ -1,0 +1,14 @@
+"""Shapes of microlenses: the path that light gains in each point of a cell. A new shape is a new file here.
+
+A shape states the phase in waves, for wave captures, and the slopes of the path, for rays. Both are functions of the
+offset from the centre of the lens, in the frame that is rotated with the lattice. Everything else follows from these:
+diffraction orders, kernels of signed rays and the directions of rays.
+"""
+
+from .base import MicrolensShape, known_shape
+from .conic import Conic
+from .phase_map import PhaseMap
+from .sampled import Sampled
+from .zone_lens import ZoneLens
+
+__all__ = ["Conic", "MicrolensShape", "PhaseMap", "Sampled", "ZoneLens", "known_shape"]

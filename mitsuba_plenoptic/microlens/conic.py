@@ -1,0 +1,106 @@
+"""Surfaces of revolution: spheres, conics and aspheres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import put, refuse_if, require_number
+from ..prescription import Glass
+from ..prescription.glass import LINE_D
+from ..runtime.backend import module_of
+from .base import MicrolensShape, known_index, per_millimetre
+
+
+@dataclass(frozen=True, eq=False)
+class Conic(MicrolensShape):
+    r"""A thin lens with a surface of revolution towards the main lens.
+
+    Its depth below the vertex at the distance r from the centre is
+
+    .. math:: s(r) = \frac{r^2 / R}{1 + \sqrt{1 - (1 + k)\, r^2 / R^2}} + \sum_i a_i\, r^{4 + 2 i},
+
+    and light of the wavelength :math:`\lambda` gains the phase :math:`-(n - 1)\, s / \lambda` in waves: at the thin
+    element, material of index n takes the place of air.
+
+    Parameters
+    ----------
+    curvature_radius : float
+        Radius R of curvature at the vertex in millimetres.
+    conic : float
+        Conic constant k: 0 for a sphere, -1 for a parabola.
+    coefficients : sequence of float
+        Coefficients :math:`a_0, a_1, ...` of :math:`r^4, r^6, ...`, in :math:`mm^{-3}, mm^{-5}, ...`
+    glass : Glass, str, float or dict
+        The lens's material, as `Glass.from_plain` takes it, or its index.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    form = "conic"
+
+    curvature_radius: float
+    conic: float = 0.0
+    coefficients: Sequence[float] = ()
+    glass: Any = 1.5
+
+    def __post_init__(self) -> None:
+        given = self.coefficients
+        refuse_if(not hasattr(given, "__len__") or isinstance(given, str), f"coefficients = {given}: it must be a list")
+        put(
+            self,
+            curvature_radius=require_number("curvature_radius", self.curvature_radius, positive=True),
+            conic=require_number("conic", self.conic),
+            coefficients=tuple(require_number("coefficients", number) for number in given),
+            glass=known_index("glass", self.glass),
+        )
+
+    def waves(self, x: Any, y: Any, wavelength: float) -> Any:
+        """Return the phase in waves; see `MicrolensShape.waves`."""
+        return self._depth(x * x + y * y) * (-self._excess(wavelength) * per_millimetre(wavelength))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path; see `MicrolensShape.slopes`."""
+        square = x * x + y * y
+        rise = 1 / (self.curvature_radius * self._root(square))
+        power: Any = 1.0
+        for order, coefficient in enumerate(self.coefficients, 2):
+            power = power * square
+            rise = rise + 2 * order * coefficient * power
+        rise = rise * -self._excess(LINE_D)
+        return rise * x, rise * y
+
+    def strength(self, wavelength: float) -> float:
+        """Return the ratio of the slopes; see `MicrolensShape.strength`."""
+        return self._excess(wavelength) / self._excess(LINE_D)
+
+    @property
+    def power(self) -> float:
+        """Power :math:`(n - 1) / R` at the vertex and the line d."""
+        return self._excess(LINE_D) / self.curvature_radius
+
+    def covers(self, x: Any, y: Any) -> Any:
+        """Whether the surface extends to offsets: a sphere or an ellipsoid ends where it stands upright."""
+        return (x * x + y * y) * (1 + self.conic) < self.curvature_radius**2
+
+    def _excess(self, wavelength: float) -> float:
+        """Return the index of the material over that of air."""
+        glass: Glass = self.glass
+        return glass.at(wavelength) - 1
+
+    def _root(self, square: Any) -> Any:
+        module = module_of(square)
+        # Corners of the cell beyond the aperture may lie beyond the surface.
+        return module.sqrt(module.maximum(1 - square * ((1 + self.conic) / self.curvature_radius**2), 1e-6))
+
+    def _depth(self, square: Any) -> Any:
+        depth = square / (self.curvature_radius * (1 + self._root(square)))
+        power = square
+        for coefficient in self.coefficients:
+            power = power * square
+            depth = depth + coefficient * power
+        return depth

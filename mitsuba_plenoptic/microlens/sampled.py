@@ -1,0 +1,93 @@
+"""Surfaces given by samples of their height: freeform and measured ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import put, require_number
+from ..prescription.glass import LINE_D
+from .base import MicrolensShape, known_index, per_millimetre
+from .sampled_grid import SampledGrid, known_samples
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled(MicrolensShape):
+    r"""A thin lens whose surface towards the main lens is sampled.
+
+    Light gains the phase :math:`(n - 1) h / \lambda` in waves, h being the height of the surface. Between samples it is
+    a bicubic spline, whose gradient deflects rays.
+
+    Parameters
+    ----------
+    height : array (rows, columns), nested lists, or path
+        Height towards the main lens in millimetres at the samples, in rows of rising y and columns of rising x, or an
+        NPY or EXR file of it.
+    width : float
+        Distance of the first and the last column in millimetres; rows are as far apart as columns. The samples must
+        cover the lens.
+    glass : Glass, str, float or dict
+        The lens's material, as `Glass.from_plain` takes it, or its index.
+
+    Raises
+    ------
+    InputError
+        If the heights are not numbers in 4 to 1024 rows and columns, or a value is out of range.
+    """
+
+    form = "sampled"
+
+    height: Any
+    width: float
+    glass: Any = 1.5
+
+    def __post_init__(self) -> None:
+        put(
+            self,
+            height=known_samples("height", self.height),
+            width=require_number("width", self.width, positive=True),
+            glass=known_index("glass", self.glass),
+        )
+
+    @cached_property
+    def _grid(self) -> SampledGrid:
+        return SampledGrid(self.height, self.width)
+
+    def waves(self, x: Any, y: Any, wavelength: float) -> Any:
+        """Return the phase in waves; see `MicrolensShape.waves`."""
+        return self._grid.at(x, y) * (self._excess(wavelength) * per_millimetre(wavelength))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path; see `MicrolensShape.slopes`."""
+        along, across = self._grid.slopes(x, y)
+        return along * self._excess(LINE_D), across * self._excess(LINE_D)
+
+    def strength(self, wavelength: float) -> float:
+        """Return the ratio of the slopes; see `MicrolensShape.strength`."""
+        return self._excess(wavelength) / self._excess(LINE_D)
+
+    @cached_property
+    def power(self) -> float:
+        """Power of the paraboloid of revolution that fits the heights best, at the line d."""
+        return fitted_power(self.height * self._excess(LINE_D), self._grid)
+
+    def covers(self, x: Any, y: Any) -> Any:
+        """Whether offsets lie within the samples."""
+        return self._grid.covers(x, y)
+
+    def _excess(self, wavelength: float) -> float:
+        """Return the index of the material over that of air."""
+        return float(self.glass.at(wavelength)) - 1
+
+
+def fitted_power(path: NDArray[np.float64], grid: SampledGrid) -> float:
+    """Return the power of the paraboloid of revolution that fits samples of a path best, besides tilt and offset."""
+    x, y = (np.linspace(-half, half, size) for half, size in zip(grid.reach, path.shape[::-1], strict=True))
+    x, y = (values.ravel() for values in np.meshgrid(x, y))
+    scale = max(grid.reach)
+    terms = np.stack([np.ones_like(x), x / scale, y / scale, (x * x + y * y) / scale**2], axis=1)
+    return float(-2 * np.linalg.lstsq(terms, path.ravel(), rcond=None)[0][3] / scale**2)

@@ -1,0 +1,132 @@
+"""Smooth functions over a cell from samples on a grid: bicubic splines, on NumPy and Dr.Jit."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import NO_ARRAY, InputError, refuse_if, refusing, short_repr
+from ..io.files import require_file
+from ..runtime.backend import module_of
+
+_LEAST, _MOST = 4, 1024
+"""Samples along an axis."""
+
+
+def known_samples(name: str, value: Any) -> NDArray[np.float64]:
+    """Return samples (rows, columns) from an array, nested lists, or a file: NPY, or an image of one channel."""
+    if isinstance(value, (str, Path)):
+        value = _read(require_file(Path(value)))
+    with refusing(f"{name} = {short_repr(value)}: it must be rows of numbers", *NO_ARRAY):
+        # Single precision is enough for a path, and its decimals are short in files.
+        samples = np.asarray(value, np.float32)
+    refuse_if(
+        samples.ndim != 2 or not all(_LEAST <= size <= _MOST for size in samples.shape),
+        f"{name} of shape {samples.shape}: it must be {_LEAST} to {_MOST} rows of as many columns",
+    )
+    refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
+    held = np.array([[float(str(number)) for number in row] for row in samples])
+    held.flags.writeable = False
+    return held
+
+
+def _read(path: Path) -> Any:
+    if path.suffix.lower() == ".npy":
+        with refusing(f"{path}: it is no NPY file of numbers", OSError, *NO_ARRAY):
+            return np.load(path, allow_pickle=False)
+    if path.suffix.lower() == ".exr":
+        import mitsuba as mi
+
+        with refusing(f"{path}: it cannot be read as an image", RuntimeError):
+            image = np.array(mi.Bitmap(str(path)))
+        return image if image.ndim == 2 else image[..., 0]
+    raise InputError(f"{path}: it must be an .npy or .exr file")
+
+
+class SampledGrid:
+    """A bicubic spline through samples whose first and last columns are `width` apart, centred on the lens."""
+
+    def __init__(self, samples: NDArray[np.float64], width: float) -> None:
+        self._samples = samples
+        self._step = width / (samples.shape[1] - 1)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Offsets of the outermost samples along x and y."""
+        rows, columns = self._samples.shape
+        return (columns - 1) * self._step / 2, (rows - 1) * self._step / 2
+
+    def covers(self, x: Any, y: Any) -> Any:
+        """Whether offsets lie within the samples, up to rounding."""
+        across, up = (half * (1 + 1e-6) for half in self.reach)
+        return (abs(x) <= across) & (abs(y) <= up)
+
+    @cached_property
+    def _corners(self) -> NDArray[np.float64]:
+        """Value, slopes by column and by row, and mixed slope at each sample: (samples, 4)."""
+        from scipy.interpolate import RectBivariateSpline
+
+        rows, columns = (np.arange(size, dtype=float) for size in self._samples.shape)
+        spline = RectBivariateSpline(rows, columns, self._samples)
+        orders = ((0, 0), (0, 1), (1, 0), (1, 1))
+        # A bicubic polynomial follows from these at its four corners.
+        return np.stack([spline(rows, columns, dx=by_row, dy=by_column) for by_row, by_column in orders], -1)
+
+    def at(self, x: Any, y: Any) -> Any:
+        """Return the value at offsets; beyond the grid that at its border."""
+        return self._sum(x, y, (0, 0))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the derivatives by x and by y."""
+        return self._sum(x, y, (1, 0)) / self._step, self._sum(x, y, (0, 1)) / self._step
+
+    def nearest(self, values: NDArray[np.float64], x: Any, y: Any) -> Any:
+        """Return other values of the samples, each of the nearest sample."""
+        (column, u), (row, v) = self._places(x, y)
+        module = module_of(u)
+        column, row = column + module.floor(u + 0.5), row + module.floor(v + 0.5)
+        return _take(values.ravel(), row * values.shape[1] + column, x)
+
+    def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
+        """Return column and row of the sample before each offset, and the distances from it in samples."""
+        found = []
+        for place, size in zip((x, y), self._samples.shape[::-1], strict=True):
+            module = module_of(place)
+            scaled = module.minimum(module.maximum(place / self._step + (size - 1) / 2, 0), size - 1)
+            below = module.minimum(module.floor(scaled), size - 2)
+            found.append((below, scaled - below))
+        return found
+
+    def _sum(self, x: Any, y: Any, derivative: tuple[int, int]) -> Any:
+        (column, u), (row, v) = self._places(x, y)
+        across, up = _weights(u, derivative[0]), _weights(v, derivative[1])
+        total: Any = 0.0
+        for down in (0, 1):
+            for right in (0, 1):
+                index = (row + down) * self._samples.shape[1] + column + right
+                for part, (by_row, by_column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+                    value = _take(self._corners[..., part].ravel(), index, x)
+                    total = total + value * across[right, by_column] * up[down, by_row]
+        return total
+
+
+def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
+    """Return the weights of Hermite's cubic, or their derivatives, by (end, whether it is that of the slope)."""
+    if derivative:
+        step = 6 * t * (1 - t)
+        return {(0, 0): -step, (1, 0): step, (0, 1): 1 + t * (3 * t - 4), (1, 1): t * (3 * t - 2)}
+    last = t * t * (3 - 2 * t)
+    return {(0, 0): 1 - last, (1, 0): last, (0, 1): t * (1 - t) * (1 - t), (1, 1): t * t * (t - 1)}
+
+
+def _take(values: NDArray[np.float64], index: Any, like: Any) -> Any:
+    """Return values at indices that are floats, as the kind of array of `like`."""
+    if not dr.is_array_v(like):
+        return values[np.asarray(index, np.int64)]
+    kind = type(like)
+    return dr.gather(kind, kind(values), dr.uint32_array_t(kind)(index))

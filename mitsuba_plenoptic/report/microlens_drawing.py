@@ -1,0 +1,116 @@
+"""A drawing of a microlens: the path that it adds to light, its section with rays, and the spot on the detector."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import require_wavelength
+from ..io.files import require_writable
+from ..optics.waves import in_millimetres, parabola
+from ..prescription.glass import LINE_D
+from .framing import Canvas
+
+_SAMPLES = 256
+"""Samples across a lens."""
+
+_RAYS = 15
+"""Rays in the section."""
+
+_INK, _RAY = "#1b1f24", "#c1443c"
+
+
+def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None = None) -> None:
+    """Draw a microlens on the axis of a camera into a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: that of the line d.
+
+    Raises
+    ------
+    InputError
+        If the file is no PNG by its name, or it cannot be written.
+    """
+    require_writable(path, ".png")
+    wavelength = LINE_D if wavelength is None else require_wavelength(wavelength)
+    reach = float(camera.lattice.cell_reach)
+    along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
+    u, v = np.meshgrid(along, along)
+    inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
+    waves = _waves(camera, u, v, wavelength)
+    canvas = Canvas(11.2, 3.7)
+    _map(canvas, np.where(inside, waves - waves[inside].max(), np.nan), along)
+    _section(canvas.axes(4.3, 0.6, 3.0, 2.5), camera, wavelength)
+    _spot(canvas.axes(7.9, 0.6, 2.5, 2.5), camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
+    canvas.save(path)
+
+
+def _waves(camera: PlenopticCamera, u: NDArray, v: NDArray, wavelength: float) -> NDArray[np.float64]:
+    """Return the phase of a lens in waves at offsets in the lattice's frame."""
+    if camera.mla_shape is None:
+        return np.asarray(parabola(u * u + v * v, camera.reduced_focal_lengths[0], wavelength))
+    return np.asarray(camera.mla_shape.waves(u, v, wavelength))
+
+
+def _slopes(camera: PlenopticCamera, u: NDArray, wavelength: float) -> NDArray[np.float64]:
+    """Return the change of direction cosine along the row through the centre of a lens."""
+    if camera.mla_shape is None:
+        return np.asarray(-u / camera.reduced_focal_lengths[0])
+    return np.asarray(camera.mla_shape.slopes(u, 0 * u)[0] * camera.mla_shape.strength(wavelength))
+
+
+def _map(canvas: Canvas, waves: NDArray[np.float64], along: NDArray[np.float64]) -> None:
+    axes = canvas.axes(0.5, 0.6, 2.5, 2.5)
+    ends = 1e3 * along[0], 1e3 * along[-1]
+    drawn = axes.imshow(waves, origin="lower", extent=(*ends, *ends), cmap="viridis")
+    _frame(axes, "phase of the lens", "um from its centre")
+    canvas.colour_bar(drawn, 3.1, 0.6, 2.5, "waves")
+
+
+def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
+    """Draw rays that are parallel to the axis, through the lens to the detector and half as far beyond."""
+    half = float(camera.lattice.aperture_width) / 2
+    start = np.linspace(-1, 1, _RAYS) * half * 0.98
+    sine = _slopes(camera, start, wavelength) / camera.mla_medium
+    slope = sine / np.sqrt(1 - np.minimum(sine * sine, 0.999))
+    z = camera.detector_distance
+    ends = np.array([-0.3 * z, 0.0, 1.5 * z])
+    heights = np.stack([start, start, start + slope * ends[2]])
+    axes.plot(1e3 * ends, 1e3 * heights, color=_RAY, linewidth=0.7)
+    axes.plot([0, 0], [-1e3 * half, 1e3 * half], color=_INK, linewidth=2)
+    axes.axvline(1e3 * z, color=_INK, linewidth=0.8, linestyle="--")
+    axes.set_ylim(-1.1e3 * half, 1.1e3 * half)
+    medium = f", in a medium of index {camera.mla_medium:g}" if camera.mla_medium != 1 else ""
+    _frame(axes, f"parallel rays to the detector{medium}", "um behind the array")
+
+
+def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np.float64], wavelength: float) -> None:
+    """Draw the square root of the intensity on the detector of parallel light, from Fresnel's integral."""
+    scale = in_millimetres(wavelength) * camera.reduced_distance
+    reach = max(4 * scale / float(camera.lattice.aperture_width), 1.5 * camera.pixel_size)
+    place = np.linspace(-reach, reach, 161)
+    chirp = np.exp(1j * np.pi * along**2 / scale)
+    wave = np.exp(-2j * np.pi * np.outer(place, along) / scale) * chirp
+    spot = np.abs(wave @ field @ wave.T)
+    axes.imshow(spot, origin="lower", extent=(-1e3 * reach, 1e3 * reach) * 2, cmap="magma")
+    _frame(axes, f"amplitude on the detector, {wavelength:.4g} nm", "um")
+
+
+def _frame(axes: Axes, title: str, label: str) -> None:
+    axes.set_frame_on(True)
+    axes.set_title(title, fontsize=9, color=_INK)
+    axes.set_xlabel(label, fontsize=8, color=_INK)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5))
+    axes.tick_params(labelsize=7)
