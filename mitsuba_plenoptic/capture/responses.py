@@ -32,7 +32,7 @@ from ..system.photodiodes import PhotodiodeResponses, lens_range
 from .scene_light import SceneLight, require_finite
 from .signed_capture import SignedCapture, Sum
 from .signed_colours import FINE, Node, mixed
-from .signed_draws import STEPS, chances_of, tent
+from .signed_draws import chances_of, tent
 
 _LANES = 2**22
 """Approximate count of rays that are traced at once."""
@@ -45,6 +45,9 @@ _FAR = 0.08
 
 _LEAST = 0.05
 """Part of the mean magnitude of the table that is added to the density of points."""
+
+_TURNS = tuple(int(step * 2**32) for step in 1.2207440846057596 ** -np.arange(1.0, 4.0))
+"""Steps, in units of 2^-32, of an additive sequence that fills three dimensions evenly."""
 
 _PROBES, _TIMED = 2**8, 2**12
 """Count of lenses whose light identifies a capture, and of lenses that are timed for an estimate."""
@@ -98,11 +101,12 @@ class Tables:
     def draw(self, index: Pair, lens: Any, sample: Any, seed: Any) -> Aimed:
         """Return rays of lenses with the given lattice indices; those of even and of odd samples are independent."""
         plan, system = self.longest, self.longest.system
-        half, number = sample & 1, mi.Float(sample >> 1)
-        random = []
-        for axis in range(3):
-            value = number * STEPS[axis] + mi.sample_tea_float32(lens, seed ^ (half * 8 + axis + 1))
-            random.append(value - dr.floor(value))
+        half, number = sample & 1, sample >> 1
+        # Integers keep the sequence exact for any count of samples.
+        words = [mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] for axis in range(3)]
+        random = [
+            mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)
+        ]
         one, other = (chances_of(lens, seed ^ (sample << 4) ^ word) for word in (12, 13))
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)

@@ -28,7 +28,7 @@ from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace, TableNodes
 from .signed_colours import Lanes
 
-STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
+_STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
 """Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""
 
 _AIRY, _AIRY_REACH = 1024, 200.0
@@ -195,7 +195,7 @@ class Draws:
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         chance = chances_of(cells.index, seed ^ (sample << 4))
-        for axis, step in enumerate(STEPS):
+        for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
         within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
