@@ -118,7 +118,7 @@ class Node:
     """A wavelength at which diffraction is computed, and the light for which it is used."""
 
     # Coefficients and kernels of the camera at this wavelength.
-    plan: PhaseSpace
+    plan: Any
     # Channels of the capture that have an image at this node.
     channels: tuple[int, ...]
     # Weights of the values of a ray's light in the image of each of these channels, an array (channels, values). For
@@ -202,8 +202,18 @@ class SignedColours:
 
     def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
         """Return the nodes, with their plans."""
-        places, fine = self.places(camera, accuracy), accuracy < FINE
-        nodes = []
+        found, fine = self.shared(camera, accuracy), accuracy < FINE
+        return [
+            Node(_plan(camera.at_wavelength(place), place, fine, found[0][0]), channels, weights)
+            for place, channels, weights in found
+        ]
+
+    def shared(
+        self, camera: PlenopticCamera, accuracy: float
+    ) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
+        """Return the wavelength of each node, its channels, and the weights of a ray's values in these: see `Node`."""
+        places = self.places(camera, accuracy)
+        found = []
         for number, place in enumerate(places):
             if self.drawn is None or self.responses is None:
                 assert self.upsampling is not None
@@ -213,9 +223,8 @@ class SignedColours:
                 weights = np.asarray(self.responses.at(self.drawn.edges)) * _hats(self.drawn.edges, places)[number]
             channels = np.flatnonzero(weights.any(1))
             if len(channels):
-                plan = _plan(camera.at_wavelength(place), place, fine, places[0])
-                nodes.append(Node(plan, tuple(channels.tolist()), weights[channels]))
-        return nodes
+                found.append((place, tuple(channels.tolist()), weights[channels]))
+        return found
 
 
 @functools.lru_cache(maxsize=16)

@@ -194,11 +194,11 @@ class Draws:
         aims, lattice = self.aims(cells), self._camera.lattice
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
-        chance = _chance(cells.index, seed ^ (sample << 4))
+        chance = chances_of(cells.index, seed ^ (sample << 4))
         for axis, step in enumerate(_STEPS):
             value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
-        within = [r - 0.5 if self.by_points else _tent(r) for r in random[2:]]
+        within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
         x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)
         if self.by_points:
@@ -248,7 +248,7 @@ class Draws:
         return mi.Float(radius * wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius))
 
 
-def _chance(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
+def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
     """Return four random numbers, of 16 bits each."""
     words = mi.sample_tea_32(lane, key)
     low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
@@ -256,7 +256,7 @@ def _chance(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
     return low[0], low[1], high[0], high[1]
 
 
-def _tent(value: Any) -> Any:
+def tent(value: Any) -> Any:
     """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
     return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
 

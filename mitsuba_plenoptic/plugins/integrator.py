@@ -13,6 +13,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
+from ..capture.responses import ResponseCapture
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
@@ -25,6 +26,7 @@ from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
+from ..system.photodiodes import has_small_lenses
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 
@@ -235,6 +237,11 @@ def make_class() -> type:
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
             spp = spp or sensor.sampler().sample_count()
             capture = self._signed(scene, sensor)
+            refuse_if(
+                isinstance(capture, ResponseCapture),
+                f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}: captures behind lenses of a few wavelengths have "
+                "no gradients",
+            )
             with naming(NAME):
                 require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
                 light = LightDerivatives.of(capture.light, forward) if others or not names else None
@@ -279,7 +286,13 @@ def make_class() -> type:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
-            require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            is_small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
+            plain = camera.replace(mla_medium=1.0) if is_small else camera
+            require_known_to(plain, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            if is_small:
+                refuse_if(mi.is_spectral, f"{NAME}: variant {mi.variant()}: responses of photodiodes under lenses of "
+                "a few wavelengths are computed in mono and rgb variants only")
+                return ResponseCapture(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
 
         def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:

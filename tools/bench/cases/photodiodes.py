@@ -1,0 +1,243 @@
+"""Captures behind lenses of a few wavelengths against exact sums, and the split of light by angle.
+
+The reference shares no code with captures. The field of each point of a wall on some lenses is a sum over the pupil's
+directions with the exact path from each pupil point; it passes the lenses, sampled at a quarter of the wavelength in the
+medium, and the medium by its angular spectrum. Intensities are integrated over pixels, and over the wall by
+Gauss-Legendre nodes, which are exact for the pupil's limited band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from mitsuba_plenoptic import Job, PlenopticCamera
+from mitsuba_plenoptic.capture.responses import ResponseSum
+from mitsuba_plenoptic.capture.signed_colours import Node
+from mitsuba_plenoptic.optics import rays
+from mitsuba_plenoptic.runtime.jobs import SumTask
+from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses
+
+from .. import Row, at_most, case
+from ..measures import mean_of_seeds, relative, write_comparison
+from ..timing import once
+
+PITCH, MEDIUM, DEPTH = 0.0028, 1.5, 0.004
+
+MOST = 0.01
+
+_RADII = 40
+"""Points of the pupil, from its centre to its edge, of the mean of captures."""
+
+_FINER, _DIRECTIONS, _PARTS = 32, 100, 12
+"""Samples of the lenses per sample of the field, directions from the pupil's centre to its edge, parts of each."""
+
+
+def camera_of(f_number: float, lenses: int, pitch: float = PITCH, depth: float = DEPTH) -> PlenopticCamera:
+    """Return a camera of square pixels under lenses that cover two by two of them."""
+    b = 50.0
+    return PlenopticCamera(
+        focal_length=40.0, aperture_radius=b / (2 * f_number), mla_distance=b, mla_pitch=pitch,
+        mla_focal_length=depth, detector_distance=depth, mla_medium=MEDIUM,
+        detector_width=lenses * pitch, resolution=(2 * lenses, 2 * lenses),
+    )  # fmt: skip
+
+
+class Wall:
+    """A bright rectangle in the image space of the main lens, at a distance behind the array, in millimetres."""
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, blur: float) -> None:
+        self.camera, self.wavelength = camera, wavelength * 1e-6
+        self.sine = camera.aperture_radius / math.hypot(camera.aperture_radius, camera.mla_distance)
+        self.distance = blur * camera.mla_pitch * camera.mla_distance / camera.aperture_radius
+        pitch = camera.mla_pitch
+        half = max(1.0, self.wavelength / (2 * self.sine) / pitch) * pitch
+        self.low, self.high = (-1.11 * half, -0.86 * half), (0.79 * half, 1.18 * half)
+
+    def light(self, point: tuple[Any, Any, Any], slope: tuple[Any, Any], active: Any, seed: int) -> list[Any]:
+        """Return the radiance along rays that have passed the main lens towards the scene."""
+        camera, lit = self.camera, active
+        # A lens of the opposite focal length undoes the refraction.
+        cosines = (
+            rays.main_lens_slope(s, P, -camera.focal_length)
+            for s, P in zip(rays.slopes_to_cosines(*slope), point[:2], strict=True)
+        )
+        for P, t, low, high in zip(point[:2], rays.cosines_to_slopes(*cosines), self.low, self.high, strict=True):
+            place = P - (camera.mla_distance + self.distance) * t
+            lit = lit & (place > low) & (place < high)
+        return [dr.select(lit, mi.Float(1), 0)]
+
+    def nodes(self) -> Iterator[tuple[float, float, float]]:
+        """Yield points and weights of the wall's integral."""
+        axes = []
+        for low, high in zip(self.low, self.high, strict=True):
+            count = math.ceil(math.pi * (high - low) * 2 * self.sine / self.wavelength) + 4
+            node, weight = np.polynomial.legendre.leggauss(count)
+            axes.append(zip(low + (node + 1) / 2 * (high - low), weight * (high - low) / 2, strict=True))
+        (across, up) = (list(axis) for axis in axes)
+        return ((x, y, u * v) for x, u in across for y, v in up)
+
+    def exact(self) -> NDArray[np.float64]:
+        """Return the pixels by direct sums."""
+        camera, wavelength = self.camera, self.wavelength
+        k, b, index = 2 * math.pi / wavelength, camera.mla_distance, camera.mla_medium
+        lenses = round(camera.detector_width / camera.mla_pitch)
+        each = 2 * math.ceil(camera.mla_pitch * 4 * index / wavelength / 2)
+        count, step = each * lenses, camera.mla_pitch / each
+        place = (np.arange(count) + 0.5) * step - count * step / 2
+        cell = ((np.arange(each * _FINER) + 0.5) / _FINER - each / 2) * step
+        order = scipy.fft.fftfreq(len(cell), 1 / len(cell))
+        held = np.abs(order) < each // 2
+        amplitude = (scipy.fft.fft(np.exp(-1j * math.pi * index * cell**2 / (wavelength * camera.mla_focal_length))))[held]
+        lens = np.exp(2j * math.pi * np.outer((np.arange(each) + 0.5 - 0.5 / _FINER) / each, order[held])) @ amplitude
+        array = np.tile(lens / len(cell), lenses) * np.exp(1j * k * place**2 / (2 * b))
+        frequency = scipy.fft.fftfreq(count, step)
+        medium = np.sqrt((index / wavelength) ** 2 - frequency**2 - frequency[:, None] ** 2 + 0j)
+        transfer = np.exp(2j * math.pi * camera.detector_distance * medium).astype(np.complex64)
+        turn = min(wavelength / (count * step * 1.5), self.sine / _DIRECTIONS)
+        cosine = (np.arange(2 * math.ceil(self.sine / turn) + 2) - math.ceil(self.sine / turn) - 0.5) * turn
+        part = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * turn
+        square = ((cosine[:, None] + part) ** 2).reshape(-1)
+        cover = (square[:, None] + square < self.sine**2).astype(float)
+        cover = cover.reshape(len(cosine), _PARTS, len(cosine), _PARTS).mean((1, 3))
+        slope = 1 / np.sqrt(np.maximum(1 - cosine**2 - cosine[:, None] ** 2, 0.1))
+        Px, Py = -b * cosine * slope, -b * cosine[:, None] * slope
+        # Rays pass equal areas of the pupil equally often.
+        source = cover * slope**2 * (turn**2 / wavelength)
+        near = np.sqrt(Px**2 + Py**2 + b * b)
+        waves = (np.exp(1j * k * np.outer(place, cosine)) * array[:, None]).astype(np.complex64)
+        total = np.zeros((count, count))
+        for x, y, weight in self.nodes():
+            path = np.sqrt((Px - x) ** 2 + (Py - y) ** 2 + (b + self.distance) ** 2) - near - self.distance
+            field = waves @ (source * np.exp(-1j * k * path)).astype(np.complex64) @ waves.T
+            field = scipy.fft.ifft2(scipy.fft.fft2(field, overwrite_x=True) * transfer, overwrite_x=True)
+            total += weight * (field.real**2 + field.imag**2)
+        shape = np.sinc(scipy.fft.fftfreq(count))
+        total = scipy.fft.ifft2(scipy.fft.fft2(total) * shape * shape[:, None]).real * step**2
+        pixels = total.reshape(2 * lenses, each // 2, 2 * lenses, each // 2).sum((1, 3))
+        return np.asarray(pixels * (DEPTH / MEDIUM / (camera.pixel_size * camera.mla_pitch)) ** 2)
+
+    def expected(self, plan: PhotodiodeResponses) -> NDArray[np.float64]:
+        """Return the pixels that captures have in the mean over their random numbers."""
+        camera, (index, table, _) = self.camera, plan.table
+        lenses, b, window = round(camera.detector_width / camera.mla_pitch), camera.mla_distance, plan.window
+        step, size = window / plan.samples, plan.count
+        table = table[0].reshape(-1, plan.samples, plan.samples, size**2)
+        wholes = table.sum((1, 2)) * (step**2 / (1 - plan.tail))
+        lens = (np.arange(lenses) + 0.5 - lenses / 2) * camera.mla_pitch
+        node, weight = np.polynomial.legendre.leggauss(8)
+        total = np.zeros((lenses, lenses, size**2))
+        along = (np.arange(2 * _RADII) + 0.5 - _RADII) / _RADII * camera.aperture_radius
+        for Py in along:
+            for Px in along:
+                if Px * Px + Py * Py > camera.aperture_radius**2:
+                    continue
+                far = math.sqrt(Px * Px + Py * Py + b * b)
+                place = [-P / far / plan.step + plan.across for P in (Py, Px)]
+                low = [math.floor(each) for each in place]
+                near, whole = 0, 0
+                for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                    share = abs(1 - dy - place[0] + low[0]) * abs(1 - dx - place[1] + low[1])
+                    which = index[low[0] + dy, low[1] + dx]
+                    if which >= 0:
+                        near, whole = near + share * table[which], whole + share * wholes[which]
+                # Where the rays through this point of the pupil meet the array.
+                ends = [
+                    [(end * b + P * self.distance) / (b + self.distance) - lens for end in (first, last)]
+                    for P, first, last in zip((Px, Py), self.low, self.high, strict=True)
+                ]
+                across, up = (_hats(*each, step, plan.samples, window) for each in ends)
+                total += np.einsum("ay,yxj,bx->abj", up, near, across, optimize=True)
+                x, y = (
+                    first[:, None] + (node + 1) / 2 * (last - first)[:, None] for first, last in ends
+                )
+                distance = np.hypot(x[None, :, None, :], y[:, None, :, None])
+                beyond = np.maximum(np.abs(x)[None, :, None, :], np.abs(y)[:, None, :, None]) > window / 2
+                density = np.where(beyond, plan.tail_density / np.maximum(distance, step) ** 3, 0)
+                area = math.prod(float(last[0] - first[0]) for first, last in ends) / 4
+                total += (density @ weight @ weight * area)[..., None] * whole
+        pixels = total.reshape(lenses, lenses, size, size).transpose(0, 2, 1, 3).reshape(lenses * size, lenses * size)
+        cell = (camera.aperture_radius / _RADII) ** 2
+        scale = DEPTH / MEDIUM / (b * camera.pixel_size * camera.mla_pitch)
+        return np.asarray(pixels * cell * scale**2)
+
+    def captured(self, plan: PhotodiodeResponses, spp: int, seed: int) -> NDArray[np.float64]:
+        """Return the pixels by responses."""
+        work = ResponseSum(self.camera, self.light, [Node(plan, (0,), np.ones((1, 1)))], spp=spp, seed=seed)
+        items = int(work.items.sum())
+        image = Job().run([SumTask(items, lambda: work, lambda image: image)], (*self.camera.shape, 1), items)
+        return image[..., 0].astype(float)
+
+
+def _hats(
+    low: NDArray[np.float64], high: NDArray[np.float64], step: float, samples: int, window: float
+) -> NDArray[np.float64]:
+    """Return the integrals between bounds (lenses,) of the functions by which samples are interpolated linearly."""
+
+    def upto(bound: NDArray[np.float64]) -> NDArray[np.float64]:
+        t = np.clip(np.clip(bound, -window / 2, window / 2)[:, None] / step - number, -1, 1)
+        return step * np.where(t < 0, (1 + t) ** 2 / 2, 1 - (1 - t) ** 2 / 2)
+
+    number = np.arange(-1, samples + 1) - samples // 2
+    values = upto(high) - upto(low)
+    # The window is periodic.
+    result = values[:, 1:-1].copy()
+    result[:, 0] += values[:, -1]
+    result[:, -1] += values[:, 0]
+    return result
+
+
+@case(
+    "photodiodes",
+    "Two by two photodiodes under lenses of 2.8 um in a medium of index 1.5: walls against exact sums, relative L2 over "
+    "the pixels, for the mean of all captures, and that of a capture of some rays from this mean",
+    {
+        "f-number": "f/{f_number:g}", "wavelength (nm)": "{wavelength:g}", "blur (lenses)": "{blur:g}",
+        "MiB": "{memory:.0f}", "planning (s)": "{planning:.1f}", "responses": "{difference:.2%}",
+        "drawn rays": "{drawn:.1%}", "their noise": "{noise:.1%}", "energy over the reference's": "{energy:.4f}", "points": "{points}", "s": "{seconds:.0f}",
+    },
+    (at_most("difference", MOST), at_most("energy_off", 0.005)),
+    page="docs/theory/photodiodes.md",
+    quick={"f_numbers": (8.0,), "wavelengths": (650.0,), "blurs": (0.0,), "samples": 256},
+)  # fmt: skip
+def photodiodes(
+    output: Path,
+    *,
+    f_numbers: tuple[float, ...] = (1.8, 4.0, 8.0),
+    wavelengths: tuple[float, ...] = (450.0, 550.0, 650.0),
+    blurs: tuple[float, ...] = (0.0, 8.0),
+    margin: float = 5.0,
+    samples: int = 1024,
+    seeds: int = 2,
+    fine: bool = False,
+) -> Iterator[Row]:
+    """Compare walls of about two lenses; ``margin`` is the free width around their light in lenses."""
+    for f_number in f_numbers:
+        for wavelength in wavelengths:
+            for blur in blurs:
+                spread = f_number * wavelength * 1e-6 / PITCH
+                lenses = 2 * math.ceil(abs(blur) + 1.2 * max(1.0, spread) + max(margin, 3.5 * spread))
+                camera = camera_of(f_number, lenses)
+                wall = Wall(camera, wavelength, blur)
+                plan = PhotodiodeResponses(camera, wavelength, wavelength, fine)
+                _, planning, _ = once(lambda plan=plan: plan.table)
+                exact, seconds, _ = once(wall.exact)
+                image = wall.expected(plan)
+                drawn, noise = mean_of_seeds(lambda seed, w=wall, p=plan: w.captured(p, samples, seed), seeds)
+                energy = float(image.sum() / exact.sum())
+                yield {
+                    "f_number": f_number, "wavelength": wavelength, "blur": blur, "memory": plan.nbytes / 2**20,
+                    "planning": planning, "difference": relative(image, exact), "drawn": relative(drawn, image), "noise": noise,
+                    "energy": energy, "energy_off": abs(energy - 1), "points": sum(1 for _ in wall.nodes()),
+                    "seconds": seconds,
+                }  # fmt: skip
+                name = f"f{f_number:g}_{wavelength:g}_{blur:g}_responses_exact_difference_times_10.png"
+                write_comparison(output / name, image, exact, gain=10)
