@@ -31,6 +31,7 @@ from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
 from .parameters import PARAMETERS
+from .photodiodes import require_pixel_pairs
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
@@ -96,6 +97,8 @@ def _complete_window(values: dict[str, Any]) -> None:
 def require_whole(camera: CameraGeometry) -> None:
     """Refuse parameters that are valid one by one but not in combination."""
     camera.lens_data.require_fit(camera)
+    if camera.photodiode_response is not None:
+        require_pixel_pairs(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
     refuse_if(

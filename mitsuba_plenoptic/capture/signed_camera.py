@@ -47,7 +47,10 @@ PARAMETERS = with_gradient(Captures.SCENES)
 _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
 """Parameters on which the kernels depend."""
 
-_REFUSED = ("main_lens", "wavefront", "distortion", "glass", "mla_glass", "mla_jitter", "mla_tilt", "pixel_response")
+_REFUSED = (
+    *("main_lens", "wavefront", "distortion", "glass", "mla_glass"),
+    *("mla_jitter", "mla_tilt", "mla_cra", "pixel_response"),
+)
 """Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
 
 _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2

@@ -13,6 +13,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
+from ..capture.crosstalk import mix_deviations, mix_pixels
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
@@ -210,7 +211,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
-            return develop(sensor.film(), change)
+            return develop(sensor.film(), mix_pixels(change, gradients.capture.camera.pixel_crosstalk))
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -220,7 +221,8 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
             with guards.watch():
-                found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
+                back = mix_pixels(develop_back(sensor.film(), grad_in, shape), gradients.capture.camera.pixel_crosstalk)
+                found = gradients.backward(back, names)
             for name, gradient in found.items():
                 accumulate(sensor, name, gradient)
 
@@ -253,8 +255,11 @@ def make_class() -> type:
                 )
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
-
-            put(film, image, image.shape[2] // (2 if noise else 1))
+            channels = image.shape[2] // (2 if noise else 1)
+            crosstalk = PlenopticCamera.from_sensor(sensor).pixel_crosstalk
+            light, deviation = image[..., :channels], image[..., channels:]
+            image = np.concatenate([mix_pixels(light, crosstalk), mix_deviations(deviation, crosstalk)], axis=2)
+            put(film, image, channels)
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:

@@ -139,12 +139,21 @@ def _read_glass(props: Any, name: str) -> Any:
         return json.loads(source)
 
 
+def _read_response(props: Any, name: str) -> Any:
+    """Read a response of photodiodes, given as a file or the text of a JSON object."""
+    source = _plain(props[name])
+    if not isinstance(source, str) or source.lstrip().startswith("{"):
+        return source
+    return str(mi.file_resolver().resolve(source))
+
+
 _READERS = {
     Form.SEVERAL: _read_numbers,
     Form.NUMBERS: _read_numbers,
     Form.PLACE: _read_position,
     Form.LENS: _read_main_lens,
     Form.GLASS: _read_glass,
+    Form.RESPONSE: _read_response,
 }
 """Readers for the forms of parameters that scene files write differently from Python."""
 
