@@ -221,7 +221,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
         Parameters
         ----------
-        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water"}
+        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water", \
+            "full_frame_dual", "phone_quad", "phone_quad_bayer"}
             The camera.
 
         Raises

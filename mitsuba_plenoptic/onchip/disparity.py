@@ -8,6 +8,7 @@ apart.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -46,8 +47,18 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
     camera.require_lens("the disparity of half pupils")
     distance = require_number("distance", distance, finite=False)
     image_distance(camera.focal_length, distance)
-    blur = math.copysign(camera.blur_diameter(distance), camera.defocus(distance))
-    return -4 / (3 * math.pi) * blur / camera.mla_pitch
+    return -8 / (3 * math.pi) * float(blur_radius(camera, distance))
+
+
+def blur_radius(camera: PlenopticCamera, distance: Any) -> Any:
+    """Return radii in lenses of the images of points at distances: positive before the plane in focus, else negative.
+
+    They are those of the cone from the exit pupil to the image.
+    """
+    with np.errstate(divide="ignore"):
+        image = 1 / (1 / camera.focal_length - 1 / np.asarray(distance, np.float64))
+    behind = image - camera.mla_distance
+    return camera.pupil_radius / camera.mla_pitch * behind / (camera.pupil_distance + behind)
 
 
 @suggest_keywords
@@ -94,6 +105,7 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     inner = np.clip(best, 1, 2 * search - 1)
     below, middle, above = (np.take_along_axis(scores, (inner + step)[None], 0)[0] for step in (-1, 0, 1))
     known = (best == inner) & np.isfinite(below) & np.isfinite(above)
+    below, above = (np.where(known, values, 0) for values in (below, above))
     # Within the search the highest value is above its neighbours, or equal to one of them.
     bend = np.subtract(below + above, 2 * middle, out=np.zeros_like(middle), where=known)
     known &= bend < 0

@@ -21,6 +21,7 @@ from mitsuba_plenoptic import (
     psf_bank,
     render_capture,
 )
+from mitsuba_plenoptic.design import design_warnings
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,
@@ -162,6 +163,24 @@ def test_shifts_to_chief_rays_restore_the_halves():
     assert energy["table"] == pytest.approx([0.5, 0.5], abs=0.01)
     assert energy["pitch"] == pytest.approx(energy["table"], abs=0.01)
     assert abs(energy["plain"][0] - 0.5) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "pixel", "lenses"),
+    [
+        ("full_frame_dual", 2.68, (6720, 4480)),
+        ("phone_quad", 1.22, (4032, 3024)),
+        ("phone_quad_bayer", 1.12, (4000, 3000)),
+    ],
+)
+def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
+    camera = PlenopticCamera.preset(name)
+    assert camera.pixel_size == pytest.approx(1e-3 * pixel)
+    assert camera.resolution == (2 * lenses[0], 2 * lenses[1])
+    assert design_warnings(camera) == []
+    corner = (0.48 * camera.detector_width, 0.48 * camera.detector_height)
+    bank = psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
+    assert bank.sum(("t", "s")).values == pytest.approx(0.25, abs=0.01)
 
 
 def test_crosstalk_adds_each_half_to_the_other():
