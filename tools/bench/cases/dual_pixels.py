@@ -86,9 +86,9 @@ def found(bank: Any) -> tuple[float, float]:
     "dual-pixels.centroids",
     "Distance of the centroids of a defocused point's halves, against the closed form (thin) or traced rays",
     {
-        "lens": "{lens}", "field": "{field}", "8R/3pi (lenses)": "{half_discs:.2f}", "found": "{found:.3f}",
-        "expected": "{expected:.3f}", "off": "{off:.2%}", "light in the left half": "{left:.3f}",
-        "expected ": "{expected_left:.3f}",
+        "lens": "{lens}", "field": "{field}", "8R/3pi": "{half_discs:.2f}", "distance": "{found:.3f}",
+        "expected": "{expected:.3f}", "off": "{off:.2%}", "light left": "{left:.3f}",
+        "expected left": "{expected_left:.3f}",
     },
     (at_most("off", 0.005), at_most("off_light", 0.003)),
     page="docs/howto/dual_pixel.md",
