@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .fitting import fit
     from .lightfield import decode, demosaic, ground_truth
+    from .onchip import dual_pixel, half_disparity, match_halves, psf_bank
     from .reconstruction import Reconstruction, reconstruct
     from .report.viewer import Viewer, view
     from .runtime.progress import progress_bar
@@ -65,6 +66,7 @@ _LATER = {
     "calibrate": "calibration",
     "decode": "lightfield",
     "demosaic": "lightfield",
+    **dict.fromkeys(("dual_pixel", "half_disparity", "match_halves", "psf_bank"), "onchip"),
     "fit": "fitting",
     "ground_truth": "lightfield",
     "Reconstruction": "reconstruction",
@@ -98,6 +100,7 @@ __all__ = [
     "calibrate",
     "decode",
     "demosaic",
+    "dual_pixel",
     "estimate_capture",
     "example",
     "example_truth",
@@ -105,9 +108,12 @@ __all__ = [
     "fit",
     "focus_by_group",
     "ground_truth",
+    "half_disparity",
     "load_scene",
+    "match_halves",
     "point_spread_function",
     "progress_bar",
+    "psf_bank",
     "read_capture",
     "read_ground_truth",
     "read_prescription",

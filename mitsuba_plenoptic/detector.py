@@ -63,9 +63,10 @@ class Detector:
     black_level : int, optional
         Digital number without any electron. Default: four standard deviations of the dark noise, so that it is not
         cut off.
-    mosaic : {"RGGB", "GRBG", "GBRG", "BGGR"}, optional
+    mosaic : {"RGGB", "GRBG", "GBRG", "BGGR", "QUAD_RGGB", "QUAD_GRBG", "QUAD_GBRG", "QUAD_BGGR"}, optional
         Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
-        it. Default: none.
+        it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
+        Default: none.
 
     Raises
     ------
@@ -100,7 +101,7 @@ class Detector:
         gain = (top - black) / self.full_well if self.gain is None else self.gain
         put(self, black_level=black, gain=_positive("gain", gain))
         if self.mosaic is not None:
-            require_choice("mosaic", self.mosaic, MOSAICS)
+            require_choice("mosaic", self.mosaic, ALL_MOSAICS)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Expose pixels that are hit by a given mean number of photons.
@@ -203,19 +204,26 @@ MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
 """Bayer's mosaic and its turns (Bayer 1976, US patent 3971065), by the filters of the first two rows of two pixels."""
 
 
+QUAD = "QUAD_"
+"""Before the name of one of `MOSAICS`: each of its filters covers 2 x 2 pixels."""
+
+ALL_MOSAICS = (*MOSAICS, *(QUAD + mosaic for mosaic in MOSAICS))
+
+
 def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
-    tile = np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)
+    tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix(QUAD)]).reshape(2, 2)
+    each = 2 if mosaic.startswith(QUAD) else 1
     left, top = camera.crop_offset
     rows, columns = camera.shape
-    return np.asarray(tile[np.ix_((np.arange(rows) + top) % 2, (np.arange(columns) + left) % 2)])
+    return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])
 
 
 def mosaic_of(capture: Capture) -> str | None:
     """Return the mosaic that a capture was recorded through and still has, None if it has none."""
     exposure = capture.metadata.get("exposure")
     mosaic = exposure.get("mosaic") if isinstance(exposure, dict) else None
-    return mosaic if mosaic in MOSAICS and capture.image.ndim == 2 else None
+    return mosaic if mosaic in ALL_MOSAICS and capture.image.ndim == 2 else None
 
 
 def require_demosaiced(capture: Capture) -> None:

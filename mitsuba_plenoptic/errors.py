@@ -289,6 +289,12 @@ MOST_SEED = 2**32 - 1
 WIDEST_ANGLE = 90.0
 """Degrees of incidence at most."""
 
+STEEPEST_CHIEF_RAY = 80.0
+"""Degrees of a chief ray to which lenses are aligned, at most."""
+
+MOST_CROSSTALK = 0.25
+"""Fraction of a pixel's light that each of four neighbours receives, at most: then nothing is left."""
+
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
     """Return a wavelength in nanometres, from 200 to 2500, as a float; other units are recognised."""
@@ -358,17 +364,31 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
 
 def require_response(name: str, value: Any) -> tuple[float, ...]:
     """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
+    numbers = _require_pairs(name, value, "an angle in degrees and a response", "angles")
+    require_number(name, max(numbers[::2], default=0.0), maximum=WIDEST_ANGLE)
+    if any(response > 1 for response in numbers[1::2]):
+        raise InputError(f"{name} = {short_repr(value)}: its responses must be from 0 to 1")
+    return numbers
+
+
+def require_chief_rays(name: str, value: Any) -> tuple[float, ...]:
+    """Return pairs of an image height, rising from 0, and a chief-ray angle in degrees, as one tuple of numbers."""
+    numbers = _require_pairs(name, value, "an image height and an angle in degrees", "heights")
+    require_number(name, max(numbers[1::2], default=0.0), maximum=STEEPEST_CHIEF_RAY)
+    if any(numbers[1:2]):
+        raise InputError(f"{name} = {short_repr(value)}: its first angle, on the axis, must be 0")
+    return numbers
+
+
+def _require_pairs(name: str, value: Any, meaning: str, rising: str) -> tuple[float, ...]:
+    """Return two or more pairs of numbers of at least 0, the first of each pair rising from 0, or no pair."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
-        raise InputError(
-            f"{name} = {short_repr(value)}: it must be two or more pairs of an angle in degrees and a response"
-        )
-    numbers = require_numbers(name, value, count=len(value), minimum=0, maximum=WIDEST_ANGLE)
-    angles, responses = numbers[::2], numbers[1::2]
-    if numbers and (angles[0] != 0 or any(a >= b for a, b in itertools.pairwise(angles))):
-        raise InputError(f"{name} = {short_repr(value)}: its angles must rise from 0")
-    if any(response > 1 for response in responses):
-        raise InputError(f"{name} = {short_repr(value)}: its responses must be from 0 to 1")
+        raise InputError(f"{name} = {short_repr(value)}: it must be two or more pairs of {meaning}")
+    numbers = require_numbers(name, value, count=len(value), minimum=0)
+    first = numbers[::2]
+    if numbers and (first[0] != 0 or any(a >= b for a, b in itertools.pairwise(first))):
+        raise InputError(f"{name} = {short_repr(value)}: its {rising} must rise from 0")
     return numbers
 
 

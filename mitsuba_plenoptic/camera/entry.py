@@ -23,6 +23,7 @@ class Form(Enum):
     WORD = "str", "|string|"
     FILM = "(int, int)", ""
     LENS = "Prescription, Objective, str, path or dict", "|string|"
+    RESPONSE = "PhotodiodeResponse, str, path or dict", "|string|"
     GLASS = "Glass, str, float or dict", "|string| or |float|"
     SHAPE = "MicrolensShape, path or dict", "|string|"
 

@@ -15,8 +15,10 @@ from typing import Any, cast
 from ..errors import (
     FULL_TURN,
     LEAST_FILL,
+    MOST_CROSSTALK,
     MOST_SEED,
     STEEPEST_TILT,
+    require_chief_rays,
     require_choice,
     require_count,
     require_length,
@@ -35,6 +37,7 @@ from ..microlens import MicrolensShape, known_shape
 from ..prescription import Glass
 from .entry import Captures, Form, Parameter, record
 from .given_lens import known_glass, known_lens
+from .photodiodes import PhotodiodeResponse, known_response
 
 LENS_MODELS = ("ideal", "parabolic")
 
@@ -54,6 +57,8 @@ def _one(camera: Any) -> float:
 
 
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
+
+_Response = PhotodiodeResponse | str | Path | dict[str, Any] | None
 
 _Glass = Glass | str | float | dict[str, Any]
 
@@ -354,6 +359,31 @@ class CameraParameters:
         form=Form.COUNT,
         known_to=Captures.ALL,
     )
+    mla_cra: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(),
+        check=require_chief_rays,
+        words=(
+            "Chief-ray angles to which the lenses are aligned: image heights in millimetres, rising from 0, each "
+            "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
+            "the last beyond. A lens at this height is shifted towards the axis as far as its chief ray moves on the "
+            "way to the detector, be that a fraction of a pitch or several. If the tangent of the angle is "
+            "proportional to the height, a smaller `mla_pitch` describes the same array. Lenses do not become smaller. "
+            "Decoding and refocusing assume the regular array."
+        ),
+        form=Form.NUMBERS,
+        otherwise="no shift",
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
+    pixel_crosstalk: Parameter[float, float] = Parameter(
+        default=0.0,
+        check=partial(require_number, minimum=0, maximum=MOST_CROSSTALK),
+        words=(
+            "Fraction, at most 0.25, of a pixel's light that each of its four neighbours receives, through the walls "
+            "between photodiodes. No light is lost; across the edge of a wave capture as much returns as leaves. "
+            "Decoding and reconstructions assume pixels without it."
+        ),
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
         check=require_response,
@@ -364,6 +394,21 @@ class CameraParameters:
         form=Form.NUMBERS,
         otherwise="1 at all angles",
         known_to=Captures.RAYS | Captures.SCENES,
+    )
+    photodiode_response: Parameter[_Response, PhotodiodeResponse | None] = Parameter(
+        default=None,
+        check=known_response,
+        words=(
+            "Response of the photodiodes under lenses of 2 x 2 pixels by the direction of light before the lens, from "
+            "measurements or electromagnetic simulations: a JSON file, its text or in Python its dictionary, see "
+            "`PhotodiodeResponse`. It takes the place of the microlenses' refraction: `mla_focal_length` and "
+            "`detector_distance` only set the unit, so that 1 within the square of the pupil that a pixel sees through "
+            "an ideal lens gives the ideal capture."
+        ),
+        form=Form.RESPONSE,
+        otherwise="that of the microlenses",
+        shortest=lambda response: response and response.to_plain(),
+        known_to=Captures.RAYS,
     )
     main_lens: Parameter[LensData | str | Path | dict[str, Any] | None, LensData | None] = Parameter(
         default=None,

@@ -33,6 +33,7 @@ from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
 from .parameters import PARAMETERS
+from .photodiodes import require_pixel_pairs
 
 _MLA_FOCAL_LENGTH = 0.512
 """Focal length of the microlenses in millimetres, where neither it nor a shape is given."""
@@ -132,6 +133,8 @@ def require_whole(camera: CameraGeometry) -> None:
         x, y = camera.lattice.aperture_point(*np.meshgrid(rim, rim))
         covered = camera.mla_shape.covers(*camera.lattice.to_frame(x, y))
         refuse_if(not np.all(covered), "mla_shape: it must be defined all over a lens's aperture, and ends within it")
+    if camera.photodiode_response is not None:
+        require_pixel_pairs(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
     refuse_if(
@@ -272,7 +275,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
         Parameters
         ----------
-        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water"}
+        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water", \
+            "full_frame_dual", "phone_quad", "phone_quad_bayer"}
             The camera.
 
         Raises

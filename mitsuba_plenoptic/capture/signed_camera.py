@@ -48,15 +48,8 @@ _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distan
 """Parameters on which the kernels depend."""
 
 _REFUSED = (
-    "main_lens",
-    "wavefront",
-    "distortion",
-    "glass",
-    "mla_glass",
-    "mla_jitter",
-    "mla_tilt",
-    "pixel_response",
-    "mla_shape",
+    *("main_lens", "wavefront", "distortion", "glass", "mla_glass"),
+    *("mla_shape", "mla_jitter", "mla_tilt", "mla_cra", "pixel_response"),
 )
 """Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
 

@@ -23,7 +23,7 @@ from ..camera import PlenopticCamera
 from ..lenses.base import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.batches import Box
-from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds
+from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds, chief_ray_shift
 from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace, TableNodes
 from .signed_colours import Lanes
@@ -175,7 +175,8 @@ class Draws:
             for axis, index, low in ((0, cells.index - row * columns, left), (1, row, top))
         )
         z = camera.reduced_distance + self.kinds.height(x, y) / camera.mla_medium
-        i, j = lattice.cell(*(self._lens.chief_point(p, z) for p in (x, y)))
+        chief = tuple(self._lens.chief_point(p, z) for p in (x, y))
+        i, j = lattice.cell(*(m - shift for m, shift in zip(chief, chief_ray_shift(camera, *chief), strict=True)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
         centre, height = self.kinds.place(i, j)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))

@@ -26,6 +26,7 @@ COMMANDS = {
     "render": "render",
     "reconstruct": "reconstruct",
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
+    "dual": "dual",
     **dict.fromkeys(("expose", "demosaic"), "render"),
     "calibrate": "calibrate",
     "fit": "fit",

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from ..capture.render import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
-from ..detector import MOSAICS, Detector
+from ..detector import ALL_MOSAICS, MOSAICS, Detector
 from ..detector import expose as record
 from ..errors import InputError, refuse_if
 from ..io.captures import RAW_SUFFIXES, Capture, read_capture, write_capture, write_raw
@@ -231,7 +231,7 @@ def expose(
     mosaic: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(MOSAICS),
+            metavar="|".join(ALL_MOSAICS),
             show_default="none",
             help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
         ),

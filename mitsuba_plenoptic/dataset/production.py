@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -208,6 +209,9 @@ _MEANINGS = {
     "normal": "shading normal there, world frame",
     "albedo": "diffuse reflectance there",
     "shape_index": "number of the shape there, 0 for none",
+    "sharp": "what a small pupil sees through each lens, all in focus; in focus the sum of the photodiodes",
+    "lens_depth": "distance along the axis from the main lens, mm; of the chief ray of each lens",
+    "blur_radius": "radius, in lenses, of the image of a point at that distance; negative behind the plane in focus",
 }
 
 _TEXT = """# {name}
@@ -236,7 +240,7 @@ from mitsuba_plenoptic.dataset.torch_data import TorchDataset  # pip install tor
 
 sample = DataSet("{folder}")[0]
 light_field = mitsuba_plenoptic.decode(sample.capture("{model}"), truth=sample.truth)
-loader = torch.utils.data.DataLoader(TorchDataset("{folder}", ["{model}", "depth"]), batch_size=8, shuffle=True)
+loader = torch.utils.data.DataLoader(TorchDataset("{folder}", {arrays}), batch_size=8, shuffle=True)
 ```
 
 `sha256sum -c checksums.sha256` finds damaged files.
@@ -262,9 +266,17 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
     lines = ["| array | shape | meaning |", "|---|---|---|"]
     for name, array in sorted(made[0].arrays.items()):
         base = name.removeprefix("views_")
-        meaning = _MEANINGS[base] if base == name else f"the same as `{base}`, of the samples of the views"
+        if base != name:
+            meaning = f"the same as `{base}`, of the samples of the views"
+        elif name in _MEANINGS:
+            meaning = _MEANINGS[name]
+        else:
+            capture = max((each for each in _MEANINGS if name.startswith(f"{each}_")), key=len)
+            meaning = f"sums of the pixels of `{capture}` below each lens that lie {name[len(capture) + 1 :]}"
         lines.append(f"| `{name}` | {' x '.join(map(str, np.shape(array)))} | {meaning} |")
     software = dict(made.manifest["software"])
+    model, names = recipe.models[-1], made[0].arrays
+    pair = [name for name in names if name.startswith(f"{model}_") and "exposed" not in name]
     text = _TEXT.format(
         name=recipe.name,
         count=recipe.count,
@@ -272,7 +284,8 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
         preview=PREVIEW,
         table="\n".join(lines),
         folder=recipe.name,
-        model=recipe.models[-1],
+        model=model,
+        arrays=json.dumps([*pair, "lens_depth"] if "lens_depth" in names else [model, "depth"]),
         recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
         software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
     )
@@ -295,11 +308,14 @@ def write_preview(path: Path, samples: DataSet) -> None:
     rows = []
     for index in range(min(_ROWS, len(samples))):
         arrays = samples[index].arrays
+        depth = arrays.get("lens_depth", arrays.get("depth"))
         captures = [array for name, array in arrays.items() if name.startswith(("ray", "wave"))]
+        if "lens_depth" in arrays:
+            captures = [array for array in captures if array.shape[:2] == arrays["lens_depth"].shape]
         peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
         pictures = [_grey(capture) / peak for capture in captures]
-        if "depth" in arrays:
-            pictures.append(_inverse_distance(arrays["depth"]))
+        if depth is not None:
+            pictures.append(_inverse_distance(depth))
         rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
     width = min(row.shape[1] for row in rows)
     write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.photodiodes import require_pixel_pairs
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
 from ..detector import Detector
@@ -29,6 +30,7 @@ from ..errors import (
 from ..io.captures import MODELS
 from ..io.files import read_yaml
 from ..io.ground_truth import QUANTITIES, require_quantities
+from ..onchip.halves import require_layout
 from ..presets import PRESETS
 from ..runtime.backend import DEFAULT_VARIANT
 from .generators import GENERATORS, Illumination, SceneGenerator
@@ -40,7 +42,7 @@ _CHECKED = 1000
 
 _KEYS = (
     "name", "count", "seed", "models", "variant", "camera", "scenes", "light", "noise", "ray", "wave", "truth",
-    "samples_per_shard",
+    "photodiodes", "samples_per_shard",
 )  # fmt: skip
 _WAVE = ("spp", "wavelength", "method", "accuracy")
 
@@ -100,6 +102,8 @@ class Recipe:
         Where scenes come from.
     truth : tuple of str
         Quantities of ground truth.
+    photodiodes : (int, int), optional
+        Photodiodes of a lens along x and along y, for pictures of each; None for other cameras.
     samples_per_shard : int
         Samples in one file.
     content : dict
@@ -118,6 +122,7 @@ class Recipe:
     ray: Mapping[str, Any]
     wave: Mapping[str, Any]
     truth: tuple[str, ...]
+    photodiodes: tuple[int, int] | None
     samples_per_shard: int
     content: Mapping[str, Any]
 
@@ -148,6 +153,8 @@ class Recipe:
         numbers = dict(drawn["camera"])
         with naming("camera"):
             camera = PlenopticCamera.from_json(json.dumps(PRESETS[numbers.pop("preset", "paper")] | numbers))
+            if self.photodiodes:
+                require_pixel_pairs(camera)
         maker, parameters = None, {}
         if source.generator:
             with naming(f"scenes: generator {source.generator}"):
@@ -254,11 +261,17 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         ray={"spp": 16, **_section("ray", content, ("spp",))},
         wave={"spp": 16, "method": "signed_rays", **_section("wave", content, _WAVE)},
         truth=require_quantities(truth) if truth else (),
+        photodiodes=_layout(content["photodiodes"]) if "photodiodes" in content else None,
         samples_per_shard=require_count("samples_per_shard", content.get("samples_per_shard", 50), maximum=10000),
         content=dict(content),
     )
     recipe.check()
     return recipe
+
+
+def _layout(value: Any) -> tuple[int, int]:
+    with naming("photodiodes"):
+        return require_layout(value)
 
 
 def _source(number: int, entry: Any, folder: Path) -> Source:

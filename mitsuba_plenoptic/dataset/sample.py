@@ -15,6 +15,7 @@ from ..io.captures import Capture
 from ..io.ground_truth import GroundTruth
 from ..lightfield import ground_truth
 from ..plugins.other_camera import with_camera
+from .photodiodes import pictures_of, truth_of_lenses
 from .recipe import Recipe, SamplePlan, generator
 
 VIEWS = "views_"
@@ -35,7 +36,8 @@ class Sample:
     arrays : dict
         Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
         ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
-        as ``views_depth`` (v, u, t, s[, 3]), as `GroundTruth` has them.
+        as ``views_depth`` (v, u, t, s[, 3]), as `GroundTruth` has them. With `photodiodes` also their pictures, such as
+        ``ray_left``, and of each lens ``sharp``, ``lens_depth`` and ``blur_radius``.
     facts : dict
         Plain JSON values: ``camera``, ``to_world``, ``shapes``, ``scene``, ``draws``, and in ``captures`` the metadata
         and the wavelength of each.
@@ -121,7 +123,11 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
             found[name] = expose(found[model], plan.detector, photons=plan.photons, seed=seed(name))
         for name, capture in found.items():
             arrays[name] = capture.image
+            if recipe.photodiodes:
+                arrays |= pictures_of(capture, recipe.photodiodes, name)
             about[name] = {"wavelength": capture.wavelength, "metadata": capture.metadata}
+    if recipe.photodiodes:
+        arrays |= truth_of_lenses(scene, plan.options[recipe.models[0]]["spp"], seed("sharp"))
     truth = ground_truth(scene, recipe.truth) if recipe.truth else None
     facts = {
         "camera": plan.camera.to_dict(),

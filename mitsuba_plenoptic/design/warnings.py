@@ -12,6 +12,9 @@ from .microscope import microscope_warnings
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
 
+_DUAL = 2.02
+"""Pixels across the lenses of dual and quad pixels, at most."""
+
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Return warnings about a design, one sentence each."""
@@ -49,7 +52,8 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
             "millimetres; if these are metres, multiply them by 1000"
         )
     directions = direction_count(camera, wavelength)
-    if directions < 2:
+    # Two pixels a lens are for the sides of the pupil, not for directions.
+    if directions < 2 and camera.pixels_per_lens > _DUAL:
         found.append(f"no refocusing: across its diameter a micro-image resolves only {directions:.2g} directions")
     if wavelength is not None:
         spot = spot_radius(camera, wavelength)

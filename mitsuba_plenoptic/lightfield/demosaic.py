@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detector import MOSAICS, filters, mosaic_of, require_demosaiced
+from ..detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
 from ..errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ..io.captures import Capture, require_suitable_white
 from .grid import lens_numbers
@@ -78,6 +78,10 @@ def demosaic(
     known = mosaic_of(capture)
     refuse_if(
         mosaic is None and known is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
+    )
+    refuse_if(
+        known is not None and known.startswith(QUAD),
+        f"mosaic = {known}: each lens has one colour; dual_pixel gives pictures that are Bayer mosaics",
     )
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)

@@ -21,7 +21,7 @@ from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..system.figure_error import FigureError
-from ..system.lens_kinds import MOST_DEVIATIONS, irregularities
+from ..system.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
 
 _STEP = 1.0
 """Step in nanometres of the wavelengths between which refractive indices are interpolated linearly, right to 1e-7."""
@@ -188,7 +188,8 @@ class CameraRays:
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / b
             x, y = x * nearer, y * nearer
-        i, j = lattice.cell(x, y)
+        right, up = chief_ray_shift(self.camera, x, y, z)
+        i, j = lattice.cell(x - right, y - up)
         within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
         count = dr.width(candidates[0])
         if count > 1:
@@ -197,7 +198,7 @@ class CameraRays:
             within, candidate = scaled - whole, mi.UInt32(whole)
             steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
             i, j = (index + step for index, step in zip((i, j), steps, strict=True))
-        cx, cy = lattice.centre(i, j)
+        cx, cy = self._centre(i, j)
         dx, dy = lattice.aperture_point(within, lens_sample[1])
         f2 = self.focal_lengths / self.camera.mla_medium
         if dr.width(f2) > 1:
@@ -206,6 +207,36 @@ class CameraRays:
             right, up, longer = irregularities(self.camera, i, j)
             cx, cy, f2 = cx + right, cy + up, f2 * longer
         return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate
+
+    def _centre(self, i: Any, j: Any) -> Pair:
+        """Return the centres of lenses of a regular array, or of one that is aligned to chief rays."""
+        x, y = self.lattice.centre(i, j)
+        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
+        return x + right, y + up
+
+    def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
+        """Choose points of the lenses above detector points, and points of the pupil.
+
+        Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. Return these, slopes
+        towards the pupil, and the columns and rows of pixels among those of their lenses.
+        """
+        offset = self.lattice.offset
+        index, side, within = [], [], []
+        for axis, p in enumerate(pixel):
+            position = (p - offset[axis]) / pixel_size
+            whole = dr.floor(position)
+            index.append(dr.floor((whole + 0.5) / 2))
+            side.append(whole - 2 * index[axis])
+            within.append(position - whole)
+        cx, cy = self._centre(*index)
+        if any(self.camera.mla_jitter):
+            right, up, _ = irregularities(self.camera, *index)
+            cx, cy = cx + right, cy + up
+        dx, dy = self.lattice.aperture_point(*within)
+        point = cx + dx, cy + dy
+        x, y = mi.warp.square_to_uniform_disk(pupil_sample)
+        slope = tuple((self.lens.reach * P - m) / self.lens.pupil_distance for P, m in zip((x, y), point, strict=True))
+        return point, slope, (side[0], side[1])
 
     def trace(self, pixel: Pair, passage: Passage, light: RayColours | None = None) -> Traced:
         """Trace rays from points of the detector through the array and the main lens.

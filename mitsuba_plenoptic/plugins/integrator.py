@@ -14,6 +14,7 @@ from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
 from ..capture.responses import ResponseCapture
+from ..capture.crosstalk import mix_deviations, mix_pixels
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
@@ -212,7 +213,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
-            return develop(sensor.film(), change)
+            return develop(sensor.film(), mix_pixels(change, gradients.capture.camera.pixel_crosstalk))
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -222,7 +223,8 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
             with guards.watch():
-                found = gradients.backward(develop_back(sensor.film(), grad_in, shape), names)
+                back = mix_pixels(develop_back(sensor.film(), grad_in, shape), gradients.capture.camera.pixel_crosstalk)
+                found = gradients.backward(back, names)
             for name, gradient in found.items():
                 accumulate(sensor, name, gradient)
 
@@ -260,8 +262,11 @@ def make_class() -> type:
                 )
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
-
-            put(film, image, image.shape[2] // (2 if noise else 1))
+            channels = image.shape[2] // (2 if noise else 1)
+            crosstalk = PlenopticCamera.from_sensor(sensor).pixel_crosstalk
+            light, deviation = image[..., :channels], image[..., channels:]
+            image = np.concatenate([mix_pixels(light, crosstalk), mix_deviations(deviation, crosstalk)], axis=2)
+            put(film, image, channels)
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
@@ -287,11 +292,13 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             is_small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
-            plain = camera.replace(mla_medium=1.0) if is_small else camera
-            require_known_to(plain, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
             if is_small:
-                refuse_if(mi.is_spectral, f"{NAME}: variant {mi.variant()}: responses of photodiodes under lenses of "
-                "a few wavelengths are computed in mono and rgb variants only")
+                refuse_if(
+                    mi.is_spectral,
+                    f"{NAME}: variant {mi.variant()}: responses of photodiodes under lenses of "
+                    "a few wavelengths are computed in mono and rgb variants only",
+                )
                 return ResponseCapture(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
 

@@ -148,6 +148,14 @@ def _read_shape(props: Any, name: str) -> Any:
     return known_shape(source, lambda path: str(mi.file_resolver().resolve(path)))
 
 
+def _read_response(props: Any, name: str) -> Any:
+    """Read a response of photodiodes, given as a file or the text of a JSON object."""
+    source = _plain(props[name])
+    if not isinstance(source, str) or source.lstrip().startswith("{"):
+        return source
+    return str(mi.file_resolver().resolve(source))
+
+
 _READERS = {
     Form.SEVERAL: _read_numbers,
     Form.NUMBERS: _read_numbers,
@@ -155,6 +163,7 @@ _READERS = {
     Form.LENS: _read_main_lens,
     Form.GLASS: _read_glass,
     Form.SHAPE: _read_shape,
+    Form.RESPONSE: _read_response,
 }
 """Readers for the forms of parameters that scene files write differently from Python."""
 

@@ -20,6 +20,7 @@ from ..lenses.common import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response
 from .camera_rays import CameraRays
+from .photodiodes import PhotodiodeTable
 from .properties import film_numbers, read_camera
 
 NAME = "plenoptic"
@@ -158,6 +159,9 @@ def make_class() -> type:
             dr.make_opaque(*numbers.values())
             self._rays = CameraRays.of(self.camera, numbers)
             self._response = angular_response(self.pixel_response)
+            self._photodiodes = None
+            if self.photodiode_response is not None:
+                self._photodiodes = PhotodiodeTable(self.photodiode_response)
             self._candidates = [mi.Float(steps) for steps in self._rays.neighbours().T]
             dr.make_opaque(*self._candidates)
 
@@ -228,6 +232,13 @@ def make_class() -> type:
                 light, lens_sample, share = self._rays.dispersion.draw(lens_sample, wavelengths)
                 weight = weight * share
             px, py = self._on_detector(film_sample)
+            if self.pixel_crosstalk:
+                (px, py), lens_sample = self._through_walls((px, py), lens_sample)
+            if self._photodiodes is not None:
+                traced, response = self._to_photodiodes(self._photodiodes, (px, py), lens_sample, wavelengths, light)
+                ray = self._towards(traced, time, wavelengths)
+                weight = dr.select(traced[2] & active, weight * response, 0)
+                return mi.RayDifferential3f(ray) if differential else ray, weight
             passage, _ = self._rays.pass_array((px, py), lens_sample, self._candidates)
             point, slope, open_ = self._rays.trace((px, py), passage, light)
             open_ &= active
@@ -235,15 +246,10 @@ def make_class() -> type:
                 mx, my = passage.point
                 angle = dr.atan(dr.hypot(mx - px, my - py) / self.detector_distance)
                 weight = weight * self._response(angle)
+            ray = self._towards((point, slope, open_), time, wavelengths)
             to_world = self.world_transform()
-            ray = mi.RayDifferential3f() if differential else mi.Ray3f()
-            ray.o = to_world @ mi.Point3f(*point)
-            ray.d = to_world @ dr.normalize(mi.Vector3f(*slope, 1))
-            # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
-            ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
-            ray.time = time
-            ray.wavelengths = wavelengths
             if differential:
+                ray = mi.RayDifferential3f(ray)
                 width = self.detector_width / self.film().size()[0]
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if self.camera.lens_data.traced_surfaces:
@@ -256,6 +262,43 @@ def make_class() -> type:
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight * dr.width(self._candidates[0]), 0)
+
+        def _towards(self, traced: Traced, time: Any, wavelengths: Any) -> Any:
+            """Return traced rays in the world frame."""
+            (point, slope, open_), to_world = traced, self.world_transform()
+            ray = mi.Ray3f()
+            ray.o = to_world @ mi.Point3f(*point)
+            ray.d = to_world @ dr.normalize(mi.Vector3f(*slope, 1))
+            # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
+            ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
+            ray.time = time
+            ray.wavelengths = wavelengths
+            return ray
+
+        def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
+            """Choose points of the four neighbours for light that crosses walls; return also the rest of the sample."""
+            fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
+            scaled = sample[0] / fraction
+            side = dr.floor(scaled)
+            crosses = side < 4
+            x = dr.select(side < 2, 2 * side - 1, 0)
+            y = dr.select(side < 2, 0, 2 * side - 5)
+            rest = (sample[0] - 4 * fraction) / max(1 - 4 * fraction, 1e-9)
+            within = dr.select(crosses, scaled - side, rest)
+            moved = tuple(p + dr.select(crosses, step * size, 0) for p, step in zip(pixel, (x, y), strict=True))
+            return (moved[0], moved[1]), mi.Point2f(within, sample[1])
+
+        def _to_photodiodes(
+            self, table: PhotodiodeTable, pixel: Pair, sample: Any, wavelengths: Any, light: Any
+        ) -> tuple[Traced, Any]:
+            """Return rays from the whole pupil to the lenses of pixels, and their weights by the response."""
+            size = self.detector_width / self.film().size()[0]
+            point, slope, side = self._rays.pass_pixel_lens(pixel, size, sample)
+            lens = self._rays.lens if light is None else light.through(self._rays.lens)
+            # A pixel sees this square of the pupil through an ideal lens.
+            seen = dr.square(size * lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
+            response = table(side, slope, wavelengths) * (math.pi * lens.reach**2 / seen)
+            return lens.trace(point, slope), response
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True

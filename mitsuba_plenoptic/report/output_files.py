@@ -16,6 +16,7 @@ from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
 from ..io.ground_truth import COORDINATES
 from ..lightfield.views import view_mosaic
+from ..onchip.halves import photodiode_names
 from ..reconstruction import Reconstruction, write_reconstruction
 from .animations import require_animation, write_animation
 from .images import ANIMATED, Drawing, enlarge, write_png
@@ -88,6 +89,17 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
     white = drawing.brightness.white([lf.values])
     picture = enlarge(view_mosaic(lf), drawing.scale or 1)
     _write(path, "views", lf, parts, picture, white, drawing, lambda: _figures().views_figure(lf, white))
+
+
+def write_photodiodes(path: str | Path, halves: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
+    """Write the pictures of photodiodes and their sum: a part each, named left, right and so on, or side by side."""
+    names = photodiode_names(halves)
+    white = drawing.brightness.white([halves.values])
+    total = np.asarray(halves.sum(("v", "u")).values)
+    pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
+    picture = enlarge(view_mosaic(halves), drawing.scale or 1)
+    parts = _images(**pictures, sum=total)
+    _write(path, "photodiodes", halves, parts, picture, white, drawing, lambda: _figures().views_figure(halves, white))
 
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:

@@ -1,4 +1,4 @@
-r"""Irregular arrays: microlenses with individual displacements and focal lengths, and tilted arrays.
+r"""Irregular arrays: microlenses with individual displacements and focal lengths, tilted arrays, shifts to chief rays.
 
 The lens with the indices (i, j) is displaced along x and y, and its focal length is scaled, by normal deviates. These
 depend only on the indices and a seed, so that a lens is the same in all computations. Deviates are clipped at three
@@ -33,6 +33,25 @@ def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, A
     place, focal = camera.mla_jitter
     x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
     return place * x, place * y, 1 + focal * f
+
+
+def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
+    """Return the displacement of lenses towards the axis, to which `mla_cra` aligns them, from regular positions."""
+    if not camera.mla_cra:
+        return 0.0, 0.0
+    z = camera.detector_distance if detector_distance is None else detector_distance
+    module = dr if dr.is_array_v(x) else np
+    height = module.sqrt(x * x + y * y)
+    angle = sum(
+        math.radians(angles[1] - angles[0]) * module.clip((height - low) / (high - low), 0, 1)
+        for (low, high), angles in zip(
+            itertools.pairwise(camera.mla_cra[::2]), itertools.pairwise(camera.mla_cra[1::2]), strict=True
+        )
+    )
+    # Snell's law at the border of the medium behind the lenses.
+    sine = module.sin(angle) / camera.mla_medium
+    scale = -z * sine / module.sqrt(1 - sine * sine) / module.maximum(height, 1e-9)
+    return scale * x, scale * y
 
 
 def _words(index: Any) -> Any:
@@ -148,6 +167,8 @@ class LensKinds:
     def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
         """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""
         x, y = self.camera.lattice.centre(i, j)
+        right, up = chief_ray_shift(self.camera, x, y)
+        x, y = x + right, y + up
         if self.camera.mla_jitter[0]:
             right, up, _ = irregularities(self.camera, i, j)
             x, y = x + right, y + up

@@ -77,6 +77,8 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
         ("mla_tilt", any(camera.mla_tilt), "0"),
         ("mla_jitter", any(camera.mla_jitter), "0"),
+        ("mla_cra", bool(camera.mla_cra), "left out: choose a smaller mla_pitch, which aligns lenses to chief rays"),
+        ("mla_shape", camera.mla_shape is not None, "left out: the lenses must be parabolic"),
         ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
         ("main_lens", camera.objective is not None, "no objective"),
         ("resolution", any(size % 2 for size in camera.resolution), "even"),
@@ -261,7 +263,9 @@ class PhotodiodeResponses:
 
     def _place(self, x: float, y: float) -> list[float]:
         """Return the position of a lens."""
-        return [(index + 0.5) * self.camera.mla_pitch + o for index, o in zip((x, y), self.camera.mla_offset, strict=True)]
+        return [
+            (index + 0.5) * self.camera.mla_pitch + o for index, o in zip((x, y), self.camera.mla_offset, strict=True)
+        ]
 
     def _chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines of the light from the pupil's centre at a lens."""
@@ -274,9 +278,7 @@ class PhotodiodeResponses:
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
-        pupil = tuple(
-            mi.Float(lens.pupil_point(c, -s / cosine).ravel()) for c, s in zip(place, (sx, sy), strict=True)
-        )
+        pupil = tuple(mi.Float(lens.pupil_point(c, -s / cosine).ravel()) for c, s in zip(place, (sx, sy), strict=True))
         inner = RayPupil(self.system).inner(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)

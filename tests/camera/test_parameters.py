@@ -59,7 +59,7 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
         assert (f" * - {name}\n" in rows) == (name not in ("resolution", "crop_offset", "crop_size"))
         assert entry.words.endswith(".")
-        known = {*PARAMETERS, "read_prescription", "Prescription", "Objective", "at_wavelength"}
+        known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
@@ -89,20 +89,27 @@ OTHER = {
     "wavefront": (0.0, 0.1, -0.2),
     "mla_jitter": (0.0011, 0.023),
     "mla_seed": 4294967295,
+    "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),
+    "pixel_crosstalk": 0.02,
     "pixel_response": (0.0, 1.0, 20.0, 0.3),
+    "photodiode_response": {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]},
     "main_lens": "tessar",
     "glass": {"index": 1.5168, "abbe": 64.2},
     "mla_glass": 1.4585,
 }
 """A value of each parameter that is not its default."""
 
+NEEDS = {"photodiode_response": {"mla_pitch": 0.004}}
+"""What a camera needs besides, if it is to have a parameter."""
+
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_every_parameter_survives_files_and_scene_files(name):
-    camera = PlenopticCamera(**{name: OTHER[name]})
-    assert camera != PlenopticCamera()
+    needed = NEEDS.get(name, {})
+    camera = PlenopticCamera(**{name: OTHER[name]}, **needed)
+    assert camera != PlenopticCamera(**needed)
     assert PlenopticCamera.from_json(camera.to_json()) == camera
-    assert PlenopticCamera.from_json(json.dumps({name: OTHER[name]})) == camera
+    assert PlenopticCamera.from_json(json.dumps({name: OTHER[name]} | needed)) == camera
     written = mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>')
     assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
     if name not in ("resolution", "crop_offset", "crop_size"):
@@ -111,6 +118,7 @@ def test_every_parameter_survives_files_and_scene_files(name):
         kind = {int: "integer", float: "float"}.get(type(value), "string")
         film = '<film type="hdrfilm"><integer name="width" value="4096"/><integer name="height" value="4096"/>'
         given = f"<{kind} name={quoteattr(name)} value={quoteattr(text)}/>"
+        given += "".join(f'<float name="{other}" value="{value}"/>' for other, value in needed.items())
         sensor = f'<sensor type="plenoptic">{given}{film}<rfilter type="box"/></film></sensor>'
         found = mi.load_string(f'<scene version="3.0.0">{sensor}</scene>').sensors()[0]
         assert PlenopticCamera.from_sensor(found) == camera

@@ -1,0 +1,242 @@
+"""Pictures of photodiodes: sums, sides, mosaics, files; disparity against closed forms and traced pupils."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    demosaic,
+    dual_pixel,
+    expose,
+    half_disparity,
+    match_halves,
+    psf_bank,
+    render_capture,
+)
+from mitsuba_plenoptic.design import design_warnings
+from tools.bench.cases import dual_pixels
+
+CAMERA = PlenopticCamera(
+    focal_length=6.8,
+    aperture_radius=6.8 / 3.6,
+    focus_distance=1000.0,
+    mla_focal_length=0.0043,
+    mla_pitch=0.0024,
+    detector_width=0.1536,
+    resolution=(128, 128),
+)
+"""A telephone's camera, f/1.8, of 64 x 64 lenses above 2 x 2 pixels."""
+
+
+def noise(*shape):
+    return np.random.default_rng(0).random(shape, dtype=np.float32)
+
+
+# -- pictures ----------------------------------------------------------------------------------------
+
+
+def test_photodiodes_are_sums_of_pixels():
+    image = noise(128, 128, 3)
+    capture = Capture(image, CAMERA)
+    left, right = dual_pixel(capture)[0]
+    np.testing.assert_allclose(left[5, 7], image[10:12, 14].sum(0), rtol=1e-6)
+    np.testing.assert_allclose(right[5, 7], image[10:12, 15].sum(0), rtol=1e-6)
+    top, bottom = dual_pixel(capture, layout=(1, 2))[:, 0]
+    np.testing.assert_allclose(top[5, 7], image[10, 14:16].sum(0), rtol=1e-6)
+    np.testing.assert_allclose(bottom[5, 7], image[11, 14:16].sum(0), rtol=1e-6)
+    four = dual_pixel(capture, layout=(2, 2))
+    np.testing.assert_array_equal(four[1, 0, 5, 7], image[11, 14])
+    for layout in ((2, 1), (1, 2), (2, 2)):
+        halves = dual_pixel(capture, layout=layout)
+        assert float(halves.sum()) == pytest.approx(float(image.sum()), rel=1e-5)
+    crop = CAMERA.replace(crop_offset=(4, 6), crop_size=(12, 20))
+    np.testing.assert_array_equal(
+        dual_pixel(Capture(image[6:26, 4:16], crop)).values, dual_pixel(capture)[:, :, 3:13, 2:8].values
+    )
+
+
+def test_near_things_lie_further_right_in_the_left_picture():
+    """As for a pair of eyes; a lamp nearer than the plane in focus, rendered."""
+    mi.set_variant("llvm_ad_mono")
+    distance = 400.0
+    place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(0.4)
+    scene = {
+        "type": "scene",
+        "camera": CAMERA.to_sensor(),
+        "lamp": {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}},
+        "integrator": {"type": "direct"},
+    }
+    halves = dual_pixel(render_capture(mi.load_dict(scene), spp=1024))
+    left, right = (float((each * each.s).sum() / each.sum()) for each in halves[0])
+    assert left > right
+    assert right - left == pytest.approx(half_disparity(CAMERA, distance), rel=0.01)
+    assert float(halves[0, 0].sum() / halves.sum()) == pytest.approx(0.5, abs=0.005)
+
+
+def test_quad_mosaics():
+    """Each lens has one colour, so that each photodiode's picture is a Bayer mosaic."""
+    image = np.broadcast_to(np.array([1.0, 2.0, 3.0], np.float32), (128, 128, 3))
+    quiet = Detector(read_noise=0, bits=16, full_well=60000, quantum_efficiency=1, mosaic="QUAD_GRBG")
+    exposed = expose(Capture(image, CAMERA, (650.0, 550.0, 450.0)), quiet, photons=10000)
+    halves = dual_pixel(exposed)
+    assert halves.attrs["mosaic"] == "GRBG"
+    assert halves[0, 0, :2, :2].values == pytest.approx(2 * np.array([[2.0, 1.0], [3.0, 2.0]]), rel=0.05)
+    shifted = CAMERA.replace(crop_offset=(2, 0), crop_size=(8, 8))
+    assert dual_pixel(Capture(exposed.image[:8, 2:10], shifted, metadata=exposed.metadata)).attrs["mosaic"] == "RGGB"
+    with pytest.raises(InputError, match="dual_pixel gives pictures that are Bayer mosaics"):
+        demosaic(exposed)
+    bayer = expose(Capture(image, CAMERA), Detector(mosaic="RGGB"), photons=100)
+    with pytest.raises(InputError, match="the pixels of a lens have several colours"):
+        dual_pixel(bayer)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mla_pitch": 0.0036}, "mla_pitch = 0.0036: a lens over photodiodes must cover 2 x 2 pixels, 0.0024"),
+        ({"mla_lattice": "hexagonal"}, "mla_lattice = hexagonal"),
+        ({"mla_offset": (0.0012, 0.0)}, "must begin and end between two lenses"),
+        ({"crop_offset": (1, 0), "crop_size": (126, 128)}, "must begin and end between two lenses"),
+    ],
+)
+def test_other_cameras_are_refused(changes, message):
+    camera = CAMERA.replace(**changes)
+    with pytest.raises(InputError, match=message):
+        dual_pixel(Capture(np.zeros(camera.shape, np.float32), camera))
+
+
+def test_other_layouts_are_refused():
+    with pytest.raises(InputError, match=r"layout = \(3, 1\): it must be one of \(2, 1\), \(1, 2\), \(2, 2\)"):
+        dual_pixel(Capture(noise(128, 128), CAMERA), layout=(3, 1))
+
+
+# -- point spreads -----------------------------------------------------------------------------------
+
+
+def centroids(bank, axis):
+    """Mean position along an axis of the light in each photodiode's picture."""
+    return ((bank * bank[axis]).sum(("t", "s")) / bank.sum(("t", "s"))).values
+
+
+def test_halves_of_a_defocused_point_are_half_discs():
+    """Centroids 8 R / (3 pi) apart, from before and behind the plane in focus, for blurs of 8 lenses or more."""
+    camera = CAMERA.replace(focus_distance=1200.0)
+    depths = [350.0, 1e6]
+    camera_far = camera.replace(focus_distance=500.0)
+    for each, depth in ((camera, depths[0]), (camera_far, depths[1])):
+        radius = each.blur_diameter(depth) / each.mla_pitch / 2
+        assert radius > 8
+        bank = psf_bank(each, [depth])
+        left, right = centroids(bank, "s")[0, 0, 0]
+        expected = half_disparity(each, depth)
+        assert abs(expected) == pytest.approx(8 * radius / (3 * math.pi))
+        assert right - left == pytest.approx(expected, rel=0.005)
+        assert bank.sum(("t", "s")).values.ravel() == pytest.approx([0.5, 0.5], abs=2e-3)
+        top, bottom = centroids(psf_bank(each, [depth], layout=(1, 2)), "t")[0, 0, :, 0]
+        assert bottom - top == pytest.approx(expected, rel=0.005)
+        quarters = psf_bank(each, [depth], layout=(2, 2))
+        assert centroids(quarters, "s")[0, 0].mean(0) == pytest.approx([left, right], abs=1e-3)
+
+
+def test_shifts_to_chief_rays_restore_the_halves():
+    """Without them one photodiode takes more of the light away from the axis."""
+    wide = CAMERA.replace(detector_width=4.8, resolution=(4000, 3000))
+    b, z = wide.mla_distance, wide.detector_distance
+    heights = np.linspace(0, 3, 31)
+    pairs = np.stack([heights, np.degrees(np.arctan(heights / (b + z)))], axis=1).ravel()
+    edge = [(1.0, 0.0)]
+    energy = {
+        name: psf_bank(wide.replace(**changes), [500.0], edge).sum(("t", "s")).values.ravel()
+        for name, changes in {
+            "plain": {},
+            "table": {"mla_cra": pairs},
+            "pitch": {"mla_pitch": 0.0024 * b / (b + z)},
+        }.items()
+    }
+    assert energy["table"] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert energy["pitch"] == pytest.approx(energy["table"], abs=0.01)
+    assert abs(energy["plain"][0] - 0.5) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "pixel", "lenses"),
+    [
+        ("full_frame_dual", 2.68, (6720, 4480)),
+        ("phone_quad", 1.22, (4032, 3024)),
+        ("phone_quad_bayer", 1.12, (4000, 3000)),
+    ],
+)
+def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
+    camera = PlenopticCamera.preset(name)
+    assert camera.pixel_size == pytest.approx(1e-3 * pixel)
+    assert camera.resolution == (2 * lenses[0], 2 * lenses[1])
+    assert design_warnings(camera) == []
+    corner = (0.48 * camera.detector_width, 0.48 * camera.detector_height)
+    bank = psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
+    assert bank.sum(("t", "s")).values == pytest.approx(0.25, abs=0.01)
+
+
+def test_crosstalk_adds_each_half_to_the_other():
+    bank, crossed = (psf_bank(CAMERA.replace(pixel_crosstalk=x), [400.0]) for x in (0.0, 0.05))
+    assert float(crossed.sum()) == pytest.approx(1, abs=1e-5)
+    near, far = centroids(bank, "s")[0, 0, 0], centroids(crossed, "s")[0, 0, 0]
+    # A pixel gives 5 % to the other one of its row, and 5 % to that of the next lens.
+    assert far[1] - far[0] == pytest.approx((1 - 4 * 0.05) * (near[1] - near[0]) - 2 * 0.05, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_vignetted_halves_follow_the_traced_pupil():
+    """The double Gauss on the axis, at the edge and in the corner, against rays from the scene's point."""
+    for row in dual_pixels.centroids(names=("double Gauss, f/3",)):
+        assert row["off"] < 0.005, row
+        assert row["off_light"] < 0.003, row
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0.0],), "depths = 0"),
+        (([500.0], [1.0]), "they must be distances and pairs"),
+        (([500.0], [(5.0, 0.0)]), r"fields = \(5, 0\): .* leave the detector"),
+    ],
+)
+def test_mistakes_of_banks(arguments, message):
+    with pytest.raises(InputError, match=message):
+        psf_bank(CAMERA, *arguments)
+
+
+# -- disparity ---------------------------------------------------------------------------------------
+
+
+def test_block_matching_of_pictures_blurred_by_a_bank():
+    """Against the closed form, from which the mirrored blurs differ by a scale; signs and proportions agree."""
+    texture = np.random.default_rng(3).random((96, 96))
+    found = []
+    for depth in (700.0, 2000.0):
+        bank = psf_bank(CAMERA, [depth]).values[0, 0, 0]
+        blurred = [fftconvolve(texture, each, mode="same") for each in bank]
+        pixels = np.repeat(np.stack(blurred, axis=-1)[:, None], 2, axis=1).reshape(192, 192)
+        camera = CAMERA.replace(detector_width=0.2304, resolution=(192, 192))
+        match = match_halves(dual_pixel(Capture(pixels.astype(np.float32), camera)), window=21, search=6)
+        found.append(float(match[20:-20, 20:-20].median()) / half_disparity(CAMERA, depth))
+    assert found == pytest.approx([1.0, 1.0], abs=0.35)
+    assert found[0] == pytest.approx(found[1], rel=0.15)
+
+
+def test_matching_moved_pictures_finds_the_move():
+    scene = np.random.default_rng(0).random((64, 80))
+    pair = np.stack([scene[:, 10:74], scene[:, 7:71]], axis=-1)
+    pixels = np.repeat(pair[:, None], 2, axis=1).reshape(128, 128).astype(np.float32)
+    found = match_halves(dual_pixel(Capture(pixels, CAMERA)), window=9, search=5)
+    assert found[10:-10, 10:-10].values == pytest.approx(3.0, abs=0.2)
+    flat = match_halves(dual_pixel(Capture(np.ones((128, 128), np.float32), CAMERA)), window=9, search=5)
+    assert np.isnan(flat.values).all()
+    with pytest.raises(InputError, match="1 pictures along v"):
+        match_halves(dual_pixel(Capture(pixels, CAMERA)), "vertical")
