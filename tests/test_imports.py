@@ -14,7 +14,8 @@ FLOORS = (
     "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
     "io.files", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
-    "plugins", "lightfield", "calibration", "fitting", "reconstruction", "optimisation", "torch", "report", "dataset",
+    "plugins", "lightfield", "calibration", "fitting", "reconstruction", "optimisation",
+    "array_functions", "torch", "jax", "report", "dataset",
     "cli", "__main__",
 )  # fmt: skip
 
