@@ -242,9 +242,7 @@ def _together(function: Callable[[Array], Array], captures: Array) -> Array:
 # -- scenes ------------------------------------------------------------------------------------------
 
 
-def rendering(
-    scene: Any, names: Mapping[str, Any], *, integrator: Any, spp: int, seed: int
-) -> Callable[..., Any]:
+def rendering(scene: Any, names: Mapping[str, Any], *, integrator: Any, spp: int, seed: int) -> Callable[..., Any]:
     """Return the function of Dr.Jit's tensors, one for each name, that renders a scene with these parameters."""
     parameters = mi.traverse(scene)
     require_known("values: ", names, list(parameters.keys()))

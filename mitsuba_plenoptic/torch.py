@@ -27,6 +27,7 @@ except ImportError:
 
 __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
+
 def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
     """Capture points with weights: `CaptureOperator.forward`, differentiable any number of times.
 

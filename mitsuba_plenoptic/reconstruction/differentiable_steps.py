@@ -64,7 +64,10 @@ class DeconvolvedRefocus:
         oversample: int = 1,
     ) -> None:
         self.camera, self.iterations = camera, require_count("iterations", iterations)
-        distance, oversample = require_number("distance", distance, finite=False), require_count("oversample", oversample)
+        distance, oversample = (
+            require_number("distance", distance, finite=False),
+            require_count("oversample", oversample),
+        )
         wavelength = None if wavelength is None else require_wavelength(wavelength)
         self.response = response_of(camera)(camera, [distance], wavelength=wavelength, oversample=oversample)
         (light,) = self.response.adjoint(np.ones(camera.shape, np.float32))
@@ -172,7 +175,9 @@ class DeconvolvedImage:
         self._refocus, self._flat, channels = refocus, np.ndim(capture) == 2, pixels.shape[2]
         numbers = 4.0 * (pixels.size + 2 * channels * math.prod(refocus.response.shapes[0]))
         check_memory(numbers * refocus.iterations, f"derivatives of {refocus.iterations} steps in {channels} channels")
-        self._channels = [_Channel(refocus, np.ascontiguousarray(each, np.float32)) for each in np.moveaxis(pixels, -1, 0)]
+        self._channels = [
+            _Channel(refocus, np.ascontiguousarray(each, np.float32)) for each in np.moveaxis(pixels, -1, 0)
+        ]
         self.image = self._visible([each.bins for each in self._channels])
 
     def jvp(self, change: Any) -> NDArray[np.float32]:
