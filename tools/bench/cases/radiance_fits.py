@@ -46,7 +46,7 @@ PHOTONS = 2000.0
     quick={"seeds": 1, "lenses": 6, "rounds": 2, "positions": 2},
 )
 def radiance_fits(
-    *, seeds: int = 5, lenses: int = 16, positions: int = 5, planes: int = 6, rounds: int = 20, spp: int = 16
+    *, seeds: int = 5, lenses: int = 16, positions: int = 5, planes: int = 6, rounds: int = 15, spp: int = 16
 ) -> Iterator[Row]:
     """Fit the scenes of some seeds with both models, and judge unseen views."""
     found = [fits_of(seed, lenses, positions, planes, rounds, spp) for seed in range(seeds)]
