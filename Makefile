@@ -3,11 +3,12 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test coverage slow fuzz examples package docs lint clean llvm
+.PHONY: help demo test test-tensors coverage slow fuzz examples package docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
+	@echo "make test-tensors   run the tests of PyTorch and JAX in an environment of their own, .venv-tensors (GBs)"
 	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
 	@echo "make slow   run the tests that take minutes"
 	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
@@ -23,6 +24,17 @@ demo: $(VENV)/.ready llvm
 # The tests of a file stay in one process, which they share captures and compiled kernels in.
 test: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term)
+
+# PyTorch's default wheel brings CUDA, several GB: an environment apart, and no part of 'make test'.
+TENSORS := .venv-tensors
+test-tensors: $(TENSORS)/.ready llvm
+	$(TENSORS)/bin/python -m pytest tests/test_torch.py tests/test_jax.py tests/docs/test_reference.py \
+		tests/reconstruction/test_differentiable.py tests/reconstruction/test_coherent_derivatives.py tests/dataset/test_dataset.py
+
+$(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
+	$(BIN)/python -m venv --clear $(TENSORS)
+	$(TENSORS)/bin/python -m pip install --disable-pip-version-check --quiet --editable '.[test,torch,jax]'
+	@touch $@
 
 # Measuring takes a sixth more of the processor, so 'make test' leaves it out unless COVERAGE=yes, as .ci/run has it.
 coverage: $(VENV)/.ready llvm
@@ -80,3 +92,4 @@ clean:
 	if [ -d fuzz ]; then rmdir --ignore-fail-on-non-empty fuzz; fi
 	if [ -d demo ]; then rmdir --ignore-fail-on-non-empty demo; fi
 	if [ -f $(VENV)/.made-by-make ]; then rm -rf $(VENV); fi
+	rm -rf $(TENSORS)

@@ -28,6 +28,8 @@ extensions = [
     "sphinx_copybutton",
     "generated_reference",
 ]
+# The reference of the modules for them needs no PyTorch or JAX.
+autodoc_mock_imports = ["jax", "torch"]
 exclude_patterns = ["_extensions", "**/.ipynb_checkpoints"]
 default_role = "py:obj"
 

@@ -6,21 +6,17 @@ on the processor share their memory with NumPy; others are copied to it and back
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from .array_functions import CameraCapture, Linear, Refocus, Smooth, points, refocusing, rendering
 from .camera import PlenopticCamera
-from .errors import InputError, refuse_if, require_known, short_repr
-from .operator.derivatives import DIFFERENTIABLE, WAVELENGTH
+from .errors import InputError, refuse_if, short_repr
 from .operator.operator import CaptureOperator
-from .reconstruction import CoherentRefocus, RayRefocus
 
 try:
     import torch
@@ -30,8 +26,6 @@ except ImportError:
     ) from None
 
 __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
-
-_Map = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
@@ -57,7 +51,7 @@ def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
     InputError
         If the weights have a wrong shape, or as `CaptureOperator.forward` does.
     """
-    return _Linear.apply(weights, partial(_images, operator), partial(_products, operator))
+    return _Linear.apply(weights, points(operator))
 
 
 def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
@@ -80,7 +74,7 @@ def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
     InputError
         If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
     """
-    return _Linear.apply(images, partial(_products, operator), partial(_images, operator))
+    return _Linear.apply(images, points(operator).T)
 
 
 def capture(
@@ -116,20 +110,18 @@ def capture(
     InputError
         If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
     """
-    require_known("parameters: ", parameters, [name for name in DIFFERENTIABLE if name != WAVELENGTH])
-    values = {name: _array(value).tolist() for name, value in parameters.items()}
-    operator = make(camera.replace(**values))
-    return _Capture.apply(operator, tuple(parameters), weights, *parameters.values())
+    return _Smooth.apply(CameraCapture(make, camera, tuple(parameters)), weights, *parameters.values())
 
 
-def refocus(by: RayRefocus | CoherentRefocus, captures: torch.Tensor) -> torch.Tensor:
-    """Refocus captures, differentiably: by rays any number of times, by waves once.
+def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
+    """Refocus captures, differentiably: with the ray model any number of times, with others once.
 
-    The fields of a refocus by waves are stored for the reverse pass, those of all captures of a batch.
+    The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
+    those of all captures of a batch.
 
     Parameters
     ----------
-    by : RayRefocus or CoherentRefocus
+    by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
         The camera, distance and method.
     captures : Tensor (..., rows, columns)
         The recorded pixels.
@@ -144,9 +136,8 @@ def refocus(by: RayRefocus | CoherentRefocus, captures: torch.Tensor) -> torch.T
     InputError
         If the captures have a wrong shape.
     """
-    if isinstance(by, RayRefocus):
-        return _Linear.apply(captures, partial(_together, by.forward), partial(_together, by.adjoint))
-    return _Refocus.apply(captures, by)
+    function = refocusing(by, _required(captures).shape[-2:])
+    return _Linear.apply(captures, function) if isinstance(function, Linear) else _Smooth.apply(function, captures)
 
 
 def render(
@@ -180,16 +171,7 @@ def render(
     InputError
         If a name is unknown.
     """
-    parameters = mi.traverse(scene)
-    require_known("values: ", values, list(parameters.keys()))
-
-    def image(*tensors: Any) -> Any:
-        for name, tensor in zip(values, tensors, strict=True):
-            kind = type(parameters[name])
-            parameters[name] = kind(tensor) if dr.is_tensor_v(kind) else dr.unravel(kind, tensor.array, order="C")
-        parameters.update()
-        return mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed)
-
+    image = rendering(scene, values, integrator=integrator, spp=spp, seed=seed)
     return dr.wrap(source="torch", target="drjit")(image)(*(_required(value).float() for value in values.values()))
 
 
@@ -197,69 +179,39 @@ class _Linear(torch.autograd.Function):
     """A linear map between arrays, with its transpose."""
 
     @staticmethod
-    def forward(ctx: Any, given: torch.Tensor, straight: _Map, transposed: _Map) -> torch.Tensor:
-        ctx.maps = straight, transposed
-        return _tensor(straight(_array(given)), given)
+    def forward(ctx: Any, given: torch.Tensor, function: Linear) -> torch.Tensor:
+        ctx.function = function
+        return _tensor(function.straight(_array(given)), given)
 
     @staticmethod
-    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None, None]:
-        straight, transposed = ctx.maps
-        return _Linear.apply(gradient, transposed, straight), None, None
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
+        return _Linear.apply(gradient, ctx.function.T), None
 
     @staticmethod
-    def jvp(ctx: Any, change: torch.Tensor, *_: None) -> torch.Tensor:
-        return _Linear.apply(change, *ctx.maps)
+    def jvp(ctx: Any, change: torch.Tensor, _: None) -> torch.Tensor:
+        return _Linear.apply(change, ctx.function)
 
 
-class _Capture(torch.autograd.Function):
-    """A capture as a function of weights and camera parameters."""
+class _Smooth(torch.autograd.Function):
+    """A function of arrays with derivatives, which are those at the arrays of the forward pass."""
 
     @staticmethod
-    def forward(
-        ctx: Any, operator: CaptureOperator, names: tuple[str, ...], weights: torch.Tensor, *values: torch.Tensor
-    ) -> torch.Tensor:
-        ctx.operator, ctx.names = operator, names
-        ctx.save_for_backward(weights, *values)
-        return _tensor(_images(operator, _array(weights)), weights)
+    def forward(ctx: Any, function: Smooth, *given: torch.Tensor) -> torch.Tensor:
+        ctx.at = function.at(*map(_array, given))
+        ctx.like = [each.detach()[..., :0] if each.ndim else each.detach() for each in given]
+        return _tensor(ctx.at.value, given[0])
 
     @staticmethod
     @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        (weights, *values), given, needed = ctx.saved_tensors, _array(gradient), ctx.needs_input_grad[2:]
-        by_weights = _tensor(_products(ctx.operator, given), weights) if needed[0] else None
-        names = [name for name, one in zip(ctx.names, needed[1:], strict=True) if one]
-        total: dict[str, Any] = dict.fromkeys(names, 0.0)
-        if names:
-            columns = zip(_columns(ctx.operator, _array(weights)), _channels(ctx.operator, given), strict=True)
-            for factors, image in columns:
-                found = ctx.operator.gradient(factors, image, names)
-                total = {name: total[name] + found[name] for name in names}
-        by_values = (
-            _tensor(_shaped(total[name], value), value) if name in total else None
-            for name, value in zip(ctx.names, values, strict=True)
-        )
-        return None, None, by_weights, *by_values
-
-
-class _Refocus(torch.autograd.Function):
-    """Refocusing with waves, which is not linear."""
+        found = ctx.at.vjp(_array(gradient), ctx.needs_input_grad[1:])
+        pairs = zip(found, ctx.like, strict=True)
+        return None, *(None if each is None else _tensor(each, like) for each, like in pairs)
 
     @staticmethod
-    def forward(ctx: Any, captures: torch.Tensor, by: CoherentRefocus) -> torch.Tensor:
-        def image(given: NDArray[Any]) -> NDArray[Any]:
-            ctx.at = by.at(given)
-            return ctx.at.image
-
-        return _tensor(_together(image, _array(captures)), captures)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
-    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
-        return _tensor(_together(ctx.at.vjp, _array(gradient)), gradient), None
-
-    @staticmethod
-    def jvp(ctx: Any, change: torch.Tensor, _: None) -> torch.Tensor:
-        return _tensor(_together(ctx.at.jvp, _array(change)), change)
+    def jvp(ctx: Any, _: None, *changes: torch.Tensor | None) -> torch.Tensor:
+        given = [None if each is None else _array(each) for each in changes]
+        return _tensor(ctx.at.jvp(given), ctx.like[0])
 
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
@@ -276,60 +228,3 @@ def _required(value: Any) -> torch.Tensor:
 def _tensor(array: Any, like: torch.Tensor) -> torch.Tensor:
     """Return an array as a tensor of the type and device of another."""
     return torch.from_numpy(np.asarray(array)).to(like)
-
-
-def _images(operator: CaptureOperator, weights: NDArray[Any]) -> NDArray[Any]:
-    """Apply the operator to weights."""
-    made = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
-    before, after = _axes(operator)
-    # In the order of memory that PyTorch's layers are fast with.
-    return np.ascontiguousarray(np.concatenate(made)).reshape(*weights.shape[: -len(before)], *after)
-
-
-def _products(operator: CaptureOperator, images: NDArray[Any]) -> NDArray[Any]:
-    """Apply the operator's transpose to images."""
-    made = [operator.adjoint(channels).T for channels in _channels(operator, images)]
-    after, before = _axes(operator)
-    return np.concatenate(made).reshape(*images.shape[: -len(before)], *after)
-
-
-def _columns(operator: CaptureOperator, weights: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return weights as the operator takes them."""
-    return _split("weights", weights, _axes(operator)[0], operator)
-
-
-def _channels(operator: CaptureOperator, images: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return images as the operator takes them."""
-    return _split("images", images, _axes(operator)[1], operator)
-
-
-def _axes(operator: CaptureOperator) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the last axes of weights, and those of images."""
-    count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
-    if spectrum is None:
-        return (count,), shape
-    return (len(spectrum.wavelengths), count), (spectrum.channels, *shape)
-
-
-def _split(name: str, given: NDArray[Any], last: tuple[int, ...], operator: CaptureOperator) -> list[NDArray[Any]]:
-    """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
-    refuse_if(
-        given.shape[-len(last) :] != last or not given.size,
-        f"{name} of shape {given.shape}: it must not be empty, and its last axes must be {last}",
-    )
-    flat = given.reshape(-1, *last)
-    return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
-
-
-def _together(function: _Map, captures: NDArray[Any]) -> NDArray[Any]:
-    """Apply a function of an image with channels to a batch of images."""
-    refuse_if(captures.ndim < 2 or not captures.size, f"captures of shape {captures.shape}: give (..., rows, columns)")
-    made = function(np.moveaxis(captures.reshape(-1, *captures.shape[-2:]), 0, -1))
-    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*captures.shape[:-2], *made.shape[:2])
-
-
-def _shaped(gradient: NDArray[np.float64], value: torch.Tensor) -> NDArray[np.float64]:
-    """Return the gradient by the parts of a parameter as one by its value, which may be one number for all parts."""
-    if value.ndim == 0:
-        return gradient.sum()
-    return gradient[: math.prod(value.shape)].reshape(tuple(value.shape))

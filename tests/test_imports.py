@@ -14,8 +14,9 @@ FLOORS = (
     "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
     "io.files", "microlens", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
-    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation", "torch", "report",
-    "dataset", "cli", "__main__",
+    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation",
+    "array_functions", "torch", "jax", "report", "dataset",
+    "cli", "__main__",
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import pytest
 from wave_cases import WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene
-from mitsuba_plenoptic.reconstruction import CoherentRefocus, RayRefocus
+from mitsuba_plenoptic.reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 torch = pytest.importorskip("torch")
 bridge = importlib.import_module("mitsuba_plenoptic.torch")
@@ -108,6 +108,18 @@ def test_single_precision_without_copies():
     np.testing.assert_allclose(weights.grad, 2 * operator.adjoint(image.detach().numpy()), rtol=1e-5)
 
 
+def test_operators_get_the_memory_of_tensors(monkeypatch):
+    operator, given = stored(), []
+    for name in ("forward", "adjoint"):
+        function = getattr(operator, name)
+        monkeypatch.setattr(operator, name, lambda array, f=function: given.append(array) or f(array))
+    weights, images = torch.ones(2, 3), torch.ones(2, *CAMERA.shape)
+    made = bridge.forward(operator, weights), bridge.adjoint(operator, images)
+    for array, tensor in zip(given, (weights, images), strict=True):
+        assert np.shares_memory(array, tensor.numpy())
+    assert np.shares_memory(np.from_dlpack(made[0]), made[0].numpy())
+
+
 # -- cameras -----------------------------------------------------------------------------------------
 
 
@@ -163,6 +175,15 @@ def test_refocusing_by_waves(monkeypatch):
     reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 1e-2)
     assert reverse == pytest.approx(difference, rel=1e-3)
     assert len(calls) == 3
+
+
+def test_steps_of_deconvolution():
+    by = DeconvolvedRefocus(CAMERA, 225.0, iterations=3)
+    captures = bridge.forward(stored(), random(2, 3, low=0.5)).detach() + 1e-4
+    np.testing.assert_allclose(bridge.refocus(by, captures)[1], by.forward(captures[1]), rtol=1e-6)
+    change = torch.tensor(np.random.default_rng(5).uniform(size=captures.shape)) * captures
+    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 1e-2)
+    assert reverse == pytest.approx(difference, rel=1e-3)
 
 
 # -- scenes ------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from .api import reconstruct
 from .methods import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
+from .differentiable_steps import DeconvolvedRefocus
 from .methods import METHODS
 from .results import Reconstruction, Volume, write_reconstruction, write_volume
 
@@ -17,6 +18,7 @@ __all__ = [
     "METHODS",
     "RESPONSES",
     "CoherentRefocus",
+    "DeconvolvedRefocus",
     "RayRefocus",
     "Reconstruction",
     "Volume",

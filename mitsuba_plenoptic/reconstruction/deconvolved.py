@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError, argument, refuse_if
 from ..io.checkpoints import digest
@@ -21,7 +22,7 @@ from .methods import Found, Progress, Task, method, portion
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 """Steps where nothing is known of the noise, and at most where it is."""
 
-_LEAST_SEEN = 0.01
+LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
 
 _PLANNING = 0.3
@@ -74,8 +75,7 @@ def _solve(
     """Yield the result of each plane for one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
-    response = FourierResponse if task.camera.lens_data.images_stop else Response
-    with response(
+    with response_of(task.camera)(
         task.camera,
         distances,
         wavelength=None if options["response"] == "ray" else task.wavelengths[channel],
@@ -97,8 +97,13 @@ def _solve(
         )
     for plane, parts in enumerate(zip(solution.values, solution.seen, strict=True)):
         radiance, light = (made.to_image(part, plane) for part in parts)
-        visible = np.where(light >= _LEAST_SEEN, radiance, np.float32(np.nan))
+        visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
+
+
+def response_of(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
+    """Return the kind of the response of a camera."""
+    return FourierResponse if camera.lens_data.images_stop else Response
 
 
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:

@@ -64,6 +64,11 @@ class RayRefocus:
         refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {white.size} bins there")
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the bins."""
+        return self._factor.shape
+
     def forward(self, capture: Any) -> np.ndarray:
         """Refocus a capture.
 
@@ -191,6 +196,11 @@ class CoherentRefocus:
         white = white_light(camera, wavelength, distance, oversample, True)
         divisor, reached = divisors(white, rays, distance, computed=True)
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the bins."""
+        return self._factor.shape
 
     @one_at_a_time
     def forward(self, capture: Any) -> NDArray[np.float32]:

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
@@ -184,7 +185,14 @@ def to_bins(
     distance: float,
     oversample: int,
 ) -> NDArray[np.float32]:
-    """Interpolate between the centres of bins; where the two grids are one, nothing changes.
+    """Interpolate between the centres of bins; where the two grids are one, nothing changes."""
+    across, down = (count * oversample for count in camera.bin_count)
+    made = bins_matrix(cells, lit, camera, distance, oversample) @ values.ravel()
+    return made.astype(np.float32).reshape(down, across)
+
+
+def bins_matrix(cells: BinCells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int) -> csr_array:
+    """Return the matrix from the bins of cells to those of a reconstruction; see `to_bins`.
 
     Behind a real main lens, cells are positions of chief rays on the array, and its distortion is corrected.
     """
@@ -192,22 +200,25 @@ def to_bins(
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
     x, y = np.broadcast_arrays(x, y[:, None])
     x, y = cells.grid.lens.stretch(x, y, camera, distance)
-    u, v = turn(x, y, -camera.mla_rotation)
+    u, v = turn(x.ravel(), y.ravel(), -camera.mla_rotation)
     across, down = cells.bins
     width, height = cells.bin_sizes
-    padded = np.append(values.ravel(), np.float32(0))
-    result = np.zeros(u.shape)
     row = _snapped(v / height - 0.5)
     low = np.floor(row).astype(np.int64)
+    weights, positions = [], []
     for line, share in ((low, 1 - (row - low)), (low + 1, row - low)):
         J = line // down
         column = _snapped((u - J * cells.vectors[1, 0]) / width - 0.5)
         left = np.floor(column).astype(np.int64)
         for k, part in ((left, 1 - (column - left)), (left + 1, column - left)):
             cell = lit.find(np.stack([k // across, J], axis=-1))
-            position = (cell * down + line % down) * across + k % across
-            result += share * part * padded[np.minimum(position, len(padded) - 1)]
-    return result.astype(np.float32)
+            positions.append((cell * down + line % down) * across + k % across)
+            weights.append(share * part)
+    weight, position = np.concatenate(weights), np.concatenate(positions)
+    # Positions outside of the lit cells lie beyond the last bin.
+    used = (weight > 0) & (position < len(lit) * down * across)
+    bins = np.tile(np.arange(u.size), len(positions))
+    return csr_array((weight[used], (bins[used], position[used])), shape=(u.size, len(lit) * down * across))
 
 
 def _snapped(position: NDArray[np.float64]) -> NDArray[np.float64]:

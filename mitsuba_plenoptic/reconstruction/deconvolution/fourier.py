@@ -89,6 +89,10 @@ class FourierResponse(StoredResponse):
         """Return the values of a plane's bins, which are ordered as in a lens's picture, as an upright image."""
         return np.ascontiguousarray(values[::-1, ::-1])
 
+    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
+        """Apply the transpose of `to_image`."""
+        return np.ascontiguousarray(image[::-1, ::-1], np.float32)
+
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Record planes."""
         libraries, (rows, columns) = backend(), self._size

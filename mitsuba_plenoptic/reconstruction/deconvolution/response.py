@@ -30,7 +30,7 @@ from ...runtime.batches import Box, Part
 from ...runtime.jobs import Job
 from ...system.microlenses import upright
 from ...system.optical_system import OpticalSystem
-from .cells import BinCells, to_bins
+from .cells import BinCells, bins_matrix, to_bins
 from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation
 
@@ -295,6 +295,12 @@ class Response(StoredResponse):
         """Return the values of a plane's bins (cells, bins) as an upright image of a reconstruction's bins."""
         lit, distance = self.planes[plane].lit, self._distances[plane]
         return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
+
+    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
+        """Apply the transpose of `to_image`."""
+        lit, distance = self.planes[plane].lit, self._distances[plane]
+        matrix = bins_matrix(self.cells, lit, self._camera, distance, self.cells.oversample)
+        return (matrix.T @ image.ravel()).astype(np.float32).reshape(self.shapes[plane])
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Record planes."""

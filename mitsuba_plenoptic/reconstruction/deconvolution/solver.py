@@ -106,25 +106,13 @@ def richardson_lucy(
     keep: Callable[[State], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> PlaneEstimates:
-    r"""Find the radiance of bins that explains an image."""
-    total = float(np.maximum(image, 0).sum(dtype=np.float64))
-    shift = max(shift, _FLOOR * total / max(1, int((image > 0).sum())))
-    given = np.maximum(image + np.float32(shift), 0)
-    light = response.adjoint(np.ones_like(image))
-    best = max(float(part.max()) for part in light)
-    seen: Values = [np.asarray(np.maximum(part, 0) / best, np.float32) for part in light]
-    inside = [part > _LEAST_SEEN for part in seen]
-    if total == 0:
-        return PlaneEstimates([np.zeros_like(part) for part in seen], seen, 0, float(image.any()), False)
-    weight = [
-        np.where(mask, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
-        for part, mask in zip(seen, inside, strict=True)
-    ]
+    """Find the radiance of bins that explains an image."""
+    step = Step(response, image, shift)
+    if not step.total:
+        dark = [np.zeros_like(part) for part in step.seen]
+        return PlaneEstimates(dark, step.seen, 0, float(image.any()), False)
     if state is None:
-        level = total / sum(
-            float((part * mask).sum(dtype=np.float64)) for part, mask in zip(light, inside, strict=True)
-        )
-        start = [np.where(mask, np.float32(level), np.float32(0)) for mask in inside]
+        start = step.start()
         state = State(start, start)
     scale = float(np.linalg.norm(image))
     while True:
@@ -135,11 +123,9 @@ def richardson_lucy(
         stopped = _explained(state.misfits)
         if stopped or state.done == iterations:
             break
-        ratio = given / (np.maximum(model, 0) + np.float32(shift))
-        back = response.adjoint(ratio)
-        new = [z * np.maximum(part, 0) * gain for z, part, gain in zip(point, back, weight, strict=True)]
+        new = step.scaled(point, response.adjoint(step.ratio(model)))
         if penalty is not None:
-            slopes = penalty[0].gradient(point, inside)
+            slopes = penalty[0].gradient(point, step.inside)
             new = [part / (1 + np.float32(penalty[1]) * slope) for part, slope in zip(new, slopes, strict=True)]
         if accelerate:
             against = _dot(new, point, new, state.found) < 0
@@ -150,7 +136,46 @@ def richardson_lucy(
             keep(state)
         if progress:
             progress(state.done / iterations)
-    return PlaneEstimates(point, seen, state.done, float(np.linalg.norm(image - model)) / scale, stopped)
+    return PlaneEstimates(point, step.seen, state.done, float(np.linalg.norm(image - model)) / scale, stopped)
+
+
+class Step:
+    """The numbers of an iteration that no step changes, and the parts of a step."""
+
+    def __init__(self, response: Linear, image: NDArray[np.float32], shift: float = 0.0) -> None:
+        self.total = float(np.maximum(image, 0).sum(dtype=np.float64))
+        floor = _FLOOR / max(1, int((image > 0).sum()))
+        # Added to every pixel and its model; and how much it grows with the light of the image.
+        self.shift = np.float32(max(shift, floor * self.total))
+        self.shift_slope = floor if shift < floor * self.total else 0.0
+        self.given = np.maximum(image + self.shift, 0)
+        light = response.adjoint(np.ones_like(image))
+        best = max(float(part.max()) for part in light)
+        # Light of the bins over that of the best one, and the mask of those that are not dark.
+        self.seen: Values = [np.asarray(np.maximum(part, 0) / best, np.float32) for part in light]
+        self.inside = [part > _LEAST_SEEN for part in self.seen]
+        self.weight = [
+            np.where(mask, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
+            for part, mask in zip(self.seen, self.inside, strict=True)
+        ]
+        # The light that all bins send to the detector at radiance 1.
+        self.sent = sum(
+            float((part * mask).sum(dtype=np.float64)) for part, mask in zip(light, self.inside, strict=True)
+        )
+
+    def start(self) -> Values:
+        """Return bins of one radiance, which send as much light as the image has."""
+        level = np.float32(self.total / self.sent)
+        return [np.where(mask, level, np.float32(0)) for mask in self.inside]
+
+    def ratio(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the image over what it should be."""
+        return np.asarray(self.given / (np.maximum(model, 0) + self.shift))
+
+    def scaled(self, point: Values, back: Values) -> Values:
+        """Multiply bins by the adjoint of a ratio, over their light."""
+        parts = zip(point, back, self.weight, strict=True)
+        return [z * np.maximum(part, 0) * gain for z, part, gain in parts]
 
 
 def _explained(misfits: list[float]) -> bool:

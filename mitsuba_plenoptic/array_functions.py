@@ -1,0 +1,257 @@
+"""Captures and reconstructions as functions of NumPy's arrays with derivatives: what PyTorch's and JAX's modules share.
+
+Axes before those that a function names are a batch. There are two kinds of functions: linear maps, with their
+transposes, and others, which return their value at some arrays together with the derivatives there, so that nothing is
+computed again in the reverse pass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import PlenopticCamera
+from .errors import refuse_if, require_known
+from .operator.derivatives import DIFFERENTIABLE, WAVELENGTH
+from .operator.operator import CaptureOperator
+from .reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+
+Array = NDArray[Any]
+Shape = tuple[int, ...]
+Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A linear map between arrays, with its transpose."""
+
+    straight: Callable[[Array], Array]
+    transposed: Callable[[Array], Array]
+    # Last axes of what it takes, and of its results.
+    before: Shape
+    after: Shape
+
+    @property
+    def T(self) -> Linear:
+        """The transpose."""
+        return Linear(self.transposed, self.straight, self.after, self.before)
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of the result from that of an array."""
+        return *given[: len(given) - len(self.before)], *self.after
+
+
+class Value(Protocol):
+    """The value of a function at some arrays, and its derivatives there."""
+
+    value: Array
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the value with those of the arrays; None stands for an array that does not change."""
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradient by each array that needs it, of its shape."""
+
+
+class Smooth(Protocol):
+    """A function of arrays with derivatives."""
+
+    def at(self, *given: Array) -> Value:
+        """Return its value, and what its derivatives need."""
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of the value from that of the first array."""
+
+
+# -- points ------------------------------------------------------------------------------------------
+
+
+def points(operator: CaptureOperator) -> Linear:
+    """Return the map from weights of points to images."""
+    return Linear(partial(_images, operator), partial(_products, operator), *_axes(operator))
+
+
+def _images(operator: CaptureOperator, weights: Array) -> Array:
+    """Apply the operator to weights."""
+    made = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
+    before, after = _axes(operator)
+    # In the order of memory that the layers of networks are fast with.
+    return np.ascontiguousarray(np.concatenate(made)).reshape(*weights.shape[: -len(before)], *after)
+
+
+def _products(operator: CaptureOperator, images: Array) -> Array:
+    """Apply the operator's transpose to images."""
+    made = [operator.adjoint(channels).T for channels in _channels(operator, images)]
+    after, before = _axes(operator)
+    return np.concatenate(made).reshape(*images.shape[: -len(before)], *after)
+
+
+def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
+    """Return weights as the operator takes them."""
+    return _split("weights", weights, _axes(operator)[0], operator)
+
+
+def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
+    """Return images as the operator takes them."""
+    return _split("images", images, _axes(operator)[1], operator)
+
+
+def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
+    """Return the last axes of weights, and those of images."""
+    count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
+    if spectrum is None:
+        return (count,), shape
+    return (len(spectrum.wavelengths), count), (spectrum.channels, *shape)
+
+
+def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
+    """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
+    refuse_if(
+        given.shape[-len(last) :] != last or not given.size,
+        f"{name} of shape {given.shape}: it must not be empty, and its last axes must be {last}",
+    )
+    flat = given.reshape(-1, *last)
+    return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
+
+
+# -- cameras -----------------------------------------------------------------------------------------
+
+
+class CameraCapture:
+    """The captures of points as a function of their weights and of parameters of the camera."""
+
+    def __init__(
+        self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
+    ) -> None:
+        require_known("parameters: ", names, [name for name in DIFFERENTIABLE if name != WAVELENGTH])
+        self._make, self._camera, self._names = make, camera, tuple(names)
+
+    def at(self, *given: Array) -> CameraValue:
+        """Capture points with weights by a camera with some values."""
+        weights, *values = given
+        changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
+        return CameraValue(self._make(self._camera.replace(**changed)), self._names, weights, values)
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of images from that of weights."""
+        return points(self._make(self._camera)).shape(given)
+
+
+class CameraValue:
+    """Captures of points, and their derivatives by the weights and by parameters of the camera."""
+
+    def __init__(
+        self, operator: CaptureOperator, names: tuple[str, ...], weights: Array, values: Sequence[Array]
+    ) -> None:
+        self._operator, self._names, self._weights = operator, names, weights
+        self._shapes = [np.shape(value) for value in values]
+        self.value = _images(operator, weights)
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the images; see `Value`."""
+        of_weights, *of_values = changes
+        total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
+        named = {name: each for name, each in zip(self._names, of_values, strict=True) if each is not None}
+        if not named:
+            return total
+        columns = _columns(self._operator, self._weights)
+        made = [np.moveaxis(self._operator.derivative(each, named), -1, 0) for each in columns]
+        return total + np.concatenate(made).reshape(total.shape)
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradients; see `Value`."""
+        names = [name for name, one in zip(self._names, needed[1:], strict=True) if one]
+        total: dict[str, Any] = dict.fromkeys(names, 0.0)
+        if names:
+            columns, channels = _columns(self._operator, self._weights), _channels(self._operator, gradient)
+            for factors, image in zip(columns, channels, strict=True):
+                found = self._operator.gradient(factors, image, names)
+                total = {name: total[name] + found[name] for name in names}
+        by_values = [
+            _shaped(total[name], shape) if name in total else None
+            for name, shape in zip(self._names, self._shapes, strict=True)
+        ]
+        return [_products(self._operator, gradient) if needed[0] else None, *by_values]
+
+
+def _shaped(gradient: Array, shape: Shape) -> Array:
+    """Return the gradient by the parts of a parameter as one by its value, which may be one number for all parts."""
+    return gradient[: math.prod(shape)].reshape(shape) if shape else np.asarray(gradient.sum())
+
+
+# -- reconstructions ---------------------------------------------------------------------------------
+
+
+def refocusing(by: Refocus, rows_columns: Shape) -> Linear | Refocused:
+    """Return the function from captures of a shape to refocused images."""
+    if isinstance(by, RayRefocus):
+        return Linear(partial(_together, by.forward), partial(_together, by.adjoint), rows_columns, by.shape)
+    return Refocused(by)
+
+
+@dataclass(frozen=True, eq=False)
+class Refocused:
+    """Refocusing that is not linear."""
+
+    by: CoherentRefocus | DeconvolvedRefocus
+
+    def at(self, *given: Array) -> RefocusedValue:
+        """Refocus captures."""
+        return RefocusedValue(self.by, *given)
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of images from that of captures."""
+        return *given[:-2], *self.by.shape
+
+
+class RefocusedValue:
+    """Refocused captures, and their derivatives."""
+
+    def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
+        def image(given: Array) -> Array:
+            self._at = by.at(given)
+            return self._at.image
+
+        self.value = _together(image, captures)
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the images; see `Value`."""
+        (change,) = changes
+        return np.zeros(self.value.shape) if change is None else _together(self._at.jvp, change)
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradient by the captures; see `Value`."""
+        return [_together(self._at.vjp, gradient) if needed[0] else None]
+
+
+def _together(function: Callable[[Array], Array], captures: Array) -> Array:
+    """Apply a function of an image with channels to a batch of images."""
+    refuse_if(captures.ndim < 2 or not captures.size, f"captures of shape {captures.shape}: give (..., rows, columns)")
+    made = function(np.moveaxis(captures.reshape(-1, *captures.shape[-2:]), 0, -1))
+    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*captures.shape[:-2], *made.shape[:2])
+
+
+# -- scenes ------------------------------------------------------------------------------------------
+
+
+def rendering(scene: Any, names: Mapping[str, Any], *, integrator: Any, spp: int, seed: int) -> Callable[..., Any]:
+    """Return the function of Dr.Jit's tensors, one for each name, that renders a scene with these parameters."""
+    parameters = mi.traverse(scene)
+    require_known("values: ", names, list(parameters.keys()))
+
+    def image(*tensors: Any) -> Any:
+        for name, tensor in zip(names, tensors, strict=True):
+            kind = type(parameters[name])
+            parameters[name] = kind(tensor) if dr.is_tensor_v(kind) else dr.unravel(kind, tensor.array, order="C")
+        parameters.update()
+        return mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed)
+
+    return image
