@@ -204,6 +204,7 @@ _MEANINGS = {
     "ray_exposed": "the capture by rays with the noise of a detector (EMVA 1288)",
     "wave_exposed": "the capture by waves with the noise of a detector (EMVA 1288)",
     "depth": "distance along the axis from the main lens, mm; of the chief ray of each pixel",
+    "virtual_depth": "the same, in plane mirrors of the mirror image, mm",
     "position": "where the pixel's chief ray meets the scene, world frame, mm",
     "normal": "shading normal there, world frame",
     "albedo": "diffuse reflectance there",
