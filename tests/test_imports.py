@@ -15,7 +15,7 @@ FLOORS = (
     "io.files", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
     "plugins", "lightfield", "calibration", "fitting", "reconstruction", "optimisation", "torch", "report", "dataset",
-    "cli", "__main__",
+    "benchmark", "cli", "__main__",
 )  # fmt: skip
 
 
