@@ -77,12 +77,20 @@ FINER = 2
 
 @dataclass(frozen=True)
 class Size:
-    """How large the captures are."""
+    """How large the captures are.
 
-    # Lenses of the reference camera across the field, and pixels of each.
+    Attributes
+    ----------
+    lenses : int
+        Lenses of the camera ``square`` across the field.
+    pixels : int
+        Pixels of each of them, along each axis.
+    spp, truth_spp : int
+        Samples per pixel of captures, and of the pictures that are the truth.
+    """
+
     lenses: int
     pixels: int
-    # Samples per pixel of captures, and of the pictures that are the truth.
     spp: int
     truth_spp: int
 
