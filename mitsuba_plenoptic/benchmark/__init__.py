@@ -5,8 +5,9 @@ files, whoever wrote them. The command is ``mitsuba-plenoptic benchmark``.
 """
 
 from .baselines import BASELINES, run_baseline
-from .contents import CAMERAS, CAPTURES, SIZES, Benchmark, Size, benchmark_recipe, make_benchmark
+from .contents import CAMERAS, CAPTURES, SIZES, Benchmark, Size, benchmark_recipe
 from .exchange import export_hci
+from .production import make_benchmark
 from .scenes import SCENES
 from .score import TASKS, score, table
 

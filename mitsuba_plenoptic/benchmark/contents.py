@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..dataset import DataSet, Recipe, Sample, make_dataset, make_sample
+from ..dataset import DataSet, Recipe, Sample, make_sample
 from ..dataset.generators import Illumination
 from ..dataset.recipe import SamplePlan, Source, generator
 from ..dataset.sample import VIEWS, open_sample
@@ -24,8 +24,6 @@ from ..errors import refuse_if, require_choice, require_count, short_repr
 from ..io.captures import MODELS, Capture
 from ..report.experiment import photograph, photographic_sensor, thin_lens_image
 from ..runtime.backend import DEFAULT_VARIANT
-from ..runtime.batches import BatchMap
-from ..runtime.jobs import Progress
 from .scenes import GLASS, SCENES, WHITE, Frame, SceneMaker
 
 VERSION = 1
@@ -104,9 +102,10 @@ class BenchmarkRecipe(Recipe):
 
     def plan(self, index: int) -> SamplePlan:
         """Return which scene and camera a sample has."""
-        number, which = divmod(index, len(CAMERAS))
+        number, which = divmod(index, len(self.content["cameras"]))
         name, size = self.content["scenes"][number], Size(**self.content["size"])
-        camera, parameters = list(CAMERAS.items())[which]
+        parameters = dict(self.content["cameras"][which])
+        camera = parameters.pop("name")
         width = size.lenses * PITCH
         reference = PlenopticCamera(**CAMERAS["square"])
         seed = int(generator(self.seed, 0, f"scene.{name}").integers(2**63))
@@ -170,42 +169,13 @@ def benchmark_recipe(
     )
 
 
-def make_benchmark(
-    folder: str | Path,
-    recipe: BenchmarkRecipe,
-    *,
-    batch_map: BatchMap | None = None,
-    progress: Progress | None = None,
-) -> Benchmark:
-    """Make a benchmark, or resume making it; the bits are the same.
-
-    Parameters
-    ----------
-    folder : path
-        Where it is to lie; made if it is not there.
-    recipe : BenchmarkRecipe
-        What `benchmark_recipe` returned.
-    batch_map, progress : callable, optional
-        As for `make_dataset`.
-
-    Raises
-    ------
-    InputError
-        As `make_dataset` does.
-    """
-    from .card import describe_benchmark
-
-    make_dataset(recipe, folder, batch_map=batch_map, progress=progress, make=make_entry, describe=describe_benchmark)
-    return Benchmark(folder)
-
-
 def make_entry(recipe: Recipe, index: int) -> Sample:
     """Render a sample of the benchmark: captures, noise, ground truth, and the pictures that are to be found."""
     plan = recipe.plan(index)
     made = make_sample(recipe, index)
     arrays, captures = dict(made.arrays), dict(made.facts["captures"])
     for model in recipe.models:
-        for level, photons in NOISE.items():
+        for level, photons in recipe.content["noise"].items():
             name = f"{model}_{level}"
             seed = int(generator(recipe.seed, index, f"seed.{name}").integers(2**32))
             exposed = expose(made.capture(model), Detector(), photons=photons, seed=seed)
@@ -258,7 +228,7 @@ class Benchmark(DataSet):
         refuse_if(version is None, f"{folder}: it holds a data set that is no benchmark")
         refuse_if(version != VERSION, f"{folder}: it is version {short_repr(version)}: this program reads {VERSION}")
         self.scenes = [name for name in self.manifest["recipe"]["scenes"] if name != WHITE]
-        self.cameras = list(CAMERAS)
+        self.cameras = [camera["name"] for camera in self.manifest["recipe"]["cameras"]]
 
     def entries(self) -> list[int]:
         """Return the indices of the samples that are scored: all but those of the white scene."""

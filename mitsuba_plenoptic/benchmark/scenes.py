@@ -158,7 +158,7 @@ def _fence(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _gloss(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show glossy spheres and a glossy plane, whose highlights move with the view."""
+    """Show spheres of metal and of lacquer, whose highlights move with the view."""
     shapes = {"wall": frame.wall(random)}
     for k, ((x, y), z) in enumerate(zip(_places(random, 4, 0.4), _depths(random, 4), strict=True)):
         under = frame.pattern(random, 0.5 * frame.width(z), z)["surface"]["reflectance"]

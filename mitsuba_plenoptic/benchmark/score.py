@@ -58,14 +58,14 @@ def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
     surface, image, glass = (truth[name][part] for name in ("depth", "virtual_depth", "glass"))
     known, mirror = np.isfinite(surface), image > surface
     with np.errstate(invalid="ignore", divide="ignore"):
-        error, beside = (np.abs(found / np.where(known, one, np.nan) - 1) for one in (surface, image))
+        error, off_image = (np.abs(found / np.where(known, one, np.nan) - 1) for one in (surface, image))
     plain = known & ~mirror & ~glass
     scores = {f"bad_{100 * bound:g}": _fraction(~(error <= bound), plain) for bound in BOUNDS}
     estimated = plain & np.isfinite(error)
     return scores | {
         "rmse": float(np.sqrt(np.mean(error[estimated] ** 2))) if estimated.any() else math.nan,
         "known": _fraction(np.isfinite(error), plain),
-        "mirror_bad_3": _fraction(~(beside <= BOUNDS[1]), mirror & np.isfinite(image)),
+        "mirror_bad_3": _fraction(~(off_image <= BOUNDS[1]), mirror & np.isfinite(image)),
         "mirror_surface_bad_3": _fraction(~(error <= BOUNDS[1]), mirror & np.isfinite(image)),
     }
 

@@ -1,4 +1,4 @@
-"""The data card of a benchmark and its contact sheet."""
+"""Making a benchmark, with its data card and its contact sheet."""
 
 from __future__ import annotations
 
@@ -6,13 +6,54 @@ from pathlib import Path
 
 import numpy as np
 
-from ..dataset import DataSet, Recipe
+from ..dataset import DataSet, Recipe, make_dataset
 from ..dataset.production import inverse_distance
 from ..dataset.shards import CARD, PREVIEW
 from ..io.files import write_text
 from ..report.images import enlarge, shrink, write_png
-from .contents import CAMERAS, CAPTURES, DISTANCES, FINER, HELD_OUT, NOISE, PUPIL_POINTS, Benchmark, central_truth
+from ..runtime.batches import BatchMap
+from ..runtime.jobs import Progress
+from .contents import (
+    CAPTURES,
+    DISTANCES,
+    FINER,
+    HELD_OUT,
+    NOISE,
+    PUPIL_POINTS,
+    Benchmark,
+    BenchmarkRecipe,
+    central_truth,
+    make_entry,
+)
 from .scenes import SCENES, WHITE
+
+
+def make_benchmark(
+    folder: str | Path,
+    recipe: BenchmarkRecipe,
+    *,
+    batch_map: BatchMap | None = None,
+    progress: Progress | None = None,
+) -> Benchmark:
+    """Make a benchmark, or resume making it; the bits are the same.
+
+    Parameters
+    ----------
+    folder : path
+        Where it is to lie; made if it is not there.
+    recipe : BenchmarkRecipe
+        What `benchmark_recipe` returned.
+    batch_map, progress : callable, optional
+        As for `make_dataset`.
+
+    Raises
+    ------
+    InputError
+        As `make_dataset` does.
+    """
+    make_dataset(recipe, folder, batch_map=batch_map, progress=progress, make=make_entry, describe=describe_benchmark)
+    return Benchmark(folder)
+
 
 _TEXT = """# {title}
 
@@ -100,11 +141,11 @@ def describe_benchmark(folder: Path, recipe: Recipe, made: DataSet) -> None:
     near, far = (edge(central_truth(first)["depth"]) for edge in (np.nanmin, np.nanmax))
     software = dict(made.manifest["software"])
     cameras = {
-        name: (
-            "held_out" if name in HELD_OUT else "training",
-            ", ".join(f"{key} {value}" for key, value in one.items()),
+        one["name"]: (
+            "held_out" if one["name"] in HELD_OUT else "training",
+            ", ".join(f"{key} {value}" for key, value in one.items() if key != "name"),
         )
-        for name, one in CAMERAS.items()
+        for one in content["cameras"]
     }
     text = _TEXT.format(
         title=recipe.name,
