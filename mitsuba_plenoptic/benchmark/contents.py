@@ -93,7 +93,7 @@ class Size:
     truth_spp: int
 
 
-SIZES = {"small": Size(16, 12, 16, 64), "full": Size(48, 12, 64, 512)}
+SIZES = {"small": Size(16, 12, 16, 64), "full": Size(64, 12, 64, 512)}
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from .contents import (
     make_entry,
 )
 from .scenes import SCENES, WHITE
+from .score import TASKS
 
 
 def make_benchmark(
@@ -92,6 +93,14 @@ cameras, the white one last). Sizes are those of the first sample; all are float
 {array_table}
 
 `facts` is UTF-8 JSON: the names of scene, camera and shapes, the camera, and how each capture was made.
+
+## Tasks
+
+| task | array to be found of each capture | ranked by |
+|---|---|---|
+{task_table}
+
+`mitsuba-plenoptic benchmark score` scores files SCENE/CAMERA/CAPTURE/TASK.npy, such as `{example}`.
 
 ## How it was made
 
@@ -163,6 +172,8 @@ def describe_benchmark(folder: Path, recipe: Recipe, made: DataSet) -> None:
             f"| `{name}` | {' x '.join(map(str, array.shape))} | {meaning(name)} |"
             for name, array in sorted(first.arrays.items())
         ),
+        task_table="\n".join(f"| `{name}` | {task.words} | `{task.main}` |" for name, task in TASKS.items()),
+        example=f"{names[0]}/{next(iter(cameras))}/wave_dim/depth.npy",
         spp=content["size"]["spp"],
         truth_spp=content["size"]["truth_spp"],
         wavelength=recipe.wave["wavelength"],

@@ -17,7 +17,7 @@ import skimage.metrics
 import xarray as xr
 
 from ..dataset import Sample
-from ..errors import refuse_if, refusing
+from ..errors import naming, refuse_if, refusing, require_choice
 from ..io.exr import read_exr_parts
 from ..io.files import require_file, require_size
 from .contents import CAPTURES, FINER, PUPIL_POINTS, Benchmark, central_truth
@@ -182,10 +182,19 @@ def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
     Raises
     ------
     InputError
-        If there is no answer, one is missing, or one has a wrong shape.
+        If there is no answer, one is missing or misspelled, or one has a wrong shape.
     """
     folder = Path(folder)
-    there = {(path.parent.name, path.stem) for path in folder.glob("*/*/*/*") if path.suffix in SUFFIXES}
+    there = set()
+    for path in sorted(folder.glob("*/*/*/*")):
+        if path.suffix in SUFFIXES:
+            # A misspelled name would be ignored.
+            names = [*path.relative_to(folder).parts[:-1], path.stem]
+            known = {"scene": made.scenes, "camera": made.cameras, "capture": CAPTURES, "task": TASKS}
+            for (kind, choices), name in zip(known.items(), names, strict=True):
+                with naming(path):
+                    require_choice(kind, name, choices)
+            there.add((names[2], names[3]))
     wanted = [(capture, task) for capture in CAPTURES for task in TASKS if (capture, task) in there]
     refuse_if(
         not wanted,

@@ -31,7 +31,7 @@ def make(
     output: OutputFolder,
     seed: Seed = 0,
     size: Annotated[
-        str, typer.Option(metavar="small|full", help="16 x 16 lenses and few samples, to try it, or 48 x 48 lenses.")
+        str, typer.Option(metavar="small|full", help="16 x 16 lenses and few samples, to try it, or 64 x 64 lenses.")
     ] = "full",
     scene: Annotated[
         list[str] | None,

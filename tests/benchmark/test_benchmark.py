@@ -229,6 +229,14 @@ def test_answers_may_have_other_formats(made, perfect, suffix):
         (lambda path: np.save(path, np.ones((8, 8), complex)), "its type is complex128: it must be real"),
         (lambda path: np.save(path, np.array([{}])), r"depth\.npy: it cannot be read:"),
         (lambda path: path.write_bytes(b"nothing"), r"depth\.npy: it cannot be read:"),
+        (
+            lambda path: path.rename(path.with_stem("dept")),
+            r"ray/dept\.npy: task = 'dept': it must be .* did you mean depth",
+        ),
+        (
+            lambda path: path.parent.rename(path.parents[1] / "rays"),
+            r"capture = 'rays': it must be one of ray, ray_bri",
+        ),
         (lambda path: shutil.rmtree(path.parents[3]), r"it has no answers: they are called SCENE/CAMERA/CAPTURE/TASK"),
     ],
 )
