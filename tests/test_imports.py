@@ -16,7 +16,7 @@ FLOORS = (
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
     "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation",
     "array_functions", "torch", "jax", "report", "dataset",
-    "cli", "__main__",
+    "benchmark", "cli", "__main__",
 )  # fmt: skip
 
 

@@ -97,11 +97,11 @@ def commands(text: str) -> str:
     """Write the page of the command, below what it says itself, from its Typer application."""
     import typer
 
-    from mitsuba_plenoptic.cli import PROGRAM, app
+    from mitsuba_plenoptic.cli import PROGRAM, app, commands_of
 
     group: Any = typer.main.get_command(app)
     parts = [text, "", *_help(group.help)]
-    for name, command in group.commands.items():
+    for name, command in commands_of(group):
         usage = [PROGRAM, name, "[OPTIONS]", *(value_name(p) for p in command.params if is_argument(p))]
         parts += [name, "-" * len(name), "", ".. code-block:: text", "", f"   {' '.join(usage)}", ""]
         parts += [*_help(command.help), *_parameters(command), ""]

@@ -19,7 +19,7 @@ from ..runtime.progress import plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
-# In the order of the help: each command is a function of its name in this module.
+# In the order of the help: each command is a function of its name in this module, or a `Typer` of several commands.
 COMMANDS = {
     "example": "example",
     "preview": "preview",
@@ -32,7 +32,9 @@ COMMANDS = {
     "fit": "fit",
     "convert": "light_field",
     "view": "view",
-    **dict.fromkeys(("sweep", "dataset", "compare", "reproduce"), "experiments"),
+    **dict.fromkeys(("sweep", "dataset"), "experiments"),
+    "benchmark": "benchmark",
+    **dict.fromkeys(("compare", "reproduce"), "experiments"),
     **dict.fromkeys(("info", "doctor"), "info"),
 }
 
@@ -73,8 +75,21 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     made = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
     made.callback(invoke_without_command=True)(_root)
     for name in names:
-        made.command(name)(getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name))
+        command = getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name)
+        if isinstance(command, typer.Typer):
+            made.add_typer(command, name=name)
+        else:
+            made.command(name)(command)
     return made
+
+
+def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
+    """Yield the commands of Typer's group with what is typed for them, such as ``benchmark make``."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands_of(command, *words, name)
+        else:
+            yield " ".join((*words, name)), command
 
 
 def __getattr__(name: str) -> Any:
@@ -101,7 +116,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
         except InputError as error:
-            return _fail(_with_options(str(error), group.commands[words[0]].params) if called else str(error))
+            known = dict(commands_of(group))
+            command = known.get(words[0]) or known.get(" ".join(words[:2])) if called else None
+            return _fail(_with_options(str(error), command.params) if command else str(error))
         except OSError as error:
             named = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
             return _fail(named)

@@ -41,6 +41,8 @@ from .shards import (
 
 _log = logging.getLogger(__name__)
 
+Maker = Callable[[Recipe, int], Sample]
+
 
 @dataclass(frozen=True)
 class SampleTask:
@@ -50,6 +52,7 @@ class SampleTask:
     index: int
     # The file, which a worker elsewhere must see under the same name.
     path: Path
+    make: Maker
 
     @property
     def samples(self) -> int:
@@ -58,11 +61,23 @@ class SampleTask:
 
     def prepare(self) -> Callable[[], int]:
         """Return the function that does it, and returns the sample's index."""
-        return partial(_make, self.recipe, self.index, self.path)
+        return partial(_make, self.recipe, self.index, self.path, self.make)
+
+
+def describe_dataset(folder: Path, recipe: Recipe, made: DataSet) -> None:
+    """Write the data card and the preview of a data set."""
+    write_preview(folder / PREVIEW, made)
+    write_card(folder / CARD, recipe, made)
 
 
 def make_dataset(
-    recipe: Recipe, folder: str | Path, *, batch_map: BatchMap | None = None, progress: Progress | None = None
+    recipe: Recipe,
+    folder: str | Path,
+    *,
+    batch_map: BatchMap | None = None,
+    progress: Progress | None = None,
+    make: Maker = make_sample,
+    describe: Callable[[Path, Recipe, DataSet], None] = describe_dataset,
 ) -> DataSet:
     """Make a data set, or resume making it.
 
@@ -82,6 +97,10 @@ def make_dataset(
         process.
     progress : callable, optional
         Called with the samples that are done and their number.
+    make : callable, optional
+        Renders a sample from the recipe and its index. Default: `make_sample`.
+    describe : callable, optional
+        Writes the data card and the preview of the complete set; called with the folder, the recipe and the set.
 
     Returns
     -------
@@ -96,11 +115,16 @@ def make_dataset(
     set_variant(recipe.variant)
     _try_scenes(recipe)
     with locked(folder):
-        _produce(recipe, claim(folder, recipe), batch_map, progress)
+        layout = claim(folder, recipe)
+        _produce(recipe, layout, batch_map, progress, make)
+        describe(folder, recipe, DataSet(folder))
+        write_checksums(folder / CHECKSUMS, layout)
     return DataSet(folder)
 
 
-def _produce(recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None) -> None:
+def _produce(
+    recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None, make: Maker
+) -> None:
     # Whatever is there is compared with its digests before anything of it is dropped.
     finished = {
         number: whole_samples(layout.shard(number)).intersection(layout.members(number))
@@ -116,7 +140,7 @@ def _produce(recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progres
                 missing.append(index)
     _clear(layout, finished)
     done = recipe.count - len(missing)
-    tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
+    tasks = [SampleTask(recipe, index, layout.sample(index), make) for index in missing]
     results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
     waiting = set(missing)
 
@@ -136,10 +160,6 @@ def _produce(recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progres
         if progress:
             progress(done, recipe.count)
     shutil.rmtree(layout.sample(0).parent)
-    made = DataSet(layout.folder)
-    write_preview(layout.folder / PREVIEW, made)
-    write_card(layout.folder / CARD, recipe, made)
-    write_checksums(layout.folder / CHECKSUMS, layout)
 
 
 def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bool:
@@ -152,9 +172,9 @@ def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bo
     return False
 
 
-def _make(recipe: Recipe, index: int, path: Path) -> int:
+def _make(recipe: Recipe, index: int, path: Path, make: Maker) -> int:
     with naming(f"sample {index}"):
-        write_samples(path, [make_sample(recipe, index)])
+        write_samples(path, [make(recipe, index)])
     return index
 
 
@@ -205,6 +225,7 @@ _MEANINGS = {
     "ray_exposed": "the capture by rays with the noise of a detector (EMVA 1288)",
     "wave_exposed": "the capture by waves with the noise of a detector (EMVA 1288)",
     "depth": "distance along the axis from the main lens, mm; of the chief ray of each pixel",
+    "virtual_depth": "the same, in plane mirrors of the mirror image, mm",
     "position": "where the pixel's chief ray meets the scene, world frame, mm",
     "normal": "shading normal there, world frame",
     "albedo": "diffuse reflectance there",
@@ -315,7 +336,7 @@ def write_preview(path: Path, samples: DataSet) -> None:
         peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
         pictures = [_grey(capture) / peak for capture in captures]
         if depth is not None:
-            pictures.append(_inverse_distance(depth))
+            pictures.append(inverse_distance(depth))
         rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
     width = min(row.shape[1] for row in rows)
     write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
@@ -325,7 +346,7 @@ def _grey(image: np.ndarray) -> np.ndarray:
     return image.mean(axis=2) if image.ndim == 3 else image
 
 
-def _inverse_distance(depth: np.ndarray) -> np.ndarray:
+def inverse_distance(depth: np.ndarray) -> np.ndarray:
     """Return the inverse of depths from 0, as far as any, to 1."""
     known = np.isfinite(depth)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))

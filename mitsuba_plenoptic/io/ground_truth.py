@@ -13,7 +13,14 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, naming, refuse_if, require_choice, short_repr
 from .exr import read_exr_parts, write_exr_parts
 
-QUANTITIES = {"depth": "Z", "position": "XYZ", "normal": "XYZ", "albedo": "RGB", "shape_index": "I"}
+QUANTITIES = {
+    "depth": "Z",
+    "virtual_depth": "Z",
+    "position": "XYZ",
+    "normal": "XYZ",
+    "albedo": "RGB",
+    "shape_index": "I",
+}
 """Quantities of the point that a ray meets, with their channels."""
 
 SUFFIX = ".truth.exr"
@@ -37,10 +44,11 @@ class GroundTruth:
     """The surfaces that the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
 
     ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres: infinite
-    where a ray meets nothing. ``position`` and ``normal`` (of shading) are in the world's frame, ``albedo`` is the
-    diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is an integer, 0 where nothing is
-    met. Where the main lens lets no such ray through, all but the index are NaN. None is an average: each is of one
-    ray.
+    where a ray meets nothing. ``virtual_depth`` is greater in plane mirrors, where it is the distance of the mirror
+    image, about which views agree, and the same elsewhere. ``position`` and ``normal`` (of shading) are in the world's
+    frame, ``albedo`` is the diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is an integer,
+    0 where nothing is met. Where the main lens lets no such ray through, all but the index are NaN. None is an average:
+    each is of one ray.
 
     Attributes
     ----------
@@ -92,8 +100,8 @@ def truth_path(capture: Path) -> Path:
 def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
     """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, laid side by side.
 
-    Their channels are depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and shape_index.I. The
-    views lie as `lightfield.view_mosaic` lays them.
+    Their channels are depth.Z, virtual_depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and
+    shape_index.I. The views lie as `lightfield.view_mosaic` lays them.
 
     Parameters
     ----------

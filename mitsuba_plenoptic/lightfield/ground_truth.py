@@ -23,6 +23,9 @@ from .grid import bin_grid, lens_grid
 _LANES = 2**21
 """Rays that are traced at once."""
 
+_REFLECTIONS = 8
+"""Plane mirrors that a ray is followed over, one after the other, at most."""
+
 
 class FirstHits:
     """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` reports."""
@@ -61,12 +64,15 @@ class FirstHits:
         return found
 
     def _trace(self, ray: Any, open_: Any) -> dict[str, np.ndarray]:
-        hit = self._scene.ray_intersect(ray, mi.RayFlags.All, True, open_)
+        hit = self._scene.ray_intersect(ray, _flags(), True, open_)
         met = hit.is_valid() & open_
         found: dict[str, Any] = {}
         if "depth" in self._names:
             depth = dr.dot(ray.o - self._origin, self._axis) + hit.t * dr.dot(ray.d, self._axis)
             found["depth"] = dr.select(met, depth, dr.select(open_, dr.inf, dr.nan))
+        if "virtual_depth" in self._names:
+            depth = dr.dot(ray.o - self._origin, self._axis) + self._unfolded(ray, hit, met) * dr.dot(ray.d, self._axis)
+            found["virtual_depth"] = dr.select(open_, depth, dr.nan)
         if "position" in self._names:
             found["position"] = dr.select(met, hit.p, dr.nan)
         if "normal" in self._names:
@@ -83,6 +89,34 @@ class FirstHits:
         dr.eval(found)
         return {name: values.numpy().T for name, values in found.items()}
 
+    def _unfolded(self, ray: Any, hit: Any, met: Any) -> Any:
+        """Return the lengths of rays over plane mirrors, which show a thing as far behind them as it is before them."""
+        length = dr.select(met, hit.t, dr.inf)
+        for _ in range(_REFLECTIONS):
+            met = met & _is_plane_mirror(hit, ray)
+            onward = hit.to_world(mi.reflect(hit.wi))
+            # Mitsuba's rays start off the surface, along its normal; these start as far off it along themselves.
+            gap = dr.dot(hit.spawn_ray(onward).o - hit.p, hit.n) / dr.dot(onward, hit.n)
+            ray = mi.Ray3f(hit.p + gap * onward, onward)
+            hit = self._scene.ray_intersect(ray, _flags(), True, met)
+            length = dr.select(met, length + dr.select(hit.is_valid(), gap + hit.t, dr.inf), length)
+            dr.eval(ray, hit, met, length)
+        return length
+
+
+def _flags() -> Any:
+    """Return what is found of a hit: also the derivatives of normals, by which plane surfaces are known."""
+    return mi.RayFlags.All | mi.RayFlags.dNSdUV
+
+
+def _is_plane_mirror(hit: Any, ray: Any) -> Any:
+    """Return where a surface only reflects, without scattering, and is plane."""
+    flags = hit.bsdf(ray).flags()
+    reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
+    both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
+    plane = dr.squared_norm(hit.dn_du) + dr.squared_norm(hit.dn_dv) == 0
+    return reflects & plane & (both_sides | (hit.wi.z > 0))
+
 
 @suggest_keywords
 @one_at_a_time
@@ -93,14 +127,17 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     that of one ray, from its middle through the centre of its lens. A sample of the light field that `decode` makes
     stands for a point of the pupil and a bin; its ground truth is that of the ray through these, whichever pixels it
     is interpolated from. Rays end at the first surface, as in Mitsuba's integrator ``aov``: at mirrors and glass, and
-    at masks and cut-outs, too.
+    at masks and cut-outs, too. Only ``virtual_depth`` follows them over plane mirrors, up to eight in a row; pixels
+    where it exceeds ``depth`` show a mirror. Curved mirrors, and surfaces that also scatter or let light through, are
+    not followed.
 
     Parameters
     ----------
     scene : mitsuba.Scene
         A scene with a sensor of type ``plenoptic``.
     names : sequence of str
-        What to find: ``depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see `GroundTruth`.
+        What to find: ``depth``, ``virtual_depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see
+        `GroundTruth`.
     sensor : int or mitsuba.Sensor
         As for `render_capture`.
 

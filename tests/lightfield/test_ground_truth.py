@@ -198,6 +198,58 @@ class TestAgainstMitsuba:
         assert seen > 100
 
 
+MIRROR = {"type": "conductor"}
+
+
+def mirrored(bsdf, kind="rectangle", turned=45.0):
+    """Return depth and virtual depth in a mirror 215 mm away, turned to a wall 20 mm aside, parallel to the axis."""
+    place = mi.ScalarTransform4f().translate([0, 0, 215])
+    mirror = place.rotate([0, 1, 0], 180 - turned).scale(2)
+    # To the side that the mirror is turned to.
+    wall = place.translate([20, 0, 0]).rotate([0, 1, 0], -90).scale(30)
+    scene = scene_of(
+        CAMERA, pose(),
+        mirror={"type": kind, "to_world": mirror, "bsdf": bsdf}, wall={"type": "rectangle", "to_world": wall},
+    )  # fmt: skip
+    found = mp.ground_truth(scene, ["depth", "virtual_depth"])
+    assert list(found.views) == ["depth", "virtual_depth"]
+    return [found.views[name][np.isfinite(found.views["depth"])] for name in found.views]
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "disk"])
+def test_virtual_depth_is_that_of_the_image_in_a_plane_mirror(kind):
+    # Turned by 45 degrees it shows the wall, 20 mm from its middle, in a plane 20 mm behind its middle.
+    surface, image = mirrored(MIRROR, kind)
+    assert np.ptp(surface) > 0.5 and surface.size > 1000
+    np.testing.assert_allclose(image, 215 + 20, rtol=2e-6)
+
+
+def test_virtual_depth_stays_at_what_is_no_plane_mirror():
+    for bsdf in ({"type": "roughconductor"}, {"type": "plastic"}, {"type": "dielectric"}, {"type": "thindielectric"}):
+        surface, image = mirrored(bsdf)
+        np.testing.assert_array_equal(surface, image)
+    # A ball, and the back of a mirror, which is black.
+    np.testing.assert_array_equal(*mirrored(MIRROR, "sphere"))
+    np.testing.assert_array_equal(*mirrored(MIRROR, turned=180 + 45.0))
+    # Both sides of one that has two.
+    image = mirrored({"type": "twosided", "bsdf": MIRROR}, turned=180 + 45.0)[1]
+    np.testing.assert_allclose(image, 215 + 20, rtol=2e-6)
+
+
+def test_virtual_depth_goes_over_several_mirrors_and_to_infinity():
+    to_world = mi.ScalarTransform4f()
+    first = to_world.translate([0, 0, 215]).rotate([0, 1, 0], 135).scale(2)
+    second = to_world.translate([20, 0, 215]).rotate([0, 1, 0], -45).scale(9)
+    wall = to_world.translate([20, 0, 240]).rotate([0, 1, 0], 180).scale(9)
+    things = {"first": {"type": "rectangle", "to_world": first, "bsdf": MIRROR}}
+    assert np.isinf(mp.ground_truth(scene_of(CAMERA, to_world, **things), "virtual_depth").views["virtual_depth"]).any()
+    things["second"] = {"type": "rectangle", "to_world": second, "bsdf": MIRROR}
+    things["wall"] = {"type": "rectangle", "to_world": wall}
+    found = mp.ground_truth(scene_of(CAMERA, to_world, **things), "virtual_depth").views["virtual_depth"]
+    # 20 mm to the second mirror and 25 mm from it to the wall.
+    np.testing.assert_allclose(found[np.isfinite(found)], 215 + 20 + 25, rtol=2e-6)
+
+
 def test_pixels_of_one_micro_image_look_through_one_lens():
     camera = CAMERAS["turned"]
     truth = mp.ground_truth(still(camera, mi.ScalarTransform4f()), ["position", "depth"])
@@ -249,7 +301,8 @@ def test_depth_maps_tell_their_error():
 
 
 @pytest.mark.parametrize(
-    ("names", "words"), [(["depth", "colour"], "aov = 'colour'"), ([], "at least one of depth, position")]
+    ("names", "words"),
+    [(["depth", "colour"], "aov = 'colour'"), ([], "at least one of depth, virtual_depth, position")],
 )
 def test_unknown_quantities_are_refused(names, words):
     with pytest.raises(mp.InputError, match=words):

@@ -1,0 +1,115 @@
+"""Light fields of the benchmark in the folders of the 4D Light Field Benchmark, for programs that read these.
+
+Honauer, Johannsen, Kondermann and Goldluecke 2016, "A dataset and evaluation methodology for depth estimation on 4D
+light fields": views ``input_Cam000.png`` row by row, ``parameters.cfg``, and the depth (metres) and disparity (pixels
+from view to view, positive for what is nearer than the plane in focus) of the central view as PFM. A decoded light
+field is such an array of cameras on the pupil, one step of views apart, with sensors as far behind it as the microlens
+array and as large, shifted so that the plane in focus stays in place.
+"""
+
+from __future__ import annotations
+
+import configparser
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import require_choice
+from ..io.files import atomic_output, write_text
+from ..lightfield import decode, disparity
+from ..report.images import write_png
+from .contents import CAPTURES, Benchmark, capture_of, central_truth
+
+
+def export_hci(made: Benchmark, folder: str | Path, capture: str = "ray") -> list[Path]:
+    """Write the light fields that are decoded from captures of a kind, each to a folder of its own.
+
+    In mirrors the depth is that of the mirror image. Views at the rim of the pupil, which it covers in part, are left
+    out: there are as many as fit into the pupil as a square.
+
+    Parameters
+    ----------
+    made : Benchmark
+        The benchmark.
+    folder : path
+        Where folders ``SCENE_CAMERA_CAPTURE`` are written.
+    capture : str
+        Kind of captures.
+
+    Returns
+    -------
+    list of Path
+        The folders.
+
+    Raises
+    ------
+    InputError
+        If there is no such kind of captures, or a file cannot be written.
+    """
+    require_choice("capture", capture, CAPTURES)
+    written = []
+    for index in made.entries():
+        sample = made[index]
+        recorded = capture_of(sample, capture)
+        camera = recorded.camera
+        lf = decode(recorded, white=made.white(index, recorded.model))
+        half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), lf.sizes["v"] // 2)
+        middle = lf.sizes["v"] // 2
+        lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
+        place = Path(folder) / "_".join([*made.name(index), capture])
+        place.mkdir(parents=True, exist_ok=True)
+        for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:4])):
+            write_png(place / f"input_Cam{number:03d}.png", np.repeat(picture[..., None], 3, axis=2), peak=1.0)
+        depth = central_truth(sample)["virtual_depth"]
+        shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
+        for name, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
+            _write_pfm(place / f"{name}.pfm", values)
+        _write_parameters(place / "parameters.cfg", made, index, (float(shift.min()), float(shift.max())), 2 * half + 1)
+        written.append(place)
+    return written
+
+
+def _write_parameters(path: Path, made: Benchmark, index: int, shifts: tuple[float, float], views: int) -> None:
+    """Write the geometry of the cameras, of which `views` stand in a row."""
+    camera = made[index].camera
+    columns, rows = camera.bin_count
+    low, high = shifts
+    parser = configparser.ConfigParser()
+    parser["intrinsics"] = {
+        "image_resolution_x_px": str(columns),
+        "image_resolution_y_px": str(rows),
+        "focal_length_mm": f"{camera.mla_distance:.9g}",
+        "sensor_size_mm": f"{max(columns, rows) * camera.mla_pitch:.9g}",
+        "fstop": "100",
+    }
+    parser["extrinsics"] = {
+        "num_cams_x": str(views),
+        "num_cams_y": str(views),
+        "baseline_mm": f"{camera.pupil_step:.9g}",
+        "focus_distance_m": f"{camera.focus_distance / 1000:.9g}",
+        **{f"center_cam_{name}": "0" for name in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")},
+    }
+    parser["meta"] = {
+        "scene": "_".join(made.name(index)),
+        "category": "plenoptic",
+        "date": "",
+        "version": str(made.manifest["recipe"]["benchmark"]),
+        "authors": "mitsuba_plenoptic",
+        "contact": "",
+        "disp_min": f"{low:.6g}",
+        "disp_max": f"{high:.6g}",
+        "frustum_disp_min": f"{low:.6g}",
+        "frustum_disp_max": f"{high:.6g}",
+        "depth_map_scale": "1",
+    }
+    text = io.StringIO()
+    parser.write(text)
+    write_text(path, text.getvalue())
+
+
+def _write_pfm(path: Path, values: np.ndarray) -> None:
+    """Write a map as a portable float map, which begins with the lowest row."""
+    rows, columns = values.shape
+    with atomic_output(path, ".pfm") as temporary:
+        temporary.write_bytes(f"Pf\n{columns} {rows}\n-1\n".encode() + np.flipud(values).astype("<f4").tobytes())
