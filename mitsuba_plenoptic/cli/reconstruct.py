@@ -36,8 +36,8 @@ from .inputs import (
     output_option,
     read_recorded,
     require_linear,
-    stopped_by_hand,
 )
+from .stopping import existing_checkpoint, stopped_by_hand
 
 
 def reconstruct(
@@ -204,9 +204,7 @@ def reconstruct(
     recorded = read_recorded(capture, known, linear)
     reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
-    saved = (
-        Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if chosen.long else None
-    )
+    saved = Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
             results = reconstruction.reconstruct(

@@ -37,8 +37,8 @@ from .inputs import (
     parse_definitions,
     read_recorded,
     require_linear,
-    stopped_by_hand,
 )
+from .stopping import existing_checkpoint, stopped_by_hand
 
 
 def render(
@@ -167,7 +167,7 @@ def render(
     truth_file = require_writable(truth_path(output))
     require_different(output, white, truth_file if names else None)
     saved = Checkpoint(
-        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), "resume" if resume else "refuse"
+        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), existing_checkpoint(resume)
     )
     with progress_bar("Loading the scene"):
         loaded = open_scene(scene, parameters, variant, camera, sensor)
