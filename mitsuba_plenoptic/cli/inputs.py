@@ -18,6 +18,8 @@ from ..capture.scene import check_scene_file, load_scene, names_in, scene_defaul
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if, require_count
 from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
+from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+from ..io.lytro_file import read_lytro
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
@@ -219,7 +221,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
 def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
     """Read a capture, or a raw picture of a known camera; the camera that is given replaces a capture's.
 
-    A raw picture that states its camera and detector, as `write_raw` writes it, needs nothing else.
+    A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
         if states_detector(path):
@@ -231,7 +233,7 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
         from ..lightfield.exchange import read_picture
 
         return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
-    found = read_capture(path)
+    found = (read_lytro if path.suffix.lower() in LYTRO_SUFFIXES else read_capture)(path)
     return found if camera is None else dataclasses.replace(found, camera=camera)
 
 
