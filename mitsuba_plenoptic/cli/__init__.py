@@ -25,7 +25,7 @@ COMMANDS = {
     "example": "example",
     "preview": "preview",
     "render": "render",
-    "reconstruct": "reconstruct",
+    **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
     **dict.fromkeys(("expose", "demosaic"), "render"),
     "calibrate": "calibrate",

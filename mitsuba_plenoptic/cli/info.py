@@ -37,9 +37,9 @@ def info(
     drawing: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.png",
+            metavar="FILE",
             show_default="none",
-            help="Draw the main_lens with rays, spots, light and distortion over the field.",
+            help="Draw the main_lens with rays, spots, light and distortion over the field, as .png or .pdf.",
         ),
     ] = None,
     define: Definitions = None,

@@ -10,7 +10,7 @@ from .methods import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
 from .methods import METHODS
-from .results import Reconstruction, Volume, write_reconstruction, write_volume
+from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
 
 __all__ = [
     "FOOTPRINTS",
@@ -20,6 +20,7 @@ __all__ = [
     "RayRefocus",
     "Reconstruction",
     "Volume",
+    "read_reconstruction",
     "reconstruct",
     "write_reconstruction",
     "write_volume",
