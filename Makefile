@@ -86,8 +86,8 @@ clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	rm -rf demo/data
-	rm -f $(addprefix demo/,report.html results.json fig1.png fig2.png fig3.png fig4.png) \
-		$(addprefix demo/,methods.png interference.png captures.png)
+	rm -f demo/report.html demo/results.json $(foreach name,fig1 fig2 fig3 fig4 methods interference captures,\
+		demo/$(name).png demo/$(name).pdf)
 	rm -f fuzz/report.md fuzz/report.json
 	if [ -d fuzz ]; then rmdir --ignore-fail-on-non-empty fuzz; fi
 	if [ -d demo ]; then rmdir --ignore-fail-on-non-empty demo; fi

@@ -20,7 +20,7 @@ from .errors import (
     short_repr,
     suggest_keywords,
 )
-from .io.captures import Capture
+from .io.captures import Capture, recording_of
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
@@ -176,7 +176,7 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     seed = require_count("seed", seed, minimum=0)
     generator = np.random.default_rng(seed)
     require_demosaiced(capture)
-    refuse_if("exposure" in capture.metadata, "capture: a detector has recorded it already; expose what was rendered")
+    refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
@@ -221,8 +221,7 @@ def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
 
 def mosaic_of(capture: Capture) -> str | None:
     """Return the mosaic that a capture was recorded through and still has, None if it has none."""
-    exposure = capture.metadata.get("exposure")
-    mosaic = exposure.get("mosaic") if isinstance(exposure, dict) else None
+    mosaic = recording_of(capture).get("mosaic")
     return mosaic if mosaic in ALL_MOSAICS and capture.image.ndim == 2 else None
 
 

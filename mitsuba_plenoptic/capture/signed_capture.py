@@ -79,19 +79,25 @@ class SignedCapture:
         return math.ceil(_KEPT[self.accuracy < FINE] * highest)
 
     def sums(
-        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: SceneLight | None = None
+        self,
+        spp: int,
+        seed: int,
+        runs: int,
+        kind: Callable[..., Sum],
+        light: SceneLight | None = None,
+        nodes: list[Node] | None = None,
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 
-        They are functions so that the memory of one sum is freed before the next is made. The light is the capture's
-        own by default.
+        They are functions so that the memory of one sum is freed before the next is made. Light and nodes are the
+        capture's own by default.
         """
         return [
             partial(
                 kind,
                 self.camera,
                 light or self.light,
-                self.nodes,
+                self.nodes if nodes is None else nodes,
                 self.colours.drawn,
                 parts=self._parts,
                 spp=-(-spp // runs),
@@ -141,7 +147,14 @@ class SignedCapture:
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate the cost of `compute` from some of the rays."""
-        seconds, memory = self.sums(spp, seed, 1, SignedRaySum)[0]().cost()
+        # Nodes whose rays follow the same paths cost nearly the same. The longest wavelength, whose kernels are the
+        # largest, stands for the others, so that tables and kernels are computed once.
+        longest = {
+            node.plan.system.lens.refraction: node.plan
+            for node in sorted(self.nodes, key=lambda node: node.plan.wavelength)
+        }
+        alike = [replace(node, plan=longest[node.plan.system.lens.refraction]) for node in self.nodes]
+        seconds, memory = self.sums(spp, seed, 1, SignedRaySum, nodes=alike)[0]().cost()
         return Cost(0, 0, seconds, memory)
 
 

@@ -8,7 +8,7 @@ import logging
 import re
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -16,6 +16,7 @@ import typer
 
 from ..errors import InputError, at_shell
 from ..runtime.progress import plain_lines
+from .run_file import recorded
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -24,7 +25,7 @@ COMMANDS = {
     "example": "example",
     "preview": "preview",
     "render": "render",
-    "reconstruct": "reconstruct",
+    **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
     "dual": "dual",
     **dict.fromkeys(("expose", "demosaic"), "render"),
@@ -35,8 +36,12 @@ COMMANDS = {
     **dict.fromkeys(("sweep", "dataset"), "experiments"),
     "benchmark": "benchmark",
     **dict.fromkeys(("compare", "reproduce"), "experiments"),
+    "run": "run",
     **dict.fromkeys(("info", "doctor"), "info"),
 }
+
+STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "info", "doctor"))
+"""Commands that write files, and can be steps of a run file."""
 
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
@@ -79,7 +84,7 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
         if isinstance(command, typer.Typer):
             made.add_typer(command, name=name)
         else:
-            made.command(name)(command)
+            made.command(name)(recorded(command, step_commands) if name in STEPS else command)
     return made
 
 
@@ -90,6 +95,12 @@ def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
             yield from commands_of(command, *words, name)
         else:
             yield " ".join((*words, name)), command
+
+
+def step_commands() -> dict[str, Any]:
+    """Return the commands that can be steps of a run file, by name."""
+    group: Any = typer.main.get_command(command_line(STEPS))
+    return dict(group.commands)
 
 
 def __getattr__(name: str) -> Any:
@@ -115,22 +126,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with at_shell(_OPTIONS), contextlib.nullcontext() if quick else plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
-        except InputError as error:
-            known = dict(commands_of(group))
-            command = known.get(words[0]) or known.get(" ".join(words[:2])) if called else None
-            return _fail(_with_options(str(error), command.params) if command else str(error))
-        except OSError as error:
-            named = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-            return _fail(named)
         except (KeyboardInterrupt, typer.Abort):
             return 130
         except Exception as error:
-            # Typer's own usage errors; their class has no public name in all versions.
-            if not hasattr(error, "format_message"):
+            known = dict(commands_of(group)) if called else {}
+            command = known.get(words[0]) or known.get(" ".join(words[:2])) if called else None
+            own = command.params if command else ()
+            message = mistake(error, {option: option for one in own for option in one.opts})
+            if message is None:
                 raise
             context = getattr(error, "ctx", None)
-            command = context.command_path if context else PROGRAM
-            return _fail(f"{error.format_message().rstrip('.')} (see {command} --help)")
+            usage = f" (see {context.command_path if context else PROGRAM} --help)" if _is_usage(error) else ""
+            return _fail(message + usage)
+
+
+def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
+    """Return the line that describes a user's mistake, None for an exception that is a mistake of ours.
+
+    Arguments that the message is about are spelled as the command's options are, which `options` has by their names at
+    a shell.
+    """
+    if isinstance(error, InputError):
+        return _with_options(str(error), options)
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
+    return str(error.format_message()).rstrip(".") if _is_usage(error) else None  # type: ignore[attr-defined]
+
+
+def _is_usage(error: Exception) -> bool:
+    """Return whether an error is one of Typer's own of usage; their class has no public name in all versions."""
+    return hasattr(error, "format_message")
 
 
 @contextlib.contextmanager
@@ -149,14 +174,15 @@ def _remarks() -> Iterator[None]:
         logger.removeHandler(handler)
 
 
-def _with_options(message: str, parameters: Sequence[Any]) -> str:
+def _with_options(message: str, options: Mapping[str, str]) -> str:
     """Spell the arguments that a message is about, ``name = value: ...``, as options where the command has such."""
-    own = [option for one in parameters for option in one.opts]
 
     def spelled(found: re.Match[str]) -> str:
-        option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
+        option = options.get(_OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}"))
+        if option is None:
+            return found[0]
         # At a shell flags and what is not given have no value.
-        return (option if found[2] else f"{option} = ") if option in own else found[0]
+        return option if found[2] else f"{option} = "
 
     about, colon, rule = message.partition(": ")
     return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b|True\b)?", spelled, about) + colon + rule

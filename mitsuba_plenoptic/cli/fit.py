@@ -26,8 +26,8 @@ from .inputs import (
     output_option,
     parse_definitions,
     require_in_use,
-    stopped_by_hand,
 )
+from .stopping import existing_checkpoint, stopped_by_hand
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -131,7 +131,7 @@ def fit(
         )
         views.append(view)
     checkpoint = require_writable(output.with_name(output.name + SUFFIX))
-    with Checkpoint(checkpoint, "resume" if resume else "refuse") as steps:
+    with Checkpoint(checkpoint, existing_checkpoint(resume)) as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
             # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
             if afar and not (resume and checkpoint.exists()):

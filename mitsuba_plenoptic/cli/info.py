@@ -14,11 +14,12 @@ from rich.table import Table
 
 from ..design import design_warnings
 from ..errors import printable, refuse_if, require_wavelength
-from ..io.captures import Capture, read_capture
+from ..io.captures import Capture
+from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
 from ..report.installation import inspect_installation
-from .inputs import Definitions, load_camera, numeric, parse_definitions
+from .inputs import Definitions, load_camera, numeric, parse_definitions, read_recorded
 
 
 def info(
@@ -26,7 +27,8 @@ def info(
         str,
         typer.Argument(
             metavar="SCENE|PRESET|CAMERA.json|CAPTURE.exr",
-            help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), or a capture.",
+            help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), a capture, or a raw "
+            "picture of a Lytro camera.",
         ),
     ],
     wavelength: Annotated[
@@ -35,9 +37,9 @@ def info(
     drawing: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.png",
+            metavar="FILE",
             show_default="none",
-            help="Draw the main_lens with rays, spots, light and distortion over the field.",
+            help="Draw the main_lens with rays, spots, light and distortion over the field, as .png or .pdf.",
         ),
     ] = None,
     microlens: Annotated[
@@ -69,11 +71,12 @@ def info(
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
+    recorded = source.lower().endswith((".exr", *LYTRO_SUFFIXES))
     refuse_if(
-        parameters and source.lower().endswith(".exr"),
+        parameters and recorded,
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
-    capture = read_capture(source) if source.lower().endswith(".exr") else None
+    capture = read_recorded(Path(source), None, False) if recorded else None
     camera = capture.camera if capture else load_camera(source, parameters)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength

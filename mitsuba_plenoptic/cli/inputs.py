@@ -1,14 +1,11 @@
-"""Common parts of commands: options, the loading of what they name, progress, and the handling of Ctrl-C."""
+"""Common parts of commands: options, and the loading of what they name."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import logging
-import signal
-import threading
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element
@@ -21,13 +18,13 @@ from ..capture.scene import check_scene_file, load_scene, names_in, scene_defaul
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if, require_count
 from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
-from ..io.checkpoints import Checkpoint
+from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+from ..io.lytro_file import read_lytro
 from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
 from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.batches import BatchMap, Cluster
-from ..runtime.progress import ProgressBar
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
@@ -224,7 +221,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
 def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
     """Read a capture, or a raw picture of a known camera; the camera that is given replaces a capture's.
 
-    A raw picture that states its camera and detector, as `write_raw` writes it, needs nothing else.
+    A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
         if states_detector(path):
@@ -236,7 +233,7 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
         from ..lightfield.exchange import read_picture
 
         return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
-    found = read_capture(path)
+    found = (read_lytro if path.suffix.lower() in LYTRO_SUFFIXES else read_capture)(path)
     return found if camera is None else dataclasses.replace(found, camera=camera)
 
 
@@ -371,29 +368,3 @@ def batches_on(workers: int | None, scheduler: str | None) -> contextlib.Abstrac
     """Return a context of the requested workers, or of None."""
     given = workers is not None or scheduler is not None
     return Cluster(workers=workers, scheduler=scheduler) if given else contextlib.nullcontext()
-
-
-@contextlib.contextmanager
-def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
-    """Let Ctrl-C end a run with its checkpoint written, and say how to resume; a second Ctrl-C ends it at once."""
-    # Only the main thread receives signals.
-    on_main = threading.current_thread() is threading.main_thread()
-    before: Any = signal.getsignal(signal.SIGINT)
-
-    def stop(signal_number: int, frame: Any) -> None:
-        signal.signal(signal.SIGINT, before)
-        if not checkpoint.stop():
-            raise KeyboardInterrupt
-        _log.info("stopping after the current batch; Ctrl-C again stops at once")
-
-    if on_main:
-        signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    except KeyboardInterrupt:
-        hint = ": resume with --resume" if checkpoint.path.exists() else ""
-        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, hint)
-        raise
-    finally:
-        if on_main:
-            signal.signal(signal.SIGINT, before)

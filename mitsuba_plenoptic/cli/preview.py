@@ -19,7 +19,9 @@ from .inputs import CameraFile, Definitions, Samples, Scene, open_scene, output_
 
 def preview(
     scene: Scene,
-    output: Annotated[Path | None, output_option("FILE.png", "Picture to write. Default: SCENE.preview.png.")] = None,
+    output: Annotated[
+        Path | None, output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.")
+    ] = None,
     camera: CameraFile = None,
     fit: Annotated[
         bool,
@@ -41,7 +43,7 @@ def preview(
 
       mitsuba-plenoptic preview my_scene.xml --camera lytro --fit
     """
-    target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png")
+    target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
     with progress_bar("Previewing"):
         loaded = open_scene(scene, parse_definitions(define), None, camera)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic reconstruct``: from a capture to refocused images."""
+"""``mitsuba-plenoptic reconstruct`` and ``sheet``: from a capture to refocused images, and these side by side."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .. import reconstruction
 from ..errors import refuse_if, require_choice
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
-from ..reconstruction import METHODS, Reconstruction, Volume, write_volume
+from ..reconstruction import METHODS, Reconstruction, Volume, read_reconstruction, write_volume
 from ..reconstruction.results import SUFFIXES, require_volume_path
-from ..report.images import Drawing
+from ..report.images import Brightness, Drawing
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.backend import set_variant
 from ..runtime.progress import progress_bar
@@ -36,8 +36,8 @@ from .inputs import (
     output_option,
     read_recorded,
     require_linear,
-    stopped_by_hand,
 )
+from .stopping import existing_checkpoint, stopped_by_hand
 
 
 def reconstruct(
@@ -204,9 +204,7 @@ def reconstruct(
     recorded = read_recorded(capture, known, linear)
     reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
-    saved = (
-        Checkpoint(output.with_name(output.name + SUFFIX), "resume" if resume else "refuse") if chosen.long else None
-    )
+    saved = Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
             results = reconstruction.reconstruct(
@@ -236,6 +234,32 @@ def reconstruct(
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_described(result.facts)}")
+
+
+def sheet(
+    results: Annotated[
+        list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
+    ],
+    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.")],
+    exposure: Exposure = None,
+    percentile: Percentile = None,
+) -> None:
+    """Lay reconstructions out in one figure: a row for each method, a column for each distance.
+
+    All share one scale. They must be by one camera.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
+    """
+    require_apart(require_writable(output, ".pdf", ".png"), *results)
+    read = [read_reconstruction(path) for path in results]
+    # Brings Matplotlib, which takes a while to load.
+    from ..report.figures import contact_sheet
+
+    contact_sheet(read, Brightness(exposure, percentile).white([one.image for one in read])).save(output)
+    methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
+    typer.echo(f"{output}: {len(read)} images, {len(methods)} methods at {len(distances)} distances")
 
 
 def _period(interleave: str | None) -> int | str | None:

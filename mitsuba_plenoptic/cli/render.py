@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..capture.render import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
-from ..detector import ALL_MOSAICS, MOSAICS, Detector
+from ..detector import ALL_MOSAICS, MOSAICS, Detector, mosaic_of
 from ..detector import expose as record
 from ..errors import InputError, refuse_if
 from ..io.captures import RAW_SUFFIXES, Capture, read_capture, write_capture, write_raw
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_apart, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
+from ..io.lytro_file import nearest_white
 from ..runtime.progress import progress_bar
 from .inputs import (
     CameraFile,
@@ -37,8 +39,8 @@ from .inputs import (
     parse_definitions,
     read_recorded,
     require_linear,
-    stopped_by_hand,
 )
+from .stopping import existing_checkpoint, stopped_by_hand
 
 
 def render(
@@ -167,7 +169,7 @@ def render(
     truth_file = require_writable(truth_path(output))
     require_different(output, white, truth_file if names else None)
     saved = Checkpoint(
-        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), "resume" if resume else "refuse"
+        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), existing_checkpoint(resume)
     )
     with progress_bar("Loading the scene"):
         loaded = open_scene(scene, parameters, variant, camera, sensor)
@@ -289,9 +291,10 @@ def demosaic(
     white: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE",
+            metavar="FILE|FOLDER",
             show_default="computed from the camera",
-            help="A capture or picture of a white scene by the same camera, without a mosaic.",
+            help="A capture or picture of a white scene by the same camera, without a mosaic; for a raw picture of a "
+            "Lytro camera its white picture, or a folder of them, of which the nearest in zoom and focus is taken.",
         ),
     ] = None,
     camera: CameraFile = None,
@@ -304,7 +307,9 @@ def demosaic(
 
     Nothing is taken from a neighbouring lens's micro-image or from the dark
     between them. A raw picture (.png or .tiff) that 'expose' wrote holds all
-    that is needed; one of a real camera needs its [bold]--camera[/bold].
+    that is needed, and so do those of Lytro cameras (.lfp or .lfr); one of
+    another real camera needs its [bold]--camera[/bold]. White pictures of a
+    Lytro camera also correct pitches, rotation and offset of its lenses.
 
     [bold]Examples:[/bold]
 
@@ -313,11 +318,14 @@ def demosaic(
       mitsuba-plenoptic demosaic bayer.tiff -o colours.exr
 
       mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
+
+      mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
     require_writable(output, ".exr")
     require_apart(output, capture, white)
     # Brings libraries that take a while to load.
     from ..lightfield import demosaic as interpolate
+    from ..lightfield.demosaic import balanced
 
     require_linear(linear, capture, white)
     known = named_camera(camera)
@@ -325,7 +333,21 @@ def demosaic(
         black_level and not (linear and known),
         f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",
     )
-    reference = None if white is None else read_recorded(white, known, linear)
-    found = interpolate(read_recorded(capture, known, linear, black_level), mosaic=mosaic, white=reference)
+    recorded, reference = read_recorded(capture, known, linear, black_level), None
+    if white is not None:
+        if white.is_dir():
+            white = nearest_white(white, recorded)
+            typer.echo(f"{white}: the white picture of the nearest zoom and focus")
+        reference = read_recorded(white, known, linear)
+        if (tile := mosaic_of(reference)) is not None:
+            camera_seen = recorded.camera
+            if known is None:
+                # Brings libraries that take a while to load.
+                from ..fitting import lattice_from_white
+
+                camera_seen = lattice_from_white(camera_seen, balanced(reference, tile))
+            recorded = replace(recorded, camera=camera_seen)
+            reference = interpolate(replace(reference, camera=camera_seen))
+    found = interpolate(recorded, mosaic=mosaic, white=reference)
     write_capture(output, found)
     typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")

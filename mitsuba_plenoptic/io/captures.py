@@ -179,10 +179,19 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 
 
+EXPOSED, RECORDED = "exposure", "raw"
+"""Entries of a capture's metadata on its detector: a simulated one, and that of a real camera."""
+
+
+def recording_of(capture: Capture) -> dict[str, Any]:
+    """Return what a capture's metadata state of the detector that recorded it, an empty record if nothing."""
+    found = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
+    return found if isinstance(found, dict) else {}
+
+
 def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
     """Refuse a white capture by another camera than a capture's, or with many saturated pixels."""
-    exposure = white.metadata.get("exposure")
-    saturated = exposure.get("saturated_pixels", 0) if isinstance(exposure, dict) else 0
+    saturated = recording_of(white).get("saturated_pixels", 0)
     pixels = math.prod(white.camera.shape)
     refuse_if(
         isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
@@ -338,7 +347,7 @@ def states_detector(path: str | Path) -> bool:
 
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     """Return the digital numbers that a detector gave for an exposed capture."""
-    exposure = capture.metadata.get("exposure")
+    exposure = capture.metadata.get(EXPOSED)
     if not isinstance(exposure, dict):
         raise InputError("capture: no detector has recorded it; expose it first")
     gain, black, dark, unit = response_of(exposure)

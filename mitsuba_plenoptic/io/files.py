@@ -13,6 +13,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,29 @@ _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
 
 _one_at_a_time = threading.Lock()
+
+
+@dataclass
+class FilesUsed:
+    """The files that were read and written within `files_used`, by their absolute paths."""
+
+    read: set[Path] = field(default_factory=set)
+    written: set[Path] = field(default_factory=set)
+
+
+_used: FilesUsed | None = None
+"""What files are noted in; of the process, as threads that compute read files, too."""
+
+
+@contextlib.contextmanager
+def files_used() -> Iterator[FilesUsed]:
+    """Note which files this process reads and writes by the functions of this module."""
+    global _used
+    before, _used = _used, FilesUsed()
+    try:
+        yield _used
+    finally:
+        _used = before
 
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:
@@ -74,6 +98,8 @@ def require_file(path: str | Path) -> Path:
         raise InputError(f"{path}: {error.strerror}") from None
     refuse_if(not regular, f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
+    if _used is not None:
+        _used.read.add(path.absolute())
     return path
 
 
@@ -119,6 +145,8 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
                 raise
             temporary.replace(path)
+            if _used is not None:
+                _used.written.add(path.absolute())
     except (OSError, RuntimeError) as error:
         named = str(getattr(error, "filename", None) or "")
         ours = f".{path.name}." in f"{named}{error}" or (isinstance(error, OSError) and not named)
@@ -196,7 +224,13 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 def read_yaml(path: str | Path) -> Any:
     """Read a YAML or JSON file of at most 64 KiB, without aliases."""
     text = read_text(path, _LARGEST_YAML)
-    with naming(path), refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
+    with naming(path):
+        return parse_yaml(text)
+
+
+def parse_yaml(text: str) -> Any:
+    """Return what a text in YAML or JSON holds, without aliases."""
+    with refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
         return yaml.load(text, Loader=_Loader)
 
 

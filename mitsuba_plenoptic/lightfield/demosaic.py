@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
 from ..errors import InputError, argument, refuse_if, require_choice, suggest_keywords
-from ..io.captures import Capture, require_suitable_white
+from ..io.captures import EXPOSED, RECORDED, Capture, recording_of, require_suitable_white
 from .grid import lens_numbers
 from .white import scaled_white, white_image
 
@@ -96,11 +96,19 @@ def demosaic(
     metadata = dict(capture.metadata)
     wavelength: Any = capture.wavelength
     if known is not None:
-        exposure = {**metadata["exposure"], "mosaic": None, "demosaiced": mosaic}
-        given = exposure.pop("wavelength", None)
-        metadata["exposure"] = exposure
+        recording = {**recording_of(capture), "mosaic": None, "demosaiced": mosaic}
+        given = recording.pop("wavelength", None)
+        metadata[EXPOSED if EXPOSED in metadata else RECORDED] = recording
         wavelength = tuple(given) if isinstance(given, (list, tuple)) else given
     return replace(capture, image=image, wavelength=wavelength, noise=None, metadata=metadata)
+
+
+def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
+    """Return a mosaic of something white with each of its pixels divided by the mean of those of its filter."""
+    own, image = filters(white.camera, mosaic), white.image
+    means = np.bincount(own.ravel(), image.ravel(), minlength=3) / np.bincount(own.ravel(), minlength=3)
+    refuse_if(not means.min() > 0, "white: the pixels of a filter are black")
+    return np.asarray(image / means[own], np.float32)
 
 
 def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
 from .differentiable_steps import DeconvolvedRefocus
 from .methods import METHODS
-from .results import Reconstruction, Volume, write_reconstruction, write_volume
+from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
 
 __all__ = [
     "FOOTPRINTS",
@@ -22,6 +22,7 @@ __all__ = [
     "RayRefocus",
     "Reconstruction",
     "Volume",
+    "read_reconstruction",
     "reconstruct",
     "write_reconstruction",
     "write_volume",

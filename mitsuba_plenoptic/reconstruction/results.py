@@ -15,8 +15,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_choice
-from ..io.exr import write_exr
+from ..errors import (
+    NO_RECORD,
+    InputError,
+    naming,
+    refuse_if,
+    refusing,
+    require_choice,
+    require_number,
+    short_repr,
+)
+from ..io.exr import read_exr, write_exr
 from ..io.files import atomic_output, require_writable
 from ..lightfield.exchange.files import require_zarr
 from ..runtime.limits import require_memory
@@ -98,6 +107,35 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
         "source": source or {},
     }
     write_exr(path, result.image, attributes)
+
+
+def read_reconstruction(path: str | Path) -> Reconstruction:
+    """Read a reconstruction that `write_reconstruction` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, or is not a reconstruction.
+    """
+    image, _, about = read_exr(path)
+    with naming(path):
+        refuse_if(
+            about.get("kind") != "reconstruction", f"it holds a {short_repr(about.get('kind'))}, not a reconstruction"
+        )
+        with refusing("its header is not that of a reconstruction:", *NO_RECORD):
+            return Reconstruction(
+                image,
+                require_number("distance", about["distance"], positive=True, finite=False),
+                require_number("bin_size", about["bin_size"], positive=True),
+                str(about["method"]),
+                PlenopticCamera.from_dict(about["camera"]),
+                *(dict(about[name]) for name in ("options", "guards", "facts")),
+            )
 
 
 @dataclass(frozen=True, eq=False)

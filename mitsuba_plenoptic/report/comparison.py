@@ -235,7 +235,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
                 side=label if across == 0 else "",
                 foot=notes.get((name, distance), ""),
             )
-    figure.save(path)
+    figure.save_both(path)
 
 
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
@@ -256,7 +256,7 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
         if row == len(zooms) - 1:
             scale_bar(panels[0], 0.1, cuts[0].shape[1] * camera.pixel_size, "0.1 mm", below=True)
     figure.colour_bar(drawn, left + 3 * (size + gap), title, min(3.0, size), "radiance")
-    figure.save(path)
+    figure.save_both(path)
 
 
 def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
@@ -280,4 +280,4 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
                 foot=notes.get((name, distance), ""),
             )
     figure.colour_bar(drawn, left + len(distances) * (wide + gap), title, tall, "radiance beyond the limit")
-    figure.save(path)
+    figure.save_both(path)

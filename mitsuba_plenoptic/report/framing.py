@@ -157,6 +157,11 @@ class Canvas:
             dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
             self.figure.savefig(temporary, metadata=dated)
 
+    def save_both(self, path: Path) -> None:
+        """Write it as PNG, for a page, and next to that as PDF, for papers."""
+        for suffix in (".png", ".pdf"):
+            self.save(path.with_suffix(suffix))
+
 
 def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:
     """Show a linear image, whose `peak` becomes white."""

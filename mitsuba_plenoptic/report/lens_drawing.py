@@ -201,7 +201,7 @@ _INK, _GLASS = "#1b1f24", "#dfeaf3"
 
 
 def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
-    """Draw the main lens of a camera into a PNG.
+    """Draw the main lens of a camera into a PNG or PDF.
 
     Parameters
     ----------
@@ -213,9 +213,9 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     Raises
     ------
     InputError
-        If its main lens is thin, the file is no PNG by its name, or it cannot be written.
+        If its main lens is thin, the file is neither PNG nor PDF by its name, or it cannot be written.
     """
-    require_writable(path, ".png")
+    require_writable(path, ".png", ".pdf")
     if camera.prescription is None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2

@@ -24,7 +24,7 @@ from ..errors import InputError
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint, Existing
 from ..io.exr import read_exr, write_exr
-from ..io.files import read_text, require_size, write_text
+from ..io.files import FilesUsed, read_text, require_size, write_text
 from ..runtime.limits import software as versions
 
 _LARGEST_JSON = 2**26
@@ -142,6 +142,66 @@ class StageStore:
         self.seconds[name] = log.get("seconds", 0.0) if log.get("key") == key else 0.0
         self._finished(name, self.seconds[name], was_there)
         return value, key
+
+
+class StepLog:
+    """A file of what the steps of a run have read and written, by which finished steps are found again.
+
+    A step is finished if its settings and the software are those of its entry, and every file that it read or wrote
+    has the digest noted there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._entries = {key: entry for key, entry in _read_json(path).items() if _is_entry(entry)}
+
+    def is_finished(self, settings: Any) -> bool:
+        """Return whether there is a finished step of these settings; one that wrote nothing never is."""
+        entry = self._entries.get(_key(settings), _NOTHING)
+        noted = [*entry["read"].items(), *entry["written"].items()]
+        return bool(entry["written"]) and all(_digest(self._path.parent / name) == digest for name, digest in noted)
+
+    def note(self, settings: Any, used: FilesUsed) -> None:
+        """Note what a step has read and written; entries of steps that wrote one of its files before are dropped."""
+        read, written = (
+            {self._name(path): _digest(path) for path in sorted(paths) if path.exists()}
+            for paths in (used.read - used.written, used.written)
+        )
+        others = {key: one for key, one in self._entries.items() if not written.keys() & one["written"].keys()}
+        self._entries = {**others, _key(settings): {"read": read, "written": written}}
+        write_json(self._path, self._entries)
+
+    def _name(self, path: Path) -> str:
+        """Name a file relative to the log where it lies in the log's folder, so that the folder can be moved."""
+        folder = self._path.parent.absolute()
+        return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.as_posix()
+
+
+_NOTHING: dict[str, dict[str, str]] = {"read": {}, "written": {}}
+
+
+def _is_entry(entry: Any) -> bool:
+    return isinstance(entry, dict) and all(isinstance(entry.get(part), dict) for part in _NOTHING)
+
+
+def _key(settings: Any) -> str:
+    return _hash({"settings": settings, "software": versions()})
+
+
+def _digest(path: Path) -> str | None:
+    """Hash a file, or all files of a folder with their names; None if there is none."""
+    found = hashlib.sha256()
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    try:
+        for file in files:
+            if file != path:
+                found.update(file.relative_to(path).as_posix().encode() + b"\0")
+            if not file.is_dir():
+                with file.open("rb") as content:
+                    found.update(hashlib.file_digest(content, "sha256").digest())
+    except OSError:
+        return None
+    return found.hexdigest()[:32]
 
 
 def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:

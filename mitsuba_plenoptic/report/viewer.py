@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from ..errors import InputError, refuse_if
 from ..io.captures import Capture
 from ..io.files import write_text
 from ..lightfield import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
-from ..lightfield.geometry import DIMS, require_light_field, view_steps
+from ..lightfield.geometry import DIMS, light_field, require_light_field, view_steps
 from ..lightfield.grid import bin_grid
 from ..reconstruction import Reconstruction
 from .images import Brightness, encode, shrink
@@ -47,6 +47,28 @@ class Recording:
     image: np.ndarray | None = None
     # Of propagation, where it is known.
     model: str = ""
+
+
+# Distance of a pupil that stands for one infinitely far, in focal lengths.
+_FAR = 1e5
+
+
+def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.DataArray:
+    """Decode a capture to be looked at.
+
+    For cameras that `decode` does not support, with a real main lens or an objective, a thin lens stands in for the
+    exit pupil: near the axis, its micro-images are the same. Positions and distances are then left out, as they are
+    not those of the camera.
+    """
+    camera, lens = capture.camera, capture.camera.lens_data
+    if lens.is_thin or lens.images_stop:
+        return decode(capture, white=white)
+    further = 1.0 if lens.converges else _FAR
+    distance, radius = further * camera.pupil_distance, further * camera.pupil_radius
+    pupil = camera.replace(main_lens=None, focal_length=distance / 2, aperture_radius=radius, mla_distance=distance)
+    by = white.image if isinstance(white, Capture) else white
+    found = decode(replace(capture, camera=pupil), white=by)
+    return light_field(found.values, found["weight"].values, lenses=grid_of(found))
 
 
 @dataclass(frozen=True)
@@ -154,7 +176,7 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
     depths: list[xr.Dataset] = []
     for source in sources:
         if isinstance(source, Capture):
-            recordings.append(Recording(source.model, decode(source), source.image, source.model))
+            recordings.append(Recording(source.model, decoded(source), source.image, source.model))
         elif isinstance(source, Recording):
             require_light_field(source.light_field)
             recordings.append(source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from ..errors import InputError, naming, refuse_if, require_number
 from ..io.captures import read_capture
 from ..io.exr import read_attributes, read_exr, read_exr_parts
 from ..lightfield.exchange import open_light_field, read_picture
-from .viewer import Recording
+from .viewer import Recording, decoded
 
 
 def read_source(
@@ -45,9 +46,15 @@ def read_source(
     if isinstance(kind, str) and kind in _COMPUTED:
         with naming(path):
             return _COMPUTED[kind](path)
-    lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
     if path.suffix.lower() == ".exr":
         capture = read_capture(path)
+        capture = capture if camera is None else replace(capture, camera=camera)
+        lens = capture.camera.lens_data
+        if not lens.is_thin and not lens.images_stop and views is None:
+            lf = decoded(capture, None if white is None else _white(white, linear))
+            return Recording(path.stem, lf, capture.image, capture.model)
+    lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
+    if path.suffix.lower() == ".exr":
         return Recording(path.stem, lf, capture.image, capture.model)
     # Raw pictures were decoded; of mosaics and light fields there is no raw picture.
     raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and path.suffix.lower() in _PICTURES else None
@@ -55,6 +62,11 @@ def read_source(
 
 
 _PICTURES = (".png", ".tif", ".tiff")
+
+
+def _white(path: str | Path, linear: bool) -> np.ndarray:
+    """Read a white image."""
+    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
 
 def _stack(path: Path) -> xr.DataArray:

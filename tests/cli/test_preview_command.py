@@ -28,6 +28,6 @@ def test_what_is_printed(tmp_path, run):
 
 
 def test_refused(tmp_path, complaint):
-    assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png")
+    assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png or .pdf")
     words = complaint("preview", "letters", "--camera", "lfm", "-o", tmp_path / "a.png")
     assert "a preview is not defined behind an objective" in words

@@ -41,6 +41,7 @@ def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tiny, tmp_pa
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
     figures = {"fig1.png", "fig2.png", "fig3.png", "fig4.png", "methods.png", "interference.png", "captures.png"}
+    figures |= {name.replace(".png", ".pdf") for name in figures}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
     ray = read_capture(tmp_path / "data" / "capture_ray.exr")
     assert ray.camera.lens_model == "parabolic"

@@ -12,7 +12,16 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    InputError,
+    PlenopticCamera,
+    decode,
+    load_scene,
+    reconstruct,
+    render_capture,
+    with_camera,
+)
 from mitsuba_plenoptic.lightfield import depth_map, focal_stack, shift_and_add
 from mitsuba_plenoptic.lightfield import view as one_view
 from mitsuba_plenoptic.report import viewer
@@ -292,3 +301,35 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
         page = browser(tmp_path / "view.html", width=narrow, height=800)
         assert page.execute_script("return document.documentElement.scrollWidth") <= narrow
         assert page.get_log("browser") == []
+
+
+WALL = """<scene version="3.0.0"><integrator type="path"/>
+<sensor type="perspective"><film type="hdrfilm"><string name="pixel_format" value="luminance"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="900"/>
+<lookat origin="0, 0, 200" target="0, 0, 0" up="0, 1, 0"/></transform><emitter type="area"/></shape></scene>"""
+
+
+@pytest.mark.parametrize(
+    ("preset", "width", "spp", "noise"), [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)]
+)
+def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise, tmp_path):
+    """A wall of radiance 1 is 1 in all views through the pupil, so that micro-images are where the page has them.
+
+    Rays of a microscope have weights, after the sine condition, so that few of them are noisy.
+    """
+    (tmp_path / "wall.xml").write_text(WALL)
+    camera = PlenopticCamera.preset(preset)
+    pixels = round(width / camera.pixel_size)
+    camera = camera.replace(detector_width=pixels * camera.pixel_size, resolution=(pixels, pixels))
+    seen = render_capture(with_camera(load_scene(tmp_path / "wall.xml"), camera), model="ray", spp=spp)
+    lf = viewer.decoded(seen)
+    assert "camera" not in lf.attrs and lf.attrs["grid"]
+    middle = lf.sizes["v"] // 2
+    for view_index in (middle, round(1.6 * middle)):
+        part = lf.isel(v=middle, u=view_index, s=slice(1, -1), t=slice(1, -1))
+        known = part.values[part["weight"].values > 0.5]
+        assert len(known) == part.size
+        assert known.mean() == pytest.approx(1, abs=0.05) and known.std() < noise
+    data = content(view(seen))
+    assert data["recordings"][0]["raw"]["rows"] == pixels
+    assert set(data["recordings"][0]["distances"]) == {None}

@@ -1,5 +1,6 @@
 """Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
 
+from ...io.lytro_file import nearest_white, read_lytro
 from .files import (
     open_light_field,
     open_micro_images,
@@ -13,10 +14,12 @@ from .pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
 
 __all__ = [
     "LAYOUTS",
+    "nearest_white",
     "open_light_field",
     "open_micro_images",
     "read_labelled",
     "read_lftoolbox",
+    "read_lytro",
     "read_mosaic",
     "read_picture",
     "require_light_field_path",

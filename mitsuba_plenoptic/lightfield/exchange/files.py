@@ -13,6 +13,7 @@ from ...errors import InputError, argument, naming, refuse_if, refusing, require
 from ...io.captures import Capture, read_capture
 from ...io.files import atomic_output, require_file, require_size, require_writable
 from ...io.ground_truth import NAME, SUFFIX, GroundTruth, read_ground_truth
+from ...io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
 from ...runtime.limits import require_memory
 from .. import MicroImages, decode, estimate_lens_grid, micro_images
 from ..geometry import camera_of, require_light_field
@@ -94,6 +95,10 @@ def open_light_field(
                 "for a mosaic of views"
             )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
+    refuse_if(
+        name.endswith(LYTRO_SUFFIXES),
+        f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
+    )
     raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
 
 

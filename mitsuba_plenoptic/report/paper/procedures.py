@@ -80,7 +80,7 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
     _main_lens(axes, camera)
     _array(axes, camera)
     _dimension(axes, 0, b, -1.25 * camera.aperture_radius, f"b = {b:g} mm")
-    figure.save(path)
+    figure.save_both(path)
 
 
 def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
@@ -98,7 +98,7 @@ def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
     _main_lens(axes, camera)
     _array(axes, camera)
     _waves(figure, camera, distance)
-    figure.save(path)
+    figure.save_both(path)
 
 
 def _waves(figure: Canvas, camera: PlenopticCamera, distance: float) -> None:

@@ -207,7 +207,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
         below = figure.axes(edge + index * (close + gap), 0.5 + half * window.aspect + 0.55, close, close)
         show(below, cut, f"({'abc'[index]})  Micro-images of {zoom.title}", peak=peak)
         scale_bar(below, 0.1, cut.shape[1] * camera.pixel_size, "0.1 mm", below=True)
-    figure.save(path)
+    figure.save_both(path)
 
 
 def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, float]]) -> None:
@@ -223,7 +223,7 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
         axes = figure.axes(edge + across * (wide + gap), title + down * (title + tall), wide, tall)
         show(axes, window.of(image), f"({'abcd'[index]})  {TITLES[name]}, {distance:g} mm", peak=peak, size=11)
         object_bar(axes, experiment.camera, distance, window)
-    figure.save(path)
+    figure.save_both(path)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,109 @@
+"""``mitsuba-plenoptic run``: the steps of a run file, those that are not finished."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import InputError, refuse_if, short_repr
+from ..io.files import files_used
+from . import mistake, step_commands
+from .inputs import parse_definitions
+from .run_file import Step, parameters_of, read_run_file
+from .stopping import within_run
+
+
+def run(
+    file: Annotated[Path, typer.Argument(metavar="RUN.yaml", help="The run file, YAML or JSON.")],
+) -> None:
+    """Run several commands that a file lists, and again only those whose inputs have changed.
+
+    A run file has a list of steps, each a command with its options by name,
+    and options that several steps share. [bold]--save-run[/bold] of a command
+    writes one. Files are named from the folder of the run file. What each
+    step has read and written is noted next to it, in RUN.steps.json. A run
+    that was stopped resumes where it was.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic render letters -o raw.exr --save-run run.yaml
+
+      mitsuba-plenoptic depth raw.exr -o depth.pdf --save-run run.yaml
+
+      mitsuba-plenoptic run run.yaml
+    """
+    # Brings libraries that take a while to load.
+    from ..report.stage_store import StepLog
+
+    commands = step_commands()
+    parameters = parameters_of(commands)
+    steps = read_run_file(file, parameters)
+    log = StepLog(file.absolute().with_suffix(".steps.json"))
+    with contextlib.chdir(file.parent), within_run():
+        # All are parsed before the first is run, which may take long.
+        contexts = []
+        for number, step in enumerate(steps, 1):
+            with _naming_step(file, number, step, parameters[step.command]):
+                words = step.command_line(parameters[step.command])
+                contexts.append(commands[step.command].make_context(step.command, words))
+        _require_outputs_apart(file, steps)
+        for number, (step, context) in enumerate(zip(steps, contexts, strict=True), 1):
+            label = f"step {number} of {len(steps)}, {step.command}"
+            with _naming_step(file, number, step, parameters[step.command]):
+                settings = _settings(step, parameters[step.command])
+                if log.is_finished(settings):
+                    typer.echo(f"{label}: up to date")
+                    continue
+                typer.echo(label)
+                with context, files_used() as used:
+                    commands[step.command].invoke(context)
+                log.note(settings, used)
+
+
+@contextlib.contextmanager
+def _naming_step(file: Path, number: int, step: Step, parameters: Mapping[str, Any]) -> Iterator[None]:
+    """Begin the line on a user's mistake with the run file and the step, and spell options as the file does."""
+    try:
+        yield
+    except Exception as error:
+        names = {option: name for name, one in parameters.items() for option in one.opts}
+        message = mistake(error, names)
+        if message is None:
+            raise
+        # Typer's message on a value does not show the value.
+        of = names.get(next(iter(getattr(getattr(error, "param", None), "opts", ())), ""), "")
+        if of in step.options:
+            message = f"{of} = {short_repr(step.options[of])}: {getattr(error, 'message', message)}"
+        raise InputError(f"{file}: step {number} ({step.command}): {message}") from error
+
+
+def _require_outputs_apart(file: Path, steps: list[Step]) -> None:
+    """Refuse two steps that write the same file: each would undo the other."""
+    found: dict[Path, int] = {}
+    for number, step in enumerate(steps, 1):
+        if "output" in step.options:
+            first = found.setdefault(Path(str(step.options["output"])).absolute(), number)
+            refuse_if(
+                first != number,
+                f"{file}: step {number} ({step.command}): output = {step.options['output']}: step {first} writes it, "
+                "too; give each a name of its own",
+            )
+
+
+def _settings(step: Step, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all that a step depends on but the files that it reads; of a scene the files that it names, too."""
+    # Brings libraries that take a while to load.
+    from ..report.stage_store import scene_fingerprint
+
+    words = step.words(parameters)
+    scenes = [word.removeprefix("--scene=") for word in words.get("scene", ())]
+    definitions = parse_definitions([word.removeprefix("--define=") for word in words.get("define", ())])
+    return {
+        "command": step.command,
+        "options": words,
+        "scenes": [scene_fingerprint(scene, definitions) for scene in scenes],
+    }

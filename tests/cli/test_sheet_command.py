@@ -1,0 +1,50 @@
+"""The command ``sheet``: reconstructions of several methods and distances in one figure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, read_capture, reconstruct
+from mitsuba_plenoptic.reconstruction import read_reconstruction, write_reconstruction
+
+
+@pytest.fixture(scope="module")
+def results(raw, tmp_path_factory):
+    """Write reconstructions by one method at two distances, and by another at one of them."""
+    folder = tmp_path_factory.mktemp("results")
+    capture = read_capture(raw)
+    found = [
+        *reconstruct(capture, [240, math.inf], method="ray"),
+        *reconstruct(capture, [240], method="ray", footprint="point"),
+    ]
+    paths = [folder / f"{index}.exr" for index in range(len(found))]
+    for path, one in zip(paths, found, strict=True):
+        write_reconstruction(path, one)
+    return paths, found
+
+
+def test_what_was_written_is_read(results):
+    for path, one in zip(*results, strict=True):
+        back = read_reconstruction(path)
+        np.testing.assert_array_equal(back.image, one.image)
+        assert (back.distance, back.bin_size, back.method) == (one.distance, one.bin_size, one.method)
+        assert back.camera == one.camera and back.options == one.options
+
+
+@pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF-"), ("png", b"\x89PNG")])
+def test_a_figure_of_all(suffix, begins, results, tmp_path, run):
+    path = tmp_path / f"sheet.{suffix}"
+    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images, 1 methods at 2 distances\n"
+    assert path.read_bytes().startswith(begins)
+
+
+def test_refused(results, raw, tmp_path, complaint):
+    path = tmp_path / "sheet.pdf"
+    assert complaint("sheet", raw, "-o", path) == f"{raw}: it holds a 'capture', not a reconstruction"
+    assert complaint("sheet", results[0][0], "-o", tmp_path / "a.gif").endswith("give a name that ends in .pdf or .png")
+    assert "Missing argument" in complaint("sheet", "-o", path)
+    with pytest.raises(InputError, match="there is no such file"):
+        read_reconstruction(tmp_path / "none.exr")
