@@ -2,9 +2,8 @@
 
 Usage: ``python tools/make_pictures.py [NAME ...] [-o FOLDER]``; without names, all are made, which takes some minutes.
 Without a folder, the files in ``docs/pictures/`` are replaced. ``build/pictures/`` stores the captures that several
-pictures show; remove it after a change of the models. Pictures of pages in a browser need Chromium.
-Names that begin with ``thumbnails/`` need
-the notebooks that ``make docs`` has executed.
+pictures show; remove it after a change of the models. Pictures of pages in a browser need Chromium and its driver.
+Names that begin with ``thumbnails/`` need the notebooks that ``make docs`` has executed.
 
 Pictures are palette PNG files of at most 150 kB.
 """
@@ -93,10 +92,8 @@ def write(path: Path, image: Image.Image) -> None:
         raise SystemExit(f"{path}: {stream.tell()} bytes with 32 colours; at most {LARGEST}")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(stream.getvalue())
-    print(
-        f"{path.relative_to(path.parents[1])}: {image.width} x {image.height}, {colours} colours, {stream.tell() / 1000:.0f} kB",
-        flush=True,
-    )
+    size = f"{image.width} x {image.height}, {colours} colours, {stream.tell() / 1000:.0f} kB"
+    print(f"{path.relative_to(path.parents[1])}: {size}", flush=True)
 
 
 CAMERA: dict[str, Any] = {"mla_pitch": 0.032, "mla_focal_length": 0.256, "resolution": (2048, 2048)}
@@ -318,7 +315,7 @@ def long_runs() -> Image.Image:
     row = []
     for spp in (1, 4, 16, 64):
         (result,) = mp.reconstruct(in_colour(camera, spp), [258])
-        row.append((f"{spp} samples per pixel", result.image))
+        row.append((f"{spp} samples per pixel", result.image[94:158, 75:139]))
     return sheet([row])
 
 
@@ -388,7 +385,7 @@ def thumbnail(page: str) -> Image.Image:
     return ImageOps.pad(image.crop(content), (480, 320), color="white")
 
 
-CHOSEN = {"refocusing_and_depth": 0}
+CHOSEN = {"refocusing_and_depth": 0, "main_lenses": 0, "rays_and_waves": 1, "focused_cameras": 0}
 """Pictures of notebooks that are not their last, from 0."""
 
 for _page in sorted((ROOT / "docs" / "gallery").glob("*.md")):
