@@ -25,7 +25,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from check_release import page_code
+from check_release import page_code, page_files
 from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
@@ -172,6 +172,19 @@ def start() -> Image.Image:
             ],
         ]
     )
+
+
+@picture
+def table() -> Image.Image:
+    """Refocus the scene of the page for new users."""
+    files = page_files((ROOT / "docs" / "start.md").read_text())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.xml"
+        path.write_text(files["table.xml"])
+        scene = mp.load_scene(path, variant="llvm_ad_mono")
+        camera = mp.PlenopticCamera.from_json(files["camera.json"])
+        results = mp.reconstruct(mp.render_capture(mp.with_camera(scene, camera), spp=32), [210, 240, 280])
+    return sheet([[(f"refocused_{one.distance:g}.png", one.image) for one in results]])
 
 
 @picture
