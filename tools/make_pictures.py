@@ -270,6 +270,34 @@ def exchange() -> Image.Image:
     return sheet([list(zip(titles, [micro_images(still_life(), -38, -68, 20), eslf, views], strict=True))])
 
 
+@picture
+def microscope() -> Image.Image:
+    """Show a point at three depths of a light-field microscope, and one in the Fourier arrangement."""
+    native = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.5),
+        mla_pitch=0.15,
+        mla_focal_length=3.0,
+        detector_width=1.35,
+        resolution=(135, 135),
+    )
+    fourier = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50.0),
+        mla_pitch=0.5,
+        mla_focal_length=20.0,
+        mla_offset=(0.25, 0.25),
+        detector_width=3.5,
+        resolution=(700, 700),
+    )
+    row = []
+    for title, depth in {"20 \u00b5m nearer": -0.02, "in focus": 0.0, "20 \u00b5m farther": 0.02}.items():
+        spread = mp.point_spread_function(native, (0.004, 0.0, depth), wavelength=550)
+        row.append((title, np.sqrt(np.asarray(spread) / np.max(spread))))
+    points = [(0.01, -0.004, 0.0), (-0.012, 0.006, 0.02)]
+    image = mp.CaptureOperator(fourier, points, wavelength=550, method="full_field").forward([1.0, 1.0])
+    row.append(("two points, Fourier", np.sqrt(image.clip(0) / image.max())))
+    return sheet([row], white=1.0)
+
+
 @cache
 def focused_captures() -> dict[str, mp.Capture]:
     """Capture the chart with three cameras of the same detector."""
