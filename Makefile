@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-tensors coverage slow fuzz examples package docs lint clean llvm
+.PHONY: help demo test test-tensors coverage slow fuzz examples pictures package docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
@@ -13,6 +13,7 @@ help:
 	@echo "make slow   run the tests that take minutes"
 	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
 	@echo "make examples   render the captures of mp.example from the built-in scenes (20 s)"
+	@echo "make pictures   make the pictures of the site (some minutes; needs Chromium, and the notebooks of 'make docs')"
 	@echo "make package   build wheel and sdist from a fresh clone, and try the wheel in an empty environment"
 	@echo "make docs   build the site with its notebooks executed: build/docs/index.html (some minutes)"
 	@echo "make lint   check format, style and types"
@@ -52,11 +53,15 @@ fuzz: $(VENV)/.ready llvm
 examples: $(VENV)/.ready llvm
 	$(BIN)/python tools/make_examples.py
 
+pictures: $(VENV)/.ready llvm
+	$(BIN)/python tools/make_pictures.py
+
 package: $(VENV)/.ready llvm
 	$(BIN)/python tools/check_release.py
 
 # EXECUTE=off leaves the notebooks' cells unexecuted, as .ci/run has it.
-docs: $(VENV)/.docs-ready llvm
+docs: $(VENV)/.docs-ready
+	@$(BIN)/python tools/ensure_llvm.py
 	$(BIN)/python -m sphinx -W --keep-going -j 2 -b html docs build/docs
 	$(BIN)/python tools/check_site.py build/docs
 
@@ -67,15 +72,20 @@ lint: $(VENV)/.ready
 
 # The stamp comes last, so that an interrupted installation is taken up again. An environment of the user's own is
 # used as it is, but one whose Python is broken or was never finished is made anew.
+define MAKE_ENVIRONMENT
+$(BIN)/python -m pip --version >/dev/null 2>&1 || { \
+	python="$${PYTHON:-$$(tools/find_python.sh)}" && [ -n "$$python" ] && \
+	echo "Making $(VENV) with $$python" && \
+	"$$python" -m venv --clear $(VENV) && touch $(VENV)/.made-by-make; }
+endef
+
 $(VENV)/.ready: pyproject.toml
-	@$(BIN)/python -m pip --version >/dev/null 2>&1 || { \
-		python="$${PYTHON:-$$(tools/find_python.sh)}" && [ -n "$$python" ] && \
-		echo "Making $(VENV) with $$python" && \
-		"$$python" -m venv --clear $(VENV) && touch $(VENV)/.made-by-make; }
+	@$(MAKE_ENVIRONMENT)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[test]'
 	@touch $@
 
-$(VENV)/.docs-ready: $(VENV)/.ready
+$(VENV)/.docs-ready: pyproject.toml
+	@$(MAKE_ENVIRONMENT)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[docs]'
 	@touch $@
 

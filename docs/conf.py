@@ -21,12 +21,14 @@ version = ".".join(release.split(".")[:2])
 
 extensions = [
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
     "myst_nb",
     "sphinx_design",
     "sphinx_copybutton",
     "generated_reference",
+    "python_reference",
 ]
 # The reference of the modules for them needs no PyTorch or JAX.
 autodoc_mock_imports = ["jax", "torch"]
@@ -35,7 +37,7 @@ default_role = "py:obj"
 
 # The site works without a network: its fonts are the reader's, MathJax is among its files.
 html_theme = "furo"
-html_title = "mitsuba_plenoptic"
+html_title = f"mitsuba_plenoptic {release}"
 MATHJAX = importlib.util.find_spec("sphinx-mathjax-offline").submodule_search_locations[0]
 html_static_path = ["_static", f"{MATHJAX}/static"]
 mathjax_path = "mathjax/tex-chtml.js"
@@ -59,9 +61,6 @@ nb_execution_mode = {"on": "force", "off": "off"}[os.environ.get("EXECUTE", "on"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
-# What a notebook shows as a widget is on these pages plain HTML, which needs neither a kernel nor a network.
-nb_mime_priority_overrides = [("html", "text/html", 0)]
-nb_ipywidgets_js = {}
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"

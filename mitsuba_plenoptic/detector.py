@@ -169,6 +169,14 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     InputError
         If an argument is out of range, the capture has been exposed already, or a mosaic is to record a capture that
         has not three channels.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> detector = mp.Detector(read_noise=2.5, bits=12)
+    >>> exposed = mp.expose(mp.example("letters-ray"), detector, photons=1000, seed=1)
+    >>> exposed.metadata["exposure"]["saturated_pixels"]
+    0
     """
     if not isinstance(capture, Capture) or not isinstance(detector, Detector):
         raise InputError(f"expose({short_repr(capture)}, {short_repr(detector)}): it takes a Capture and a Detector")

@@ -209,23 +209,7 @@ def _fill(app: Any, name: str, source: list[str]) -> None:
             app.env.note_dependency(str(PACKAGE / file))
 
 
-def _resolve(app: Any, env: Any, node: Any, content: Any) -> Any:
-    """Find what a docstring calls by a short name, if only one thing of the reference ends in it."""
-    if node.get("refdomain") != "py" or node.get("reftype") not in ("obj", "class", "exc"):
-        return None
-    domain = env.get_domain("py")
-    target = node["reftarget"].removeprefix("mitsuba_plenoptic.")
-    ends = [name for name in domain.objects if name == target or name.endswith(f".{target}")]
-    if len(ends) != 1:
-        return None
-    found = domain.objects[ends[0]]
-    from sphinx.util.nodes import make_refnode
-
-    return make_refnode(app.builder, node.get("refdoc", ""), found.docname, found.node_id, content, ends[0])
-
-
 def setup(app: Any) -> dict[str, Any]:
     """Register with Sphinx."""
     app.connect("source-read", _fill)
-    app.connect("missing-reference", _resolve)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -254,6 +254,15 @@ class PlenopticCamera(CameraGeometry, Displayed):
         tilted array touches detector or main lens, the distortion folds the image, a `main_lens` is not one, cannot
         open so far, is given with aberrations, distortion or a glass, or reaches to the array, an objective has another
         focal length, aperture or distance to the array, or a glass is not one or has no index at the line d.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(aperture_radius=4, focus_distance=300)
+    >>> camera.f_number, round(camera.mla_distance, 2), camera.lens_count
+    (10.0, 109.09, (128, 128))
+    >>> mp.PlenopticCamera.from_json(camera.to_json()) == camera
+    True
     """
 
     if not TYPE_CHECKING:  # type checkers take the arguments and their types from the table

@@ -95,6 +95,15 @@ def render_capture(
         the capture would take more memory than is allowed, or a pixel is NaN or infinite.
     PhysicsError
         If too much of the light is lost. The fractions that the guards found are in the metadata under ``guards``.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> size = {"detector_width": 0.256, "resolution": 128}
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
+    >>> capture = mp.render_capture(scene, spp=4)  # of a wave capture: model="wave"
+    >>> capture.image.shape, capture.model
+    ((128, 128), 'ray')
     """
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
@@ -338,6 +347,14 @@ def estimate_capture(
         If `render_capture` would refuse the arguments, or the capture would not fit into memory.
     PhysicsError
         If too much of the light would be lost.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 256})
+    >>> cost = mp.estimate_capture(scene, spp=4)
+    >>> cost.seconds < 60, cost.memory < 2**30
+    (True, True)
     """
     sensor = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(sensor)

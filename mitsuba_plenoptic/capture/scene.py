@@ -278,6 +278,12 @@ def load_scene(
     InputError
         If there is no such scene or variant, the file would run native code or read unsuitable files, or Mitsuba
         refuses the scene. The message is one line with the position in the file.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> size = {"detector_width": 0.256, "resolution": 128}
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
     """
     if isinstance(scene, Mapping):
         return _load_dictionary(scene, variant, parameters)

@@ -248,6 +248,14 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
         The camera.
     wavelength : float
         Wavelength in nanometres.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(aperture_radius=4, focus_distance=300)
+    >>> near, far = mp.design.refocus_range(camera, 633)
+    >>> round(near), round(far)
+    (258, 358)
     """
     camera.require_lens("the range of refocusing")
     slack = direction_count(camera, wavelength) * camera.mla_pitch / camera.aperture_diameter

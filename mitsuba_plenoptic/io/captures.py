@@ -226,6 +226,11 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     ------
     InputError
         If it is not a capture, its metadata are not plain data, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> mp.write_capture("raw.exr", mp.example("letters-ray"))
     """
     refuse_if(not isinstance(capture, Capture), f"capture of type {type(capture).__name__}: it must be a Capture")
     window = {"offset": capture.camera.crop_offset, "full_size": capture.camera.resolution}
@@ -267,6 +272,13 @@ def read_capture(path: str | Path) -> Capture:
     ------
     InputError
         If the file does not exist, is damaged, or is not a capture.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> mp.write_capture("raw.exr", mp.example("letters-ray"))
+    >>> mp.read_capture("raw.exr").camera.lens_count
+    (48, 48)
     """
     image, noise, attributes = read_exr(path)
     with naming(path):

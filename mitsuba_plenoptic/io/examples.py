@@ -35,6 +35,13 @@ def example(name: str) -> Capture:
     ------
     InputError
         If there is none of that name; the message lists the names.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> capture = mp.example("letters-wave")
+    >>> capture.model, capture.wavelength, capture.camera.lens_count
+    ('wave', 633.0, (48, 48))
     """
     return read_capture(_path(name))
 
@@ -56,6 +63,12 @@ def example_truth(name: str) -> GroundTruth:
     ------
     InputError
         If there is none of that name; the message lists the names.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> truth = mp.example_truth("letters-wave")
+    >>> lf = mp.decode(mp.example("letters-wave"), truth=truth)
     """
     return read_ground_truth(truth_path(_path(name)))
 

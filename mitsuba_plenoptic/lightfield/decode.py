@@ -69,6 +69,13 @@ def decode(
     ------
     InputError
         If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> lf = mp.decode(mp.example("letters-ray"))
+    >>> dict(lf.sizes)
+    {'v': 11, 'u': 11, 't': 48, 's': 48}
     """
     _require_suitable(white, capture, camera)
     image, camera = _checked(capture, camera, grid)

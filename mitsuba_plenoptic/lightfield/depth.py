@@ -90,6 +90,14 @@ def depth_map(
     InputError
         If the light field has no camera, near is not before far, an argument is out of range, a focused camera tells
         no depth between near and far, or its micro-images are needed and not given, or of another camera.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> capture, truth = mp.example("letters-ray"), mp.example_truth("letters-ray")
+    >>> found = mp.lightfield.depth_map(mp.decode(capture, truth=truth), 200, 300, planes=16)
+    >>> mp.lightfield.depth_error(found).median < 0.01  # of the distance
+    True
     """
     lf = require_light_field(lf)
     nearest, farthest = _default_search(lf)

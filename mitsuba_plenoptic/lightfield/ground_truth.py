@@ -150,6 +150,15 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     InputError
         If there is no such sensor, a name is unknown, its lenses are narrower than a pixel, or it would take more
         memory than is allowed.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> size = {"detector_width": 0.256, "resolution": 128}
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
+    >>> truth = mp.ground_truth(scene, ["depth"])
+    >>> truth.pixels["depth"].shape
+    (128, 128)
     """
     names = require_quantities([names] if isinstance(names, str) else names)
     chosen = plenoptic_sensor(scene, sensor)

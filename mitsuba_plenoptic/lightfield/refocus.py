@@ -77,6 +77,14 @@ def refocus(lf: xr.DataArray, distance: float, *, method: str = "shift") -> xr.D
     ------
     InputError
         If the light field has no camera or an argument is out of range.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> lf = mp.decode(mp.example("letters-ray"))
+    >>> image = mp.lightfield.refocus(lf, 280)
+    >>> image.dims
+    ('t', 's')
     """
     return focal_stack(lf, [distance], method=method)[0]
 
@@ -109,6 +117,13 @@ def focal_stack(
     ------
     InputError
         If there is no distance, the light field has no camera or an argument is out of range.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> lf = mp.decode(mp.example("letters-ray"))
+    >>> mp.lightfield.focal_stack(lf, [210, 240, 280]).sel(distance=240).dims
+    ('t', 's')
     """
     lf = require_light_field(lf)
     distances = [require_number("distance", value, finite=False) for value in distances]

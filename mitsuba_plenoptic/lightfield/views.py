@@ -34,6 +34,14 @@ def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) ->
     ------
     InputError
         If the point is more than half a step beyond the views.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> lf = mp.decode(mp.example("letters-ray"))
+    >>> left = mp.lightfield.view(lf, u=2, v=0)  # 2 mm left of the pupil's middle, or nearest to it
+    >>> left.dims, float(left.u)
+    (('t', 's'), 1.875)
     """
     lf = require_light_field(lf)
     return _nearest(lf, u=("u", u), v=("v", v))

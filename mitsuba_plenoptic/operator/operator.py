@@ -77,6 +77,16 @@ class CaptureOperator:
     ------
     InputError
         If an input has a wrong shape or value.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    >>> points = [(0.0, 0.0, 236.0), (0.05, 0.02, 240.0)]  # millimetres
+    >>> operator = mp.CaptureOperator(camera, points, wavelength=633)
+    >>> image = operator.forward([1.0, 2.0])
+    >>> image.shape, operator.adjoint(image).shape
+    ((64, 64), (2,))
     """
 
     @suggest_keywords

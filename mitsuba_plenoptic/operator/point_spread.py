@@ -50,6 +50,14 @@ def point_spread_function(
         If an argument is out of range or the work would need too much memory.
     PhysicsError
         If too much of the light is lost.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    >>> spread = mp.point_spread_function(camera, (0.0, 0.0, 236.0), wavelength=633)
+    >>> spread.shape
+    (64, 64)
     """
     operator = CaptureOperator(camera, _check(camera, position)[None], wavelength=wavelength, method=method, accuracy=0)
     # What interpolation leaves below zero between the samples is not light.

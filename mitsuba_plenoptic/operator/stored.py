@@ -44,6 +44,14 @@ class StoredOperator(CaptureOperator):
     ------
     InputError
         If an input has a wrong shape or value.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    >>> points = [(0.0, 0.0, 236.0), (0.05, 0.02, 240.0)]
+    >>> mp.StoredOperator(camera, points, wavelength=633).to_sparse().shape
+    (4096, 2)
     """
 
     def __init__(

@@ -36,6 +36,14 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     InputError
         If an argument is not a scene or a camera, the first sensor's transform scales, or Mitsuba cannot render the
         camera.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 64})
+    >>> camera = mp.PlenopticCamera(focus_distance=210, detector_width=0.256, resolution=(128, 128))
+    >>> mp.render_capture(mp.with_camera(scene, camera), spp=4).camera == camera
+    True
     """
     if not isinstance(scene, mi.Scene):
         raise InputError(f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant")

@@ -257,6 +257,15 @@ def reconstruct(
     -----
     Wave methods refocus pixels below zero, as `expose` makes them, by their magnitude and subtract the result: noise of
     mean zero leaves no light on average.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> capture = mp.example("letters-wave")
+    >>> near, far = mp.reconstruct(capture, [210, 280])
+    >>> near.distance, near.image.shape, round(near.bin_size, 3)
+    (210.0, (48, 48), 0.112)
+    >>> far = mp.reconstruct(capture, 280, method="partial", interleave=2)
     """
     recorded = capture
     capture = as_capture(capture, camera)

@@ -65,6 +65,13 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     ------
     InputError
         If there is no reconstruction, or they are by several cameras.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> from mitsuba_plenoptic.report.figures import contact_sheet
+    >>> results = mp.reconstruct(mp.example("letters-ray"), [210, 240, 280])
+    >>> contact_sheet(results).save("refocused.pdf")
     """
     refuse_if(not results, "results: give at least one")
     refuse_if(any(one.camera != results[0].camera for one in results), "results: they must be by one camera")

@@ -122,6 +122,11 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     ------
     InputError
         If there is no source, one is of another kind, or they do not fit each other.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> mp.view(mp.example("letters-ray"), title="Letters").save("letters.html")
     """
     refuse_if(not sources, "sources: give at least one capture, light field, focal stack, reconstruction or depth map")
     recordings, planes, depths = _sorted(sources)

@@ -37,7 +37,11 @@ def test_commands_and_names_exist(page):
         assert (ROOT / path).exists(), path
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "develop").glob("*.md")), ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [ROOT / "docs" / "index.md", *sorted((ROOT / "docs" / "develop").glob("*.md"))],
+    ids=lambda page: page.stem,
+)
 def test_code_cells_run(page, tmp_path):
     """In a process of their own, since recipes register what they define; the start page and README: `make package`."""
     code = page_code(page.read_text())

@@ -1,0 +1,448 @@
+"""Make the pictures that open the site's pages, and the thumbnails of its gallery.
+
+Usage: ``python tools/make_pictures.py [NAME ...] [-o FOLDER]``; without names, all are made, which takes some minutes.
+Without a folder, the files in ``docs/pictures/`` are replaced. ``build/pictures/`` stores the captures that several
+pictures show; remove it after a change of the models. Pictures of pages in a browser need Chromium and its driver.
+Names that begin with ``thumbnails/`` need the notebooks that ``make docs`` has executed.
+
+Pictures are palette PNG files of at most 150 kB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import io
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from check_release import page_code, page_files
+from PIL import Image, ImageChops, ImageOps
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.errors import require_choice
+from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
+from mitsuba_plenoptic.report.framing import Canvas
+from mitsuba_plenoptic.report.images import Brightness, to_bytes
+from mitsuba_plenoptic.report.preview import draw_preview, preview_of
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "docs" / "pictures"
+STORED = ROOT / "build" / "pictures"
+NOTEBOOKS = ROOT / "build" / "jupyter_execute" / "gallery"
+
+WIDTH, DPI, LARGEST = 7.5, 104, 150_000
+"""Width of a picture in inches, its pixels per inch, and the size of its file in bytes."""
+
+PICTURES: dict[str, Callable[[], Image.Image]] = {}
+
+Panel = tuple[str, np.ndarray]
+"""A title, and an image of bytes or of radiances, which are drawn on the scale of their sheet."""
+
+
+def picture(make: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
+    """Register a picture under its function's name."""
+    PICTURES[make.__name__] = make
+    return make
+
+
+def sheet(rows: Sequence[Sequence[Panel]], white: float | None = None) -> Image.Image:
+    """Lay out images of one size with their titles; radiances share a scale."""
+    radiances = [image for row in rows for _, image in row if image.dtype != np.uint8]
+    peak = white or (Brightness().white(radiances) if radiances else 1.0)
+    columns, gap, title = len(rows[0]), 0.06, 0.24
+    side = (WIDTH - (columns - 1) * gap) / columns
+    tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
+    tops = [sum(tall[:index]) + index * (title + gap) + title for index in range(len(rows))]
+    canvas = Canvas(WIDTH, tops[-1] + tall[-1], DPI)
+    for top, height, row in zip(tops, tall, rows, strict=True):
+        for index, (name, image) in enumerate(row):
+            axes = canvas.axes(index * (side + gap), top, side, height)
+            shown = image if image.dtype == np.uint8 else to_bytes(image, peak)
+            axes.imshow(shown, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+            axes.set_title(name, size=9, loc="left", pad=3)
+    return drawn(canvas)
+
+
+def drawn(canvas: Canvas) -> Image.Image:
+    """Return what a canvas shows."""
+    stream = io.BytesIO()
+    canvas.figure.savefig(stream, format="png")
+    return Image.open(stream).convert("RGB")
+
+
+def write(path: Path, image: Image.Image) -> None:
+    """Write a palette PNG with as many colours as its size allows."""
+    for colours in (256, 128, 64, 32):
+        stream = io.BytesIO()
+        palette = image.quantize(colours, kmeans=1, dither=Image.Dither.NONE)
+        palette.save(stream, "PNG", optimize=True)
+        if stream.tell() <= LARGEST:
+            break
+    else:
+        raise SystemExit(f"{path}: {stream.tell()} bytes with 32 colours; at most {LARGEST}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(stream.getvalue())
+    size = f"{image.width} x {image.height}, {colours} colours, {stream.tell() / 1000:.0f} kB"
+    print(f"{path.relative_to(path.parents[1])}: {size}", flush=True)
+
+
+CAMERA: dict[str, Any] = {"mla_pitch": 0.032, "mla_focal_length": 0.256, "resolution": (2048, 2048)}
+"""A finer array than the paper's: 256 x 256 lenses of the same f-number, with 8 x 8 pixels each."""
+
+CLOSE: dict[str, Any] = {"crop_offset": (1376, 1920), "crop_size": (320, 320)}
+"""The part of the paper's detector, 10 x 10 lenses, that sees the left edge of the ball in the still life."""
+
+
+def in_colour(camera: mp.PlenopticCamera, spp: int, model: str = "ray") -> mp.Capture:
+    """Capture the still life in colour."""
+    scene = mp.load_scene("still_life", variant="llvm_ad_rgb")
+    return mp.render_capture(mp.with_camera(scene, camera), model=model, spp=spp)
+
+
+@cache
+def still_life(model: str = "ray") -> mp.Capture:
+    """Capture the still life in colour with the fine array, or read what an earlier run has stored."""
+    path = STORED / f"still_life_{model}.exr"
+    if not path.exists():
+        STORED.mkdir(parents=True, exist_ok=True)
+        mp.write_capture(path, in_colour(mp.PlenopticCamera(**CAMERA), 16, model))
+    return mp.read_capture(path)
+
+
+@cache
+def light_field() -> Any:
+    """Decode the ray capture of the still life."""
+    return mp.decode(still_life())
+
+
+def micro_images(capture: mp.Capture, row: int, column: int, lenses: int = 10) -> np.ndarray:
+    """Cut a square of micro-images out of a square array, counted from the middle of the detector."""
+    pitch = capture.camera.micro_image_pitch / capture.camera.pixel_size
+    top, left = (
+        round(size / 2 + index * pitch) for size, index in zip(capture.image.shape, (row, column), strict=False)
+    )
+    size = round(lenses * pitch)
+    return capture.image[top : top + size, left : left + size]
+
+
+BALL = -8, -42
+"""Row and column of the fine array's lenses, from the middle, at the left edge of the ball in the still life."""
+
+
+@cache
+def close(model: str = "ray") -> mp.Capture:
+    """Capture 10 x 10 lenses of the paper's camera at the ball, in colour."""
+    return in_colour(mp.PlenopticCamera(**CLOSE), 64, model)
+
+
+@cache
+def depth() -> Any:
+    """Find the depth of the still life."""
+    return mp.lightfield.depth_map(light_field(), 200, 320, planes=32)
+
+
+@picture
+def start() -> Image.Image:
+    """Show what the package is about: a capture, images refocused from it, and the depth."""
+    capture = still_life("wave")
+    near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
+    known = np.isfinite(depth()["depth"].values)[..., None]
+    colours = matplotlib.colormaps["viridis_r"]((depth()["depth"].fillna(200).values - 200) / 100)[..., :3]
+    return sheet(
+        [
+            [
+                ("Detector: 16 x 16 microlenses", micro_images(capture, -12, -42, 16)),
+                ("212 mm", near),
+                ("258 mm", middle),
+            ],
+            [
+                ("284 mm", far),
+                ("In focus everywhere", depth()["image"].values),
+                ("Depth", np.where(known, 255 * colours, 238).astype(np.uint8)),
+            ],
+        ]
+    )
+
+
+@picture
+def table() -> Image.Image:
+    """Refocus the scene of the page for new users."""
+    files = page_files((ROOT / "docs" / "start.md").read_text())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.xml"
+        path.write_text(files["table.xml"])
+        scene = mp.load_scene(path, variant="llvm_ad_mono")
+        camera = mp.PlenopticCamera.from_json(files["camera.json"])
+        results = mp.reconstruct(mp.render_capture(mp.with_camera(scene, camera), spp=32), [210, 240, 280])
+    return sheet([[(f"refocused_{one.distance:g}.png", one.image) for one in results]])
+
+
+@picture
+def refocus() -> Image.Image:
+    """Refocus a wave capture in colour."""
+    results = mp.reconstruct(still_life("wave"), [212, 258, 284])
+    return sheet([[(f"{one.distance:g} mm", one.image) for one in results]])
+
+
+@picture
+def waves() -> Image.Image:
+    """Compare ray and wave captures of the same scene."""
+    ray, wave = (close(model).image[:192, :192] for model in ("ray", "wave"))
+    both = [result.image for model in ("ray", "wave") for result in mp.reconstruct(still_life(model), [258])]
+    titles = ("Ray capture, 6 x 6 lenses", "Wave capture", "Ray capture, refocused", "Wave capture, refocused")
+    cut = [image[60:200, 60:200] for image in both]
+    return sheet([list(zip(titles, [ray, wave, *cut], strict=True))])
+
+
+@picture
+def light_fields() -> Image.Image:
+    """Show views, and one line of all views."""
+    lf = light_field()
+    left, right = (mp.lightfield.view(lf, u=u).values for u in (3.0, -3.0))
+    line = mp.lightfield.epipolar_image(lf, at=0.0).values[1:-1]
+    line = line.repeat(-(-len(left) // len(line)), axis=0)[: len(left)]
+    titles = ("View from the pupil's left", "View from its right", "One line, from left (top) to right")
+    return sheet([list(zip(titles, [left, right, line], strict=True))])
+
+
+@picture
+def depth_map() -> Image.Image:
+    """Draw a depth map as the command does."""
+    return drawn(depth_figure(depth()))
+
+
+@picture
+def cameras() -> Image.Image:
+    """Show the micro-images of the same place of a scene by five arrays."""
+    focal = {"mla_lattice": "hexagonal", "mla_aperture": "circle"}
+    arrays = {
+        "square": {},
+        "hexagonal, round": focal,
+        "rotated, with gaps": {"mla_rotation": 20, "mla_aperture": "circle", "mla_fill": 0.8},
+        "focused (Keplerian)": {"detector_distance": 0.64},
+        "three focal lengths": {**focal, "mla_focal_length": (0.45, 0.5, 0.56), "detector_distance": 0.61},
+    }
+    return sheet(
+        [[(name, in_colour(mp.PlenopticCamera(**(CLOSE | array)), 64).image) for name, array in arrays.items()]]
+    )
+
+
+@picture
+def detector() -> Image.Image:
+    """Expose a capture, and record it through a mosaic."""
+    capture = close()
+    peak = Brightness().white([capture.image])
+    scaled = replace(capture, image=capture.image / peak)
+    raw = mp.expose(scaled, mp.Detector(mosaic="RGGB"), photons=300, seed=1)
+    mosaic = np.zeros_like(scaled.image)
+    for (row, column), channel in {(0, 0): 0, (0, 1): 1, (1, 0): 1, (1, 1): 2}.items():
+        mosaic[row::2, column::2, channel] = np.squeeze(raw.image)[row::2, column::2]
+    noisy = mp.expose(scaled, mp.Detector(), photons=300, seed=1)
+    captures = {
+        "Capture, 4 x 4 lenses": scaled,
+        "Exposed, 300 photons": noisy,
+        "Through a Bayer mosaic": replace(scaled, image=mosaic),
+        "Demosaicked": mp.demosaic(raw),
+    }
+    row = [(name, one.image[:128, :128]) for name, one in captures.items()]
+    return sheet([row], white=0.8)
+
+
+@picture
+def exchange() -> Image.Image:
+    """Show a light field as a mosaic of lenses and as one of views."""
+    lf = light_field()
+    part = lf[:, :, 90:154, 60:124]
+    lenses = part.values.transpose(2, 0, 3, 1, 4).reshape(64 * lf.sizes["v"], 64 * lf.sizes["u"], 3)
+    views = np.asarray(mp.lightfield.view_mosaic(mp.lightfield.pick_views(part, 3)))
+    titles = ("The capture, 20 x 20 lenses", ".eslf.png: the samples of each lens", ".png: whole views, 3 x 3")
+    eslf = lenses[: 20 * lf.sizes["v"], : 20 * lf.sizes["u"]]
+    return sheet([list(zip(titles, [micro_images(still_life(), -38, -68, 20), eslf, views], strict=True))])
+
+
+@picture
+def microscope() -> Image.Image:
+    """Show a point at three depths of a light-field microscope, and one in the Fourier arrangement."""
+    native = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.5),
+        mla_pitch=0.15,
+        mla_focal_length=3.0,
+        detector_width=1.35,
+        resolution=(135, 135),
+    )
+    fourier = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50.0),
+        mla_pitch=0.5,
+        mla_focal_length=20.0,
+        mla_offset=(0.25, 0.25),
+        detector_width=3.5,
+        resolution=(700, 700),
+    )
+    row = []
+    for title, depth in {"20 \u00b5m nearer": -0.02, "in focus": 0.0, "20 \u00b5m farther": 0.02}.items():
+        spread = mp.point_spread_function(native, (0.004, 0.0, depth), wavelength=550)
+        row.append((title, np.sqrt(np.asarray(spread) / np.max(spread))))
+    points = [(0.01, -0.004, 0.0), (-0.012, 0.006, 0.02)]
+    image = mp.CaptureOperator(fourier, points, wavelength=550, method="full_field").forward([1.0, 1.0])
+    row.append(("two points, Fourier", np.sqrt(image.clip(0) / image.max())))
+    return sheet([row], white=1.0)
+
+
+@cache
+def focused_captures() -> dict[str, mp.Capture]:
+    """Capture the chart with three cameras of the same detector."""
+    size = {"detector_width": 2.048, "resolution": 1024}
+    return {
+        name: mp.render_capture(mp.load_scene(scene, variant="llvm_ad_mono", parameters=size), spp=32)
+        for name, scene in {"unfocused": "chart", "Keplerian": "keplerian", "Galilean": "galilean"}.items()
+    }
+
+
+@picture
+def focused() -> Image.Image:
+    """Compare unfocused and focused cameras."""
+    found = focused_captures()
+    lenses = [(f"{name}: 4 x 4 lenses", one.image[448:576, 448:576]) for name, one in found.items()]
+    results = [mp.reconstruct(one, 240, oversample=1 if name == "unfocused" else 8) for name, one in found.items()]
+    return sheet(
+        [lenses, [(f"refocused, {len(one.image)} x {len(one.image)} bins", one.image) for one in results]], 1.0
+    )
+
+
+@picture
+def sweeps() -> Image.Image:
+    """Vary the aperture and the distance."""
+    rows = []
+    for radius in (1.25, 5.0):
+        camera = {"detector_width": 3.072, "resolution": 768, "letter_scale": 0.6, "aperture_radius": radius}
+        scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=camera)
+        results = mp.reconstruct(mp.render_capture(scene, spp=32), [210, 240, 280])
+        rows.append([(f"radius {radius:g} mm, refocused to {one.distance:g} mm", one.image) for one in results])
+    return sheet(rows)
+
+
+@picture
+def inverse_problems() -> Image.Image:
+    """Recover the weights of points as the page does."""
+    names: dict[str, Any] = {}
+    code = (ROOT / "docs" / "howto" / "inverse_problems.md").read_text()
+    blocks = [block for block in page_code(code).split("\n\n") if "pylops" not in block]
+    exec("\n\n".join(blocks).partition("import torch")[0], names)
+    shape = names["x"].shape
+    found = {
+        "Weights of 8 x 8 points": names["true"],
+        "Capture with noise": names["image"] / names["image"].max(),
+        "Least squares": names["least_squares"].reshape(shape),
+        "Tikhonov": names["tikhonov"].reshape(shape),
+        "Total variation": names["smooth"],
+    }
+    return sheet([list(found.items())], 1.0)
+
+
+@picture
+def long_runs() -> Image.Image:
+    """Show what more samples buy."""
+    camera = mp.PlenopticCamera(**(CAMERA | {"crop_offset": (600, 750), "crop_size": (512, 512)}))
+    row = []
+    for spp in (1, 4, 16, 64):
+        (result,) = mp.reconstruct(in_colour(camera, spp), [258])
+        row.append((f"{spp} samples per pixel", result.image[94:158, 75:139]))
+    return sheet([row])
+
+
+@picture
+def figures() -> Image.Image:
+    """Run the code of the page."""
+    names: dict[str, Any] = {}
+    code = page_code((ROOT / "docs" / "howto" / "figures.md").read_text())
+    exec(code.partition("contact_sheet(results).save")[0], names)
+    return drawn(contact_sheet(names["results"]))
+
+
+@picture
+def preview() -> Image.Image:
+    """Preview the still life by the paper's camera."""
+    scene = mp.load_scene("still_life", variant="llvm_ad_mono")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "preview.png"
+        draw_preview(path, [("", preview_of(scene, mp.PlenopticCamera()))])
+        return narrowed(Image.open(path).convert("RGB"))
+
+
+@picture
+def viewer() -> Image.Image:
+    """Show the viewer in a browser."""
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "view.html"
+        mp.view(in_colour(mp.PlenopticCamera(resolution=(1024, 1024)), 32), title="Still life").save(page)
+        return in_browser(page, 1100, 900)
+
+
+@picture
+def compare() -> Image.Image:
+    """Show the report of a comparison in a browser."""
+    with tempfile.TemporaryDirectory() as folder:
+        options = ["-D", "detector_width=3.072", "-D", "resolution=768", "-D", "letter_scale=0.6"]
+        words = ["compare", "letters", "-o", folder, *options, "--distance", "210", "--distance", "280"]
+        subprocess.run([sys.executable, "-m", "mitsuba_plenoptic", *words], check=True)
+        return in_browser(Path(folder) / "report.html", 1100, 1000)
+
+
+def in_browser(page: Path, width: int, height: int) -> Image.Image:
+    """Take a picture of a page."""
+    with tempfile.TemporaryDirectory() as folder:
+        taken = Path(folder) / "page.png"
+        size = ["--width", str(width), "--height", str(height)]
+        subprocess.run(
+            [sys.executable, str(ROOT / "tools" / "report_picture.py"), str(page), str(taken), *size], check=True
+        )
+        return Image.open(taken).convert("RGB")
+
+
+def narrowed(image: Image.Image, width: int = 900) -> Image.Image:
+    """Shrink a picture to a width."""
+    return image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS)
+
+
+def thumbnail(page: str) -> Image.Image:
+    """Take a picture that a notebook of the gallery shows, the last unless another is chosen."""
+    path = NOTEBOOKS / f"{page}.ipynb"
+    outputs = [one for cell in json.loads(path.read_text())["cells"] for one in cell.get("outputs", [])]
+    shown = [one["data"]["image/png"] for one in outputs if "image/png" in one.get("data", {})]
+    if not shown:
+        raise SystemExit(f"{path}: it shows no picture: run 'make docs' first")
+    image = Image.open(io.BytesIO(base64.b64decode(shown[CHOSEN.get(page, -1)]))).convert("RGB")
+    content = ImageChops.difference(image, Image.new("RGB", image.size, "white")).getbbox()
+    return ImageOps.pad(image.crop(content), (480, 320), color="white")
+
+
+CHOSEN = {"refocusing_and_depth": 0, "main_lenses": 0, "rays_and_waves": 1, "focused_cameras": 0}
+"""Pictures of notebooks that are not their last, from 0."""
+
+for _page in sorted((ROOT / "docs" / "gallery").glob("*.md")):
+    if _page.stem != "index":
+        PICTURES[f"thumbnails/{_page.stem}"] = partial(thumbnail, _page.stem)
+
+
+def main() -> None:
+    """Make those that are named, or all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="default: all of them")
+    parser.add_argument("-o", "--output", type=Path, default=FOLDER, metavar="FOLDER")
+    given = parser.parse_args()
+    for name in given.names or PICTURES:
+        write(given.output / f"{require_choice('picture', name, PICTURES)}.png", PICTURES[name]())
+
+
+if __name__ == "__main__":
+    main()
