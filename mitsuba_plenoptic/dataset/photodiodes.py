@@ -80,8 +80,7 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
     Lenses that are aligned to chief rays stand where the smaller pitch that corresponds to them puts them.
     """
     b = camera.pupil_distance
-    behind = camera.detector_distance / camera.mla_medium
-    pitch = camera.mla_pitch * (b / (b + behind) if camera.mla_cra else 1.0)
+    pitch = camera.mla_pitch * (b / (b + camera.detector_distance) if camera.mla_cra else 1.0)
     z = _FILLED * pitch * b * _STOPPED / (2 * camera.pupil_radius)
     return camera.replace(
         aperture_radius=camera.aperture_radius / _STOPPED,
@@ -89,7 +88,6 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
         detector_distance=z,
         mla_pitch=pitch,
         detector_width=camera.resolution[0] * pitch * (b + z) / (ACROSS * b),
-        mla_medium=1.0,
         mla_cra=(),
         pixel_crosstalk=0.0,
         pixel_response=(),

@@ -296,7 +296,7 @@ def make_class() -> type:
             point, slope, side = self._rays.pass_pixel_lens(pixel, size, sample)
             lens = self._rays.lens if light is None else light.through(self._rays.lens)
             # A pixel sees this square of the pupil through an ideal lens.
-            seen = dr.square(size * lens.pupil_distance * self.mla_medium / self.detector_distance)
+            seen = dr.square(size * lens.pupil_distance / self.detector_distance)
             response = table(side, slope, wavelengths) * (math.pi * lens.reach**2 / seen)
             return lens.trace(point, slope), response
 
