@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .fitting import fit
     from .lightfield import decode, demosaic, ground_truth
-    from .onchip import dual_pixel, half_disparity, match_halves, psf_bank
+    from .onchip import bank_disparity, dual_pixel, half_disparity, match_halves, psf_bank
     from .reconstruction import Reconstruction, reconstruct
     from .report.viewer import Viewer, view
     from .runtime.progress import progress_bar
@@ -66,7 +66,7 @@ _LATER = {
     "calibrate": "calibration",
     "decode": "lightfield",
     "demosaic": "lightfield",
-    **dict.fromkeys(("dual_pixel", "half_disparity", "match_halves", "psf_bank"), "onchip"),
+    **dict.fromkeys(("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"), "onchip"),
     "fit": "fitting",
     "ground_truth": "lightfield",
     "Reconstruction": "reconstruction",
@@ -97,6 +97,7 @@ __all__ = [
     "Spectrum",
     "StoredOperator",
     "Viewer",
+    "bank_disparity",
     "calibrate",
     "decode",
     "demosaic",

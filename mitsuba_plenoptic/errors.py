@@ -292,9 +292,6 @@ WIDEST_ANGLE = 90.0
 STEEPEST_CHIEF_RAY = 80.0
 """Degrees of a chief ray to which lenses are aligned, at most."""
 
-MOST_CROSSTALK = 0.25
-"""Fraction of a pixel's light that each of four neighbours receives, at most: then nothing is left."""
-
 
 def require_wavelength(value: Any, name: str = "wavelength") -> float:
     """Return a wavelength in nanometres, from 200 to 2500, as a float; other units are recognised."""

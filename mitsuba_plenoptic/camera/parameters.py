@@ -15,7 +15,6 @@ from typing import Any, cast
 from ..errors import (
     FULL_TURN,
     LEAST_FILL,
-    MOST_CROSSTALK,
     MOST_SEED,
     STEEPEST_TILT,
     require_chief_rays,
@@ -367,8 +366,8 @@ class CameraParameters:
             "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
             "the last beyond. A lens at this height is shifted towards the axis as far as its chief ray moves on the "
             "way to the detector, be that a fraction of a pitch or several. If the tangent of the angle is "
-            "proportional to the height, a smaller `mla_pitch` describes the same array. Lenses do not become smaller. "
-            "Decoding and refocusing assume the regular array."
+            "proportional to the height, a smaller `mla_pitch` describes the same array. Decoding and refocusing "
+            "assume the regular array."
         ),
         form=Form.NUMBERS,
         otherwise="no shift",
@@ -376,7 +375,7 @@ class CameraParameters:
     )
     pixel_crosstalk: Parameter[float, float] = Parameter(
         default=0.0,
-        check=partial(require_number, minimum=0, maximum=MOST_CROSSTALK),
+        check=partial(require_number, minimum=0, maximum=0.25),
         words=(
             "Fraction, at most 0.25, of a pixel's light that each of its four neighbours receives, through the walls "
             "between photodiodes. No light is lost; across the edge of a wave capture as much returns as leaves. "

@@ -12,8 +12,8 @@ from .microscope import microscope_warnings
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
 
-_DUAL = 2.02
-"""Pixels across the lenses of dual and quad pixels, at most."""
+_DUAL = 0.01
+"""Largest relative deviation from two pixels across the lenses of dual and quad pixels."""
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
@@ -53,7 +53,7 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
         )
     directions = direction_count(camera, wavelength)
     # Two pixels a lens are for the sides of the pupil, not for directions.
-    if directions < 2 and camera.pixels_per_lens > _DUAL:
+    if directions < 2 and abs(camera.pixels_per_lens / 2 - 1) > _DUAL:
         found.append(f"no refocusing: across its diameter a micro-image resolves only {directions:.2g} directions")
     if wavelength is not None:
         spot = spot_radius(camera, wavelength)

@@ -4,8 +4,8 @@ Such a camera is a `PlenopticCamera` whose microlenses cover 2 x 2 square pixels
 pixels, or a row or a column of two.
 """
 
-from .disparity import half_disparity, match_halves
+from .disparity import bank_disparity, half_disparity, match_halves
 from .halves import LAYOUTS, dual_pixel
 from .spreads import psf_bank
 
-__all__ = ["LAYOUTS", "dual_pixel", "half_disparity", "match_halves", "psf_bank"]
+__all__ = ["LAYOUTS", "bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"]

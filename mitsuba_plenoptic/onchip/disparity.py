@@ -50,6 +50,36 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
     return -8 / (3 * math.pi) * float(blur_radius(camera, distance))
 
 
+@suggest_keywords
+def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray:
+    """Return the distances of the centroids of halves in a bank of point spreads, by either model of light.
+
+    Parameters
+    ----------
+    bank : xarray.DataArray
+        What `psf_bank` returned.
+    axis : {"horizontal", "vertical"}
+        Whether the halves are left and right, or top and bottom.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions depth and field, in lenses, with the sign of `half_disparity`.
+
+    Raises
+    ------
+    InputError
+        If there are not two pictures along the axis.
+    """
+    require_choice("axis", axis, AXES)
+    pupil, along = ("u", "s") if axis == "horizontal" else ("v", "t")
+    if bank.sizes[pupil] != 2:
+        raise InputError(f"bank: {bank.sizes[pupil]} pictures along {pupil}: a pair has two")
+    others = [dim for dim in ("v", "u", "t", "s") if dim != pupil]
+    centroids = (bank * bank[along]).sum(others) / bank.sum(others)
+    return (centroids.isel({pupil: 1}) - centroids.isel({pupil: 0})).rename("disparity").assign_attrs(units="lenses")
+
+
 def blur_radius(camera: PlenopticCamera, distance: Any) -> Any:
     """Return radii in lenses of the images of points at distances: positive before the plane in focus, else negative.
 

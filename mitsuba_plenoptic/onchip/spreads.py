@@ -44,6 +44,7 @@ def psf_bank(
     layout: tuple[int, int] = (2, 1),
     model: str = "ray",
     wavelength: float = 550.0,
+    method: str = "patch",
     size: int | None = None,
 ) -> xr.DataArray:
     """Compute the point spreads of each photodiode over depth and field.
@@ -63,6 +64,8 @@ def psf_bank(
         Model of the light in the camera.
     wavelength : float
         Wavelength in nanometres.
+    method : {"patch", "full_field"}
+        For waves: as for `point_spread_function`. Behind lenses of a few wavelengths "patch" loses light.
     size : int, optional
         Lenses across a spread, an odd number, of which the middle one receives the chief ray. Default: the largest
         blur on the axis, and some lenses around it.
@@ -71,7 +74,8 @@ def psf_bank(
     -------
     xarray.DataArray
         Dimensions depth, field, v, u, t, s; float32. A spread sums over v, u, t and s to the fraction of the light
-        through the pupil that falls within its lenses. ``torch.from_numpy(bank.values)`` makes it a tensor.
+        through the pupil that falls within its lenses. `bank_disparity` returns the distances of halves, and
+        ``torch.from_numpy(bank.values)`` makes the bank a tensor.
 
     Raises
     ------
@@ -97,10 +101,15 @@ def psf_bank(
     for number, position in enumerate(positions):
         local, used[number], chief = _around(camera, position, count)
         start, slope, _ = main_lens(local).ray((0.0, 0.0), chief)
+        system = OpticalSystem(local, wavelength)
         for index, distance in enumerate(distances):
             ahead = distance - float(start[2])
             point = np.array([float(start[i]) + ahead * float(slope[i]) for i in (0, 1)] + [distance])
-            image = _capture(local, point, model, wavelength)
+            image: NDArray[Any]
+            if model == "wave":
+                image = point_spread_function(local, point, wavelength=wavelength, method=method)
+            else:
+                image = PointRays(local, point[None], wavelength).image(system, np.ones(1))
             bank[index, number] = photodiodes(mix_pixels(image, camera.pixel_crosstalk), along, across)
     steps = np.arange(count) - count // 2
     coordinates: dict[str, Any] = {
@@ -139,12 +148,3 @@ def _around(
     )
     x, y = local.lattice.centre(*index.tolist())
     return local, middle, (float(x), float(y))
-
-
-def _capture(
-    camera: PlenopticCamera, point: NDArray[np.float64], model: str, wavelength: float
-) -> NDArray[np.floating[Any]]:
-    """Return the fraction of a point's light in each pixel."""
-    if model == "wave":
-        return point_spread_function(camera, point, wavelength=wavelength)
-    return PointRays(camera, point[None], wavelength).image(OpticalSystem(camera, wavelength), np.ones(1))

@@ -12,6 +12,7 @@ from mitsuba_plenoptic import (
     Detector,
     InputError,
     PlenopticCamera,
+    bank_disparity,
     demosaic,
     dual_pixel,
     expose,
@@ -136,11 +137,12 @@ def test_halves_of_a_defocused_point_are_half_discs():
         bank = psf_bank(each, [depth])
         left, right = centroids(bank, "s")[0, 0, 0]
         expected = half_disparity(each, depth)
+        assert float(bank_disparity(bank)[0, 0]) == pytest.approx(right - left, rel=1e-5)
         assert abs(expected) == pytest.approx(8 * radius / (3 * math.pi))
         assert right - left == pytest.approx(expected, rel=0.005)
         assert bank.sum(("t", "s")).values.ravel() == pytest.approx([0.5, 0.5], abs=2e-3)
-        top, bottom = centroids(psf_bank(each, [depth], layout=(1, 2)), "t")[0, 0, :, 0]
-        assert bottom - top == pytest.approx(expected, rel=0.005)
+        above = bank_disparity(psf_bank(each, [depth], layout=(1, 2)), "vertical")
+        assert float(above[0, 0]) == pytest.approx(expected, rel=0.005)
         quarters = psf_bank(each, [depth], layout=(2, 2))
         assert centroids(quarters, "s")[0, 0].mean(0) == pytest.approx([left, right], abs=1e-3)
 
@@ -189,6 +191,16 @@ def test_crosstalk_adds_each_half_to_the_other():
     near, far = centroids(bank, "s")[0, 0, 0], centroids(crossed, "s")[0, 0, 0]
     # A pixel gives 5 % to the other one of its row, and 5 % to that of the next lens.
     assert far[1] - far[0] == pytest.approx((1 - 4 * 0.05) * (near[1] - near[0]) - 2 * 0.05, rel=1e-3)
+
+
+def test_a_bank_by_waves_has_the_light_and_the_disparity_of_rays():
+    """Large lenses, at which diffraction blurs the border between halves a little: it lowers the disparity."""
+    camera = PlenopticCamera(
+        mla_focal_length=0.7, focus_distance=240.0, mla_pitch=0.064, resolution=(64, 64), detector_width=2.048
+    )
+    rays, waves = (psf_bank(camera, [225.0], model=model) for model in ("ray", "wave"))
+    assert float(waves.sum()) == pytest.approx(1, abs=0.02)
+    assert 0.85 < float(bank_disparity(waves)[0, 0] / bank_disparity(rays)[0, 0]) < 1
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mitsuba_plenoptic import LensSystem, PlenopticCamera, half_disparity, psf_bank
+from mitsuba_plenoptic import LensSystem, PlenopticCamera, bank_disparity, half_disparity, psf_bank
 from mitsuba_plenoptic.report.framing import Canvas, annotate, show
 
 from .. import Row, at_most, case, pick
@@ -75,13 +75,6 @@ def traced(camera: PlenopticCamera, middle: tuple[float, float], distance: float
     return float(right - left), float(np.sum(power * is_left) / power.sum())
 
 
-def found(bank: Any) -> tuple[float, float]:
-    """Return the same of a spread, (u, t, s)."""
-    light = bank.sum(("t", "s")).values
-    left, right = (bank * bank.s).sum(("t", "s")).values / light
-    return float(right - left), float(light[0] / light.sum())
-
-
 @case(
     "dual-pixels.centroids",
     "Distance of the centroids of a defocused point's halves, against the closed form (thin) or traced rays",
@@ -98,10 +91,11 @@ def centroids(*, names: tuple[str, ...] = (), distance: float = 2000.0) -> Itera
     """Compare the halves of point spreads on and off the axis."""
     for name, camera in pick(cameras(), names).items():
         bank = psf_bank(camera, [distance], list(FIELDS.values()), wavelength=WAVELENGTH)
-        half_discs = half_disparity(camera, distance)
+        half_discs, distances = half_disparity(camera, distance), bank_disparity(bank).values[0]
+        fractions = bank.isel(u=0).sum(("v", "t", "s")).values[0] / bank.sum(("v", "u", "t", "s")).values[0]
         for number, field in enumerate(FIELDS):
             middle = float(bank.x[number]), float(bank.y[number])
-            value, left = found(bank[0, number, 0])
+            value, left = float(distances[number]), float(fractions[number])
             real = camera.prescription is not None
             expected, expected_left = traced(camera, middle, distance) if real else (half_discs, 0.5)
             yield {
