@@ -229,8 +229,8 @@ def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
 
 def mosaic_of(capture: Capture) -> str | None:
     """Return the mosaic that a capture was recorded through and still has, None if it has none."""
-    mosaic = recording_of(capture).get("mosaic")
-    return mosaic if mosaic in ALL_MOSAICS and capture.image.ndim == 2 else None
+    mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
+    return mosaic if mosaic in ALL_MOSAICS else None
 
 
 def require_demosaiced(capture: Capture) -> None:

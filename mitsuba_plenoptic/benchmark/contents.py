@@ -161,6 +161,7 @@ def benchmark_recipe(
         scenes=tuple(Source(name, None, 1.0, {}) for name in names),
         light={},
         noise=None,
+        photodiodes=None,
         ray={"spp": size.spp},
         wave={"spp": size.spp, "method": "signed_rays", "wavelength": WAVELENGTH},
         truth=("depth", "virtual_depth", "normal", "shape_index"),

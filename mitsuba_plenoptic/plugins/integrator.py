@@ -264,8 +264,9 @@ def make_class() -> type:
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
             channels = image.shape[2] // (2 if noise else 1)
             crosstalk = PlenopticCamera.from_sensor(sensor).pixel_crosstalk
-            light, deviation = image[..., :channels], image[..., channels:]
-            image = np.concatenate([mix_pixels(light, crosstalk), mix_deviations(deviation, crosstalk)], axis=2)
+            if crosstalk:
+                light, deviation = image[..., :channels], image[..., channels:]
+                image = np.concatenate([mix_pixels(light, crosstalk), mix_deviations(deviation, crosstalk)], axis=2)
             put(film, image, channels)
             return film
 
