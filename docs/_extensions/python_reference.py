@@ -69,14 +69,16 @@ def _add_links(app: Any, what: str, name: str, thing: Any, options: Any, lines: 
             lines += ["", ".. autosummary::", "   :nosignatures:", ""]
             lines += [f"   {each}" for each in sorted(names, key=str.lower)]
             lines.append("")
-    lines[:] = [re.sub(r"(?<=^:returns: )\*([^*]+)\*", _linked, line) for line in lines]
+    # Types that are more than a word: Sphinx would take ``channels`` in a shape for the attribute of some class.
+    lines[:] = [re.sub(r"^(:(?:var)?type [^:]+: )(.+)", _linked, line) for line in lines]
+    lines[:] = [re.sub(r"^(:returns: )\*([^*]+)\*", _linked, line) for line in lines]
     if what in ("function", "class") and (found := used_in(name)):
         lines += ["", "**Used in:** " + ", ".join(f":doc:`/{page}`" for page in found), ""]
 
 
 def _linked(found: re.Match[str]) -> str:
-    """Mark the classes in the type of what is returned, which Sphinx links in the types of parameters alone."""
-    return re.sub(r"(?:[a-z]+\.)?[A-Z]\w+", r"`\g<0>`", found[1])
+    """Mark the classes in a type, so that they alone become links."""
+    return found[1] + re.sub(r"(?:[a-z]+\.)?[A-Z]\w+", r"`\g<0>`", found[2])
 
 
 def _resolve(app: Any, env: Any, node: Any, content: Any) -> Any:
@@ -92,9 +94,7 @@ def _resolve(app: Any, env: Any, node: Any, content: Any) -> Any:
     domain = env.get_domain("py")
     target = target.removeprefix("mitsuba_plenoptic.")
     ends = [name for name in domain.objects if name == target or name.endswith(f".{target}")]
-    if node["reftype"] == "class":
-        ends = [name for name in ends if domain.objects[name].objtype in ("class", "exception")]
-    elif "." not in target:
+    if "." not in target:
         # A word such as ``path`` is a parameter, not the attribute of some class.
         ends = [name for name in ends if domain.objects[name].objtype not in ("attribute", "method", "property")]
     if len(ends) != 1:

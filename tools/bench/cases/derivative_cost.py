@@ -79,7 +79,7 @@ def _measured(mode: str, file: Path, camera: PlenopticCamera, accuracy: float, r
     "derivative-cost.unshared",
     "Forward and reverse mode over the image, on one thread, nothing shared: processor time, and NumPy's memory",
     {"accuracy": "{accuracy:g}", "mode": "{mode}", "time": "{time:.1f}", "memory": "{memory:.1f}"},
-    page="docs/derivatives.md",
+    page="docs/numbers.md",
     quick={"points": 16, "runs": 1},
 )
 def unshared(*, points: int = 128, runs: int = 3) -> Iterator[Row]:

@@ -156,7 +156,7 @@ def against_full_field(*, parameters: tuple[str, ...] = (), cases: tuple[str, ..
     "nearly cancel, against central differences of the full fields",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/numbers.md",
     quick={"across": 2, "parameters": ("mla_pitch",)},
 )
 def walls(*, across: int = 12, parameters: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -181,7 +181,7 @@ def walls(*, across: int = 12, parameters: tuple[str, ...] = ()) -> Iterator[Row
     "Derivatives of a white capture inside its micro-images, where it stays white: RMS over the largest at their edges",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/numbers.md",
     quick={"per_lens": 2},
 )
 def whites(*, per_lens: int = WHITE_PER_LENS) -> Iterator[Row]:
@@ -210,7 +210,7 @@ def whites(*, per_lens: int = WHITE_PER_LENS) -> Iterator[Row]:
     "Reverse against forward mode of captures and their derivatives: <A x, y> and <x, A' y>, over |A x| |y|",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/numbers.md",
     quick={"cases": ("square, off axis, near",)},
 )
 def adjoints(*, cases: tuple[str, ...] = ()) -> Iterator[Row]:
