@@ -15,6 +15,7 @@ from ..calibration import Board, Evaluation
 from ..errors import refuse_if
 from ..io.captures import read_capture
 from ..io.files import require_apart, require_different, require_writable
+from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
 from ..lightfield import white_image
 from ..lightfield.exchange import read_picture
 from .inputs import CameraFile, Linear, White, load_camera, numeric, output_option
@@ -81,6 +82,11 @@ def calibrate(
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
+    for path in sources:
+        refuse_if(
+            path.suffix.lower() in LYTRO_SUFFIXES,
+            f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
+        )
     pictures = [path.suffix.lower() in _PICTURES for path in sources]
     if evaluate is not None and output is not None:
         raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")

@@ -78,6 +78,7 @@ def test_a_mosaic_needs_to_be_demosaiced(lytro, tmp_path, complaint):
     rule = "each pixel of the capture has one colour; demosaic it first"
     assert rule in complaint("reconstruct", photo, "-o", tmp_path / "a.png", "--distance", "inf")
     assert "demosaic it first" in complaint("views", photo, "-o", tmp_path / "a.png")
+    assert "demosaic it first" in complaint("calibrate", photo, "-o", tmp_path / "a.csv")
     assert "-D: " in complaint("info", photo, "-D", "a=1")
     white = complaint("demosaic", photo, "-o", tmp_path / "a.exr", "--white", tmp_path)
     assert white == f"{tmp_path}: it has no white pictures, .raw with .txt, .lfp or .lfr"
