@@ -48,7 +48,7 @@ def make(
 
     [bold]Example:[/bold]
 
-      mitsuba-plenoptic benchmark make -o bench --workers 2
+      mitsuba-plenoptic benchmark make -o bench
     """
     # Data sets need libraries that take a second to load.
     from ..benchmark import SCENES, SIZES, benchmark_recipe, make_benchmark
