@@ -60,7 +60,7 @@ class FigureError:
         if module is dr:
             # In tables, other numbers need no other kernel.
             tables = [type(x)(row) for row in rows]
-            rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]  # type: ignore
+            rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
         found = []
         for u, v, phase in zip(*rows, strict=True):
             turns = u * x + v * y + phase
