@@ -30,7 +30,7 @@ Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class LinearFunction:
     """A linear map between arrays, with its transpose."""
 
     straight: Callable[[Array], Array]
@@ -40,9 +40,9 @@ class Linear:
     after: Shape
 
     @property
-    def T(self) -> Linear:
+    def T(self) -> LinearFunction:
         """The transpose."""
-        return Linear(self.transposed, self.straight, self.after, self.before)
+        return LinearFunction(self.transposed, self.straight, self.after, self.before)
 
     def shape(self, given: Shape) -> Shape:
         """Return the shape of the result from that of an array."""
@@ -61,7 +61,7 @@ class Value(Protocol):
         """Return the gradient by each array that needs it, of its shape."""
 
 
-class Smooth(Protocol):
+class SmoothFunction(Protocol):
     """A function of arrays with derivatives."""
 
     def at(self, *given: Array) -> Value:
@@ -74,9 +74,9 @@ class Smooth(Protocol):
 # -- points ------------------------------------------------------------------------------------------
 
 
-def points(operator: CaptureOperator) -> Linear:
+def points(operator: CaptureOperator) -> LinearFunction:
     """Return the map from weights of points to images."""
-    return Linear(partial(_images, operator), partial(_products, operator), *_axes(operator))
+    return LinearFunction(partial(_images, operator), partial(_products, operator), *_axes(operator))
 
 
 def _images(operator: CaptureOperator, weights: Array) -> Array:
@@ -190,10 +190,10 @@ def _shaped(gradient: Array, shape: Shape) -> Array:
 # -- reconstructions ---------------------------------------------------------------------------------
 
 
-def refocusing(by: Refocus, rows_columns: Shape) -> Linear | Refocused:
+def refocusing(by: Refocus, rows_columns: Shape) -> LinearFunction | Refocused:
     """Return the function from captures of a shape to refocused images."""
     if isinstance(by, RayRefocus):
-        return Linear(partial(_together, by.forward), partial(_together, by.adjoint), rows_columns, by.shape)
+        return LinearFunction(partial(_together, by.forward), partial(_together, by.adjoint), rows_columns, by.shape)
     return Refocused(by)
 
 

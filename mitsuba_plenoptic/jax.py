@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .array_functions import CameraCapture, Linear, Refocus, Smooth, Value, points, refocusing
+from .array_functions import CameraCapture, LinearFunction, Refocus, SmoothFunction, Value, points, refocusing
 from .camera import PlenopticCamera
 from .errors import InputError
 from .operator.operator import CaptureOperator
@@ -138,20 +138,20 @@ def refocus(by: Refocus, captures: Any) -> Any:
     """
     captures = jax.numpy.asarray(captures)
     function = refocusing(by, captures.shape[-2:])
-    return _linear(function, captures) if isinstance(function, Linear) else _smooth(_Latest(function), captures)
+    return _linear(function, captures) if isinstance(function, LinearFunction) else _smooth(_Latest(function), captures)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _linear(function: Linear, given: Any) -> Any:
+def _linear(function: LinearFunction, given: Any) -> Any:
     """Apply a linear map."""
     return _on_host(function.straight, given, shape=function.shape(given.shape), vectorized=True)
 
 
-def _linear_forward(function: Linear, given: Any) -> tuple[Any, None]:
+def _linear_forward(function: LinearFunction, given: Any) -> tuple[Any, None]:
     return _linear(function, given), None
 
 
-def _linear_backward(function: Linear, _: None, gradient: Any) -> tuple[Any]:
+def _linear_backward(function: LinearFunction, _: None, gradient: Any) -> tuple[Any]:
     return (_linear(function.T, gradient),)
 
 
@@ -161,7 +161,7 @@ _linear.defvjp(_linear_forward, _linear_backward)
 class _Latest:
     """A function that remembers its latest value with what the derivatives need, for the reverse pass."""
 
-    def __init__(self, function: Smooth) -> None:
+    def __init__(self, function: SmoothFunction) -> None:
         self._function, self.shape = function, function.shape
         self._given: list[NDArray[Any]] = []
         self._value: Value | None = None

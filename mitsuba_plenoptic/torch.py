@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from .array_functions import CameraCapture, Linear, Refocus, Smooth, points, refocusing, rendering
+from .array_functions import CameraCapture, LinearFunction, Refocus, SmoothFunction, points, refocusing, rendering
 from .camera import PlenopticCamera
 from .errors import InputError, refuse_if, short_repr
 from .operator.operator import CaptureOperator
@@ -137,7 +137,9 @@ def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
         If the captures have a wrong shape.
     """
     function = refocusing(by, _required(captures).shape[-2:])
-    return _Linear.apply(captures, function) if isinstance(function, Linear) else _Smooth.apply(function, captures)
+    return (
+        _Linear.apply(captures, function) if isinstance(function, LinearFunction) else _Smooth.apply(function, captures)
+    )
 
 
 def render(
@@ -179,7 +181,7 @@ class _Linear(torch.autograd.Function):
     """A linear map between arrays, with its transpose."""
 
     @staticmethod
-    def forward(ctx: Any, given: torch.Tensor, function: Linear) -> torch.Tensor:
+    def forward(ctx: Any, given: torch.Tensor, function: LinearFunction) -> torch.Tensor:
         ctx.function = function
         return _tensor(function.straight(_array(given)), given)
 
@@ -196,7 +198,7 @@ class _Smooth(torch.autograd.Function):
     """A function of arrays with derivatives, which are those at the arrays of the forward pass."""
 
     @staticmethod
-    def forward(ctx: Any, function: Smooth, *given: torch.Tensor) -> torch.Tensor:
+    def forward(ctx: Any, function: SmoothFunction, *given: torch.Tensor) -> torch.Tensor:
         ctx.at = function.at(*map(_array, given))
         ctx.like = [each.detach()[..., :0] if each.ndim else each.detach() for each in given]
         return _tensor(ctx.at.value, given[0])

@@ -99,7 +99,7 @@ def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
 
 
 @dataclass(frozen=True)
-class Task:
+class ScoredTask:
     """What is to be found of a capture."""
 
     # In a few words, for the data card.
@@ -117,12 +117,14 @@ class Task:
 
 
 TASKS = {
-    "depth": Task("distance in mm of each bin of the central view (t, s)", central_truth, depth_scores, "bad_3", True),
-    "refocus": Task(
+    "depth": ScoredTask(
+        "distance in mm of each bin of the central view (t, s)", central_truth, depth_scores, "bad_3", True
+    ),
+    "refocus": ScoredTask(
         "pictures (distance, t, s) refocused to the distances of the target",
         lambda sample: sample.arrays["target_refocus"], picture_scores, "psnr", False,
     ),
-    "views": Task(
+    "views": ScoredTask(
         f"{len(PUPIL_POINTS)} sharp views (point, {FINER} t, {FINER} s) from the points of the pupil of the target",
         lambda sample: sample.arrays["target_views"], picture_scores, "psnr", False,
     ),
@@ -226,7 +228,7 @@ def _answer(path: Path) -> Path:
 
 
 @dataclass(frozen=True)
-class Line:
+class TableLine:
     """A line of the table: a task on captures of a kind and cameras of a split, by each submission."""
 
     task: str
@@ -238,7 +240,7 @@ class Line:
     ranks: dict[str, int]
 
 
-def table(scored: Mapping[str, Sequence[dict[str, Any]]]) -> list[Line]:
+def table(scored: Mapping[str, Sequence[dict[str, Any]]]) -> list[TableLine]:
     """Average the scores of submissions by their names, and rank them on each task, kind of capture and split."""
     lines = []
     keys = {(row["task"], row["capture"], row["split"]) for rows in scored.values() for row in rows}
@@ -253,7 +255,7 @@ def table(scored: Mapping[str, Sequence[dict[str, Any]]]) -> list[Line]:
         sign = 1 if task.less else -1
         values = {name: sign * found[task.main] for name, found in means.items() if not math.isnan(found[task.main])}
         ranks = {name: 1 + sum(other < value for other in values.values()) for name, value in values.items()}
-        lines.append(Line(*key, means, ranks))
+        lines.append(TableLine(*key, means, ranks))
     return lines
 
 

@@ -14,7 +14,7 @@ from ..runtime.progress import progress_bar
 from .inputs import OutputFolder, Scheduler, Seed, Workers, batches_on, output_option
 
 if TYPE_CHECKING:
-    from ..benchmark.score import Line
+    from ..benchmark.score import TableLine
 
 _log = logging.getLogger(__name__)
 
@@ -127,7 +127,7 @@ def score_answers(
     write_json(output, _without_nan(content))
 
 
-def _rows(lines: list[Line], names: list[str]) -> list[str]:
+def _rows(lines: list[TableLine], names: list[str]) -> list[str]:
     """Lay the table out in columns."""
     from ..benchmark import TASKS
 

@@ -13,7 +13,7 @@ from ..errors import InputError, refuse_if, short_repr
 from ..io.files import files_used
 from . import mistake, step_commands
 from .inputs import parse_definitions
-from .run_file import Step, parameters_of, read_run_file
+from .run_file import RunStep, parameters_of, read_run_file
 from .stopping import within_run
 
 
@@ -65,7 +65,7 @@ def run(
 
 
 @contextlib.contextmanager
-def _naming_step(file: Path, number: int, step: Step, parameters: Mapping[str, Any]) -> Iterator[None]:
+def _naming_step(file: Path, number: int, step: RunStep, parameters: Mapping[str, Any]) -> Iterator[None]:
     """Begin the line on a user's mistake with the run file and the step, and spell options as the file does."""
     try:
         yield
@@ -81,7 +81,7 @@ def _naming_step(file: Path, number: int, step: Step, parameters: Mapping[str, A
         raise InputError(f"{file}: step {number} ({step.command}): {message}") from error
 
 
-def _require_outputs_apart(file: Path, steps: list[Step]) -> None:
+def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
     """Refuse two steps that write the same file: each would undo the other."""
     found: dict[Path, int] = {}
     for number, step in enumerate(steps, 1):
@@ -94,7 +94,7 @@ def _require_outputs_apart(file: Path, steps: list[Step]) -> None:
             )
 
 
-def _settings(step: Step, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return all that a step depends on but the files that it reads; of a scene the files that it names, too."""
     # Brings libraries that take a while to load.
     from ..report.stage_store import scene_fingerprint

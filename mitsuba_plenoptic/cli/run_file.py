@@ -22,7 +22,7 @@ _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 
 
 @dataclass(frozen=True)
-class Step:
+class RunStep:
     """A command with its options, by their names without dashes; arguments have names, too."""
 
     command: str
@@ -82,14 +82,14 @@ def _word(name: str, value: Any) -> str:
     return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[Step]:
+def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
     content = read_yaml(path)
     with naming(path):
         return parse_run(content, commands)
 
 
-def parse_run(content: Any, commands: Mapping[str, Any]) -> list[Step]:
+def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
     """Make steps of what a run file holds; each gets the shared options that its command has."""
     refuse_if(
         not isinstance(content, dict) or not isinstance(content.get("steps"), list) or not content["steps"],
@@ -111,7 +111,7 @@ def parse_run(content: Any, commands: Mapping[str, Any]) -> list[Step]:
             f"step {number} ({command}) = {short_repr(options)}: it must be options by name",
         )
         known = commands[command]
-        steps.append(Step(command, {name: value for name, value in shared.items() if name in known} | options))
+        steps.append(RunStep(command, {name: value for name, value in shared.items() if name in known} | options))
     for name in shared:
         if not any(name in commands[step.command] for step in steps):
             names = {one for step in steps for one in commands[step.command]}
@@ -149,7 +149,7 @@ def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, 
     return command
 
 
-def _step_of(context: Any, folder: Path) -> Step:
+def _step_of(context: Any, folder: Path) -> RunStep:
     """Return the command that is being run, with the options that it was given; files relative to a folder."""
     options: dict[str, Any] = {}
     for name, parameter in _by_name(context.command).items():
@@ -160,7 +160,7 @@ def _step_of(context: Any, folder: Path) -> Step:
             options[name] = [_seen_from(folder, one) for one in value]
         else:
             options[name] = value if isinstance(value, bool) else _seen_from(folder, value)
-    return Step(context.command.name, options)
+    return RunStep(context.command.name, options)
 
 
 def _seen_from(folder: Path, value: Any) -> str:
@@ -170,7 +170,7 @@ def _seen_from(folder: Path, value: Any) -> str:
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word
 
 
-def add_step(path: Path, step: Step, commands: Mapping[str, Any]) -> None:
+def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
     before = path.read_text(encoding="utf-8") if path.exists() else "steps:\n"
     steps = read_run_file(path, commands) if path.exists() else []
@@ -191,7 +191,7 @@ def add_step(path: Path, step: Step, commands: Mapping[str, Any]) -> None:
     write_text(path, text)
 
 
-def _commands_of(steps: list[Step], commands: Mapping[str, Any]) -> list[tuple[str, dict[str, list[str]]]]:
+def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tuple[str, dict[str, list[str]]]]:
     return [(step.command, step.words(commands[step.command])) for step in steps]
 
 

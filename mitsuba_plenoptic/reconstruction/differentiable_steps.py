@@ -24,7 +24,7 @@ from ..errors import refuse_if, require_count, require_number, require_wavelengt
 from ..io.captures import as_array, require_pixels
 from ..runtime.backend import one_at_a_time
 from ..system.sampling import check_memory
-from .deconvolution.solver import Step, Values
+from .deconvolution.solver import RichardsonLucyStep, Values
 from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
 from .differentiable import as_channels
 
@@ -120,7 +120,7 @@ class _Channel:
 
     def __init__(self, refocus: DeconvolvedRefocus, image: NDArray[np.float32]) -> None:
         response = self._response = refocus.response
-        self._step, self._image = Step(response, image), image
+        self._step, self._image = RichardsonLucyStep(response, image), image
         refuse_if(not self._step.total, "capture: none of its pixels is lit: there is nothing to deconvolve")
         values: Values = self._step.start()
         self._made: list[_Made] = []

@@ -9,7 +9,7 @@ import pytest
 
 from mitsuba_plenoptic import read_capture
 from mitsuba_plenoptic.cli import step_commands
-from mitsuba_plenoptic.cli.run_file import Step, add_step, parameters_of, read_run_file
+from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
 from mitsuba_plenoptic.cli.stopping import existing_checkpoint, within_run
 from mitsuba_plenoptic.io.exr import read_exr
 
@@ -136,7 +136,7 @@ WORDS = ["0x10", "010", "1e5", "true", "null", "a: b", "#x", "- a", "é", "a,b",
 
 def test_words_survive(tmp_path):
     parameters = parameters_of(step_commands())
-    steps = [Step("render", {"scene": word, "define": [f"a={word}", word], "noise": True}) for word in WORDS]
+    steps = [RunStep("render", {"scene": word, "define": [f"a={word}", word], "noise": True}) for word in WORDS]
     for step in steps:
         add_step(tmp_path / "run.yaml", step, parameters)
     found = read_run_file(tmp_path / "run.yaml", parameters)
@@ -146,7 +146,7 @@ def test_words_survive(tmp_path):
 
 def test_values_by_name_are_definitions():
     parameters = parameters_of(step_commands())
-    step = Step("sweep", {"scene": "letters", "output": "s.nc", "vary": {"distance": [210, 240.5], "spp": 1}})
+    step = RunStep("sweep", {"scene": "letters", "output": "s.nc", "vary": {"distance": [210, 240.5], "spp": 1}})
     words = ["--output=s.nc", "--vary=distance=210,240.5", "--vary=spp=1", "--", "letters"]
     assert step.command_line(parameters["sweep"]) == words
 

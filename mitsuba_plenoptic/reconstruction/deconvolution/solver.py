@@ -107,7 +107,7 @@ def richardson_lucy(
     progress: Callable[[float], None] | None = None,
 ) -> PlaneEstimates:
     """Find the radiance of bins that explains an image."""
-    step = Step(response, image, shift)
+    step = RichardsonLucyStep(response, image, shift)
     if not step.total:
         dark = [np.zeros_like(part) for part in step.seen]
         return PlaneEstimates(dark, step.seen, 0, float(image.any()), False)
@@ -139,7 +139,7 @@ def richardson_lucy(
     return PlaneEstimates(point, step.seen, state.done, float(np.linalg.norm(image - model)) / scale, stopped)
 
 
-class Step:
+class RichardsonLucyStep:
     """The numbers of an iteration that no step changes, and the parts of a step."""
 
     def __init__(self, response: Linear, image: NDArray[np.float32], shift: float = 0.0) -> None:
