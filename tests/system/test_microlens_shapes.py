@@ -240,7 +240,7 @@ def test_signed_rays_of_a_wall_against_its_moved_spot(name):
     scene = mi.load_dict(
         {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}, "camera": camera.to_sensor()}
     )
-    image = render_capture(scene, model="wave", method="signed_rays", spp=32, wavelength=WAVELENGTH).image
+    image = render_capture(scene, model="wave", method="signed_rays", spp=64, wavelength=WAVELENGTH).image
     found, expected = image[16:32, 16:32], white_micro_image(camera, name, WAVELENGTH)
     assert error(found, expected) < 0.025
 
