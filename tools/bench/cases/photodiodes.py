@@ -110,8 +110,8 @@ class Wall:
         cover = cover.reshape(len(cosine), _PARTS, len(cosine), _PARTS).mean((1, 3))
         slope = 1 / np.sqrt(np.maximum(1 - cosine**2 - cosine[:, None] ** 2, 0.1))
         Px, Py = -b * cosine * slope, -b * cosine[:, None] * slope
-        # Rays pass equal areas of the pupil equally often.
-        source = cover * slope**2 * (turn**2 / wavelength)
+        # Rays pass equal areas of the pupil and of the array equally often.
+        source = cover * slope**2 * (turn**2 / wavelength * b / (b + self.distance))
         near = np.sqrt(Px**2 + Py**2 + b * b)
         waves = (np.exp(1j * k * np.outer(place, cosine)) * array[:, None]).astype(np.complex64)
         total = np.zeros((count, count))
