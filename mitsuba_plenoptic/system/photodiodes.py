@@ -248,6 +248,14 @@ class PhotodiodeResponses:
                 means[number, diode] = whole @ mass[used] / mass.sum()
         return index, table, means
 
+    def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
+        """Return the light of plane waves in the photodiodes of a lens (photodiodes, n, n), rows along y.
+
+        The direction cosines lie `step` apart around that of the chief ray; light of density 1 is its area in mm^2.
+        """
+        every = [self._modes(x, y, diode) for diode in range(self.count**2)]
+        return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])
+
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
         """Orders of the lenses along an axis, and their amplitudes."""

@@ -26,7 +26,7 @@ from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.jobs import SumTask
 from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses
 
-from .. import Row, at_most, case
+from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison
 from ..timing import once
 
@@ -241,3 +241,40 @@ def photodiodes(
                 }  # fmt: skip
                 name = f"f{f_number:g}_{wavelength:g}_{blur:g}_responses_exact_difference_times_10.png"
                 write_comparison(output / name, image, exact, gain=10)
+
+
+@case(
+    "photodiode-split",
+    "Light of a plane wave in the right pixel of two less that in the left one, over both, by its angle of incidence; "
+    "lenses of these pitches, focal lengths of 4/2.8 pitches, 550 nm, index 1.5, and in the ray model",
+    {
+        "pitch (um)": "{pitch:g}", "angle (degrees)": "{angle:g}", "responses": "{contrast:.3f}", "rays": "{rays:g}",
+        "light": "{light:.3f}",
+    },
+    (at_most("gained", 1e-3),),
+    page="docs/theory/photodiodes.md",
+    pivot=Pivot("{pitch:g}", "{angle:g} degrees", "{contrast:.2f}"),
+    quick={"pitches": (2.8,)},
+)  # fmt: skip
+def photodiode_split(
+    *,
+    pitches: tuple[float, ...] = (1.4, 2.8, 5.0),
+    angles: tuple[float, ...] = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0),
+    wavelength: float = 550.0,
+) -> Iterator[Row]:
+    """Compare pitches in micrometres and angles in degrees; rays of all these angles meet one side only."""
+    for pitch in pitches:
+        camera = camera_of(1.2, 4, pitch / 1000, pitch / 1000 * DEPTH / PITCH)
+        plan = PhotodiodeResponses(camera, wavelength, wavelength)
+        light = plan.by_direction(0.0, 0.0)
+        # Light that comes from the left goes to the right.
+        right, left = light[1] + light[3], light[0] + light[2]
+        along = (np.arange(right.shape[1]) - right.shape[1] // 2) * plan.step
+        middle, area = right.shape[0] // 2, (pitch / 1000) ** 2
+        for angle in angles:
+            one, other = (np.interp(math.sin(math.radians(angle)), along, side[middle]) for side in (right, left))
+            yield {
+                "pitch": pitch, "angle": angle, "contrast": float((one - other) / (one + other)),
+                "rays": float(np.sign(angle)), "light": float((one + other) / area),
+                "gained": float((one + other) / area) - 1,
+            }  # fmt: skip
