@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
 from ..lenses.base import Pair
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
@@ -106,9 +105,7 @@ class Tables:
         half, number = sample & 1, sample >> 1
         # Integers keep the sequence exact for any count of samples.
         words = [mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] for axis in range(3)]
-        random = [
-            mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)
-        ]
+        random = [mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)]
         one, other = (chances_of(lens, seed ^ (sample << 4) ^ word) for word in (12, 13))
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)
@@ -193,9 +190,7 @@ class Tables:
         zones = self.longest.zones
         x, y = (
             mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
-            for axis, (each, part, count) in enumerate(
-                zip(index, chance, (len(zones.x), len(zones.y)), strict=True)
-            )
+            for axis, (each, part, count) in enumerate(zip(index, chance, (len(zones.x), len(zones.y)), strict=True))
         )
         return y * len(zones.x) + x
 
@@ -203,9 +198,7 @@ class Tables:
         """Draw a sample of the window of a node; return also its probability."""
         size = self.longest.samples**2
         first = node * size
-        place = dr.binary_search(
-            0, size - 1, lambda index: dr.gather(mi.Float, self._upto, first + index) <= random
-        )
+        place = dr.binary_search(0, size - 1, lambda index: dr.gather(mi.Float, self._upto, first + index) <= random)
         upper = dr.gather(mi.Float, self._upto, first + place)
         lower = dr.gather(mi.Float, self._upto, first + dr.maximum(place, 1) - 1, place > 0)
         return place, dr.maximum(upper - lower, 1e-9)

@@ -3,7 +3,8 @@ r"""Responses of photodiodes under lenses of a few wavelengths to pairs of direc
 Let :math:`U_s(p)` be the field at the detector of a plane wave with the transverse direction cosines s. It passes the
 lenses, which are periodic, and then a medium of index n by its orders without the paraxial approximation:
 
-.. math:: U_s(p) = e^{i k s \cdot p} \sum_m c_m e^{2 \pi i m \cdot p / D_2 + i z \sqrt{n^2 k^2 - |k s + 2 \pi m / D_2|^2}}.
+.. math:: U_s(p) = e^{i k s \cdot p} \sum_m c_m e^{2 \pi i m \cdot p / D_2 + i z k_z(s, m)}, \qquad
+          k_z^2 = n^2 k^2 - |k s + 2 \pi m / D_2|^2 .
 
 A photodiode j responds to pairs of directions by :math:`R_j(s, s') = \int_j U_s U_{s'}^* d^2p`. Before the pupil,
 incoherent light has the radiance L(s, x) along rays, so that the photodiode records
@@ -269,7 +270,9 @@ class PhotodiodeResponses:
 
     def _place(self, x: float, y: float) -> list[float]:
         """Return the position of a lens."""
-        return [(index + 0.5) * self.camera.mla_pitch + o for index, o in zip((x, y), self.camera.mla_offset, strict=True)]
+        return [
+            (index + 0.5) * self.camera.mla_pitch + o for index, o in zip((x, y), self.camera.mla_offset, strict=True)
+        ]
 
     def _chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines of the light from the pupil's centre at a lens."""
@@ -277,21 +280,19 @@ class PhotodiodeResponses:
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
     def _is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which direction cosines, relative to the chief ray's, pass the pupil to a lens: all pairs of `along`."""
+        """Return which pairs of direction cosines `along` the axes, from the chief ray's, pass the pupil to a lens."""
         chief, place = self._chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
-        pupil = tuple(
-            mi.Float(lens.pupil_point(c, -s / cosine).ravel()) for c, s in zip(place, (sx, sy), strict=True)
-        )
+        pupil = tuple(mi.Float(lens.pupil_point(c, -s / cosine).ravel()) for c, s in zip(place, (sx, sy), strict=True))
         inner = RayPupil(self.system).inner(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
 
     @single_threaded_blas()
     def _overlap(self, x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Return the part of the pupil around each node (n, n), and O as coefficients of the nodes (n, n, pairs, pairs).
+        """Return the part of the pupil around each node (n, n), and coefficients of O for each (n, n, pairs, pairs).
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """
