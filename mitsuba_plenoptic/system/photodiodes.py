@@ -125,8 +125,8 @@ class Zones:
             moved = np.ptp(_offsets(camera, count, axis)) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
             steps = math.ceil(max(moved, turned) / _STEP - 0.2)
-            ends = (first, last - 1) if steps > 0 else ((first + last - 1) / 2,) * 2
-            made.append(np.linspace(*ends, max(steps, 0) + 1))
+            middle = (first + last - 1) / 2
+            made.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
         return cls(*made)
 
     def __len__(self) -> int:
