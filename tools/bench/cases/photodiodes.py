@@ -19,7 +19,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from mitsuba_plenoptic import Job, PlenopticCamera
+from mitsuba_plenoptic import Job, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.capture.responses import ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
@@ -28,7 +28,7 @@ from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses
 
 from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison
-from ..timing import once
+from ..timing import once, peak_memory
 
 PITCH, MEDIUM, DEPTH = 0.0028, 1.5, 0.004
 
@@ -281,3 +281,48 @@ def photodiode_split(
                 "rays": float(np.sign(angle)), "light": float((one + other) / area),
                 "gained": float((one + other) / area) - 1,
             }  # fmt: skip
+
+
+@case(
+    "photodiode-cost",
+    "The middle of the still life behind 4000 x 3000 lenses of 2.8 um, by rays and by waves in turn: seconds elapsed "
+    "and of the processor in the second run, with the tables made, and peak of memory",
+    {
+        "lenses": "{lenses[0]} x {lenses[1]}", "rays (s)": "{ray[0]:.1f}, {ray[1]:.1f}",
+        "waves (s)": "{wave[0]:.1f}, {wave[1]:.1f}", "waves over rays": "{ratio:.2f}", "first waves (s)": "{first:.1f}",
+        "light": "{light:.3f}", "peak (GiB)": "{memory:.1f}",
+    },
+    (at_most("ratio", 1.6), at_most("memory", 6.0)),
+    page="docs/theory/photodiodes.md",
+    quick={"lenses": (64, 48), "samples": 2},
+)  # fmt: skip
+def photodiode_cost(
+    *, lenses: tuple[int, ...] = (1024, 768), samples: int = 8, aperture_radius: float = 15.0
+) -> Iterator[Row]:
+    """Compare times; ``lenses=4000,3000`` captures all."""
+    whole = 4000, 3000
+    camera = PlenopticCamera(
+        aperture_radius=aperture_radius, mla_pitch=PITCH, mla_focal_length=DEPTH, mla_medium=MEDIUM,
+        detector_width=whole[0] * PITCH, resolution=(2 * whole[0], 2 * whole[1]),
+        crop_offset=(whole[0] - lenses[0], whole[1] - lenses[1]), crop_size=(2 * lenses[0], 2 * lenses[1]),
+    )  # fmt: skip
+    # By rays, reduced lengths stand for the medium.
+    reduced = camera.replace(mla_medium=1.0, mla_focal_length=DEPTH / MEDIUM, detector_distance=DEPTH / MEDIUM)
+    scene = load_scene("still_life")
+    sensors = {"ray": mi.load_dict(reduced.to_sensor()), "wave": mi.load_dict(camera.to_sensor())}
+    runs: dict[str, list[tuple[Any, float, float]]] = {"ray": [], "wave": []}
+    for _ in range(2):
+        for model, sensor in sensors.items():
+            options = {"wavelength": 550.0} if model == "wave" else {}
+            capture = once(lambda m=model, s=sensor, o=options: _light(scene, s, m, samples, o))
+            runs[model].append(capture)
+    row = {model: runs[model][1][1:] for model in runs}
+    yield {
+        **row, "lenses": lenses, "ratio": row["wave"][0] / row["ray"][0], "first": runs["wave"][0][1],
+        "light": runs["wave"][1][0] / runs["ray"][1][0], "memory": peak_memory(),
+    }  # fmt: skip
+
+
+def _light(scene: Any, sensor: Any, model: str, samples: int, options: Row) -> float:
+    """Return the mean of a capture."""
+    return float(render_capture(scene, sensor=sensor, model=model, spp=samples, **options).image.mean())
