@@ -10,6 +10,7 @@ without convolutions.
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -23,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
 from ..lenses.base import Pair
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
 from ..system.photodiodes import PhotodiodeResponses, lens_range
+from .noise import Mended
 from .scene_light import SceneLight, require_finite
 from .signed_capture import SignedCapture, Sum
 from .signed_colours import FINE, Node, mixed
@@ -245,15 +246,13 @@ class ResponseSum:
         # The wavelengths of the tables, and the channels that record each; their plans are `PhotodiodeResponses`.
         nodes: Sequence[Node],
         *,
-        # Rays per pixel.
+        # Rays per pixel as in a ray capture, of which only those that pass the pupil are drawn.
         spp: int,
         seed: int,
     ) -> None:
         self._camera, self._light, self._nodes, self._seed = camera, light, nodes, seed
         self._tables = Tables(camera, [node.plan for node in nodes])
         self._across = across = self._tables.count
-        # Two halves of the rays of a lens correct each other.
-        self._rays = 2 * math.ceil(spp * across**2 / 2)
         self._pupils: dict[float, tuple[RayPupil, list[int]]] = {}
         for number, node in enumerate(nodes):
             pupil = RayPupil(node.plan.system)
@@ -262,14 +261,16 @@ class ResponseSum:
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         self._columns, self._rows = (lens_range(camera, across, axis) for axis in (0, 1))
-        lenses = self._columns[1] - self._columns[0]
-        height = max(1, _LANES // (self._rays * lenses))
-        self._blocks = list(range(*self._rows, height))
-        self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
         plan, lens = self._tables.longest, self._tables.longest.system.lens
         # A pixel is the mean over its area and that of a lens of the radiance of all rays by way of the pupil.
         scale = camera.detector_distance / (camera.mla_medium * plan.camera.pupil_distance)
         self._scale = scale**2 * math.pi * float(lens.reach) ** 2 / (camera.pixel_size * camera.mla_pitch) ** 2
+        # Two halves of the rays of a lens correct each other.
+        self._rays = 2 * max(1, round(spp * across**2 * self._scale * camera.pixel_size**2 / 2))
+        lenses = self._columns[1] - self._columns[0]
+        height = max(1, _LANES // (self._rays * lenses))
+        self._blocks = list(range(*self._rows, height))
+        self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
 
     def batches(self, first: int) -> Iterator[LensRows]:
         """Trace the rays of the blocks from index `first`, and yield their pixels."""
@@ -372,6 +373,12 @@ class ResponseSum:
         return result
 
 
+@functools.lru_cache(maxsize=4)
+def _plan(camera: PlenopticCamera, wavelength: float, shortest: float, fine: bool) -> PhotodiodeResponses:
+    """Return the responses of a camera, which are cached for further captures."""
+    return PhotodiodeResponses(camera, wavelength, shortest, fine)
+
+
 @dataclass(frozen=True)
 class ResponseCapture(SignedCapture):
     """A capture by the responses of photodiodes: the camera, the light, the channels' responses and the accuracy."""
@@ -382,11 +389,7 @@ class ResponseCapture(SignedCapture):
         found = self.colours.shared(self.camera, self.accuracy)
         shortest = min(place for place, _, _ in found)
         nodes = [
-            Node(
-                PhotodiodeResponses(self.camera.at_wavelength(place), place, shortest, self.accuracy < FINE),
-                channels,
-                weights,
-            )
+            Node(_plan(self.camera.at_wavelength(place), place, shortest, self.accuracy < FINE), channels, weights)
             for place, channels, weights in found
         ]
         nodes[0].plan.require_memory(len(nodes))
@@ -400,3 +403,7 @@ class ResponseCapture(SignedCapture):
             partial(ResponseSum, self.camera, light or self.light, self.nodes, spp=-(-spp // runs), seed=own)
             for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
+
+    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+        """Return no channels: the noise of few rays exceeds the light around, so that pixels remain as they are."""
+        return {}

@@ -122,6 +122,11 @@ def make_class() -> type:
         renders, and the cost is similar to that of a ray capture. A scene of radiance 1 reads 1 inside wide
         micro-images, less the fourth power of the cosine behind the microlenses: 0.5 % for microlenses of f/8.
 
+        Behind lenses of less than 20 wavelengths, such as on-chip lenses over two by two photodiodes, captures use the
+        responses of photodiodes to rays, computed from non-paraxial fields in the medium `mla_medium`. Only rays that
+        pass the pupil are drawn, as many as a ray capture of ``spp`` has of them, and pixels may be negative by noise.
+        Upright square lattices of one pitch and type are supported, in mono and rgb variants, without gradients.
+
         All main lenses and arrays of the sensor are supported, except the Fourier arrangement of microscopes, and
         detectors far from the microlenses' focus whose pixels are finer than the pupil's diffraction. With bands and
         responses, kernels are computed at the wavelengths of the ``nodes``, between which light is interpolated

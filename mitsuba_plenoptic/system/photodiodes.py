@@ -3,7 +3,8 @@ r"""Responses of photodiodes under lenses of a few wavelengths to pairs of direc
 Let :math:`U_s(p)` be the field at the detector of a plane wave with the transverse direction cosines s. It passes the
 lenses, which are periodic, and then a medium of index n by its orders without the paraxial approximation:
 
-.. math:: U_s(p) = e^{i k s \cdot p} \sum_m c_m e^{2 \pi i m \cdot p / D_2 + i z \sqrt{n^2 k^2 - |k s + 2 \pi m / D_2|^2}}.
+.. math:: U_s(p) = e^{i k s \cdot p} \sum_m c_m e^{2 \pi i m \cdot p / D_2 + i z k_z(s, m)}, \qquad
+          k_z^2 = n^2 k^2 - |k s + 2 \pi m / D_2|^2 .
 
 A photodiode j responds to pairs of directions by :math:`R_j(s, s') = \int_j U_s U_{s'}^* d^2p`. Before the pupil,
 incoherent light has the radiance L(s, x) along rays, so that the photodiode records
@@ -126,8 +127,8 @@ class Zones:
             moved = np.ptp(_offsets(camera, count, axis)) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
             steps = math.ceil(max(moved, turned) / _STEP - 0.2)
-            ends = (first, last - 1) if steps > 0 else ((first + last - 1) / 2,) * 2
-            made.append(np.linspace(*ends, max(steps, 0) + 1))
+            middle = (first + last - 1) / 2
+            made.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
         return cls(*made)
 
     def __len__(self) -> int:
@@ -250,6 +251,14 @@ class PhotodiodeResponses:
                 means[number, diode] = whole @ mass[used] / mass.sum()
         return index, table, means
 
+    def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
+        """Return the light of plane waves in the photodiodes of a lens (photodiodes, n, n), rows along y.
+
+        The direction cosines lie `step` apart around that of the chief ray; light of density 1 is its area in mm^2.
+        """
+        every = [self._modes(x, y, diode) for diode in range(self.count**2)]
+        return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])
+
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
         """Orders of the lenses along an axis, and their amplitudes."""
@@ -273,7 +282,7 @@ class PhotodiodeResponses:
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
     def _is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which direction cosines, relative to the chief ray's, pass the pupil to a lens: all pairs of `along`."""
+        """Return which pairs of direction cosines `along` the axes, from the chief ray's, pass the pupil to a lens."""
         chief, place = self._chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
@@ -285,7 +294,7 @@ class PhotodiodeResponses:
 
     @single_threaded_blas()
     def _overlap(self, x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Return the part of the pupil around each node (n, n), and O as coefficients of the nodes (n, n, pairs, pairs).
+        """Return the part of the pupil around each node (n, n), and coefficients of O for each (n, n, pairs, pairs).
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """

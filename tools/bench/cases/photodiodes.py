@@ -1,8 +1,8 @@
 """Captures behind lenses of a few wavelengths against exact sums, and the split of light by angle.
 
 The reference shares no code with captures. The field of each point of a wall on some lenses is a sum over the pupil's
-directions with the exact path from each pupil point; it passes the lenses, sampled at a quarter of the wavelength in the
-medium, and the medium by its angular spectrum. Intensities are integrated over pixels, and over the wall by
+directions with the exact path from each pupil point; it passes the lenses, sampled at a quarter of the wavelength in
+the medium, and the medium by its angular spectrum. Intensities are integrated over pixels, and over the wall by
 Gauss-Legendre nodes, which are exact for the pupil's limited band.
 """
 
@@ -19,20 +19,21 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from mitsuba_plenoptic import Job, PlenopticCamera
+from mitsuba_plenoptic import Job, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.capture.responses import ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.jobs import SumTask
 from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses
 
-from .. import Row, at_most, case
+from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison
-from ..timing import once
+from ..timing import once, peak_memory
 
 PITCH, MEDIUM, DEPTH = 0.0028, 1.5, 0.004
 
-MOST = 0.01
+LIMITS = (0.01, 0.035)
+"""Largest differences in focus and out of focus, where the window of the table cuts fringes of the pupil's edge."""
 
 _RADII = 40
 """Points of the pupil, from its centre to its edge, of the mean of captures."""
@@ -96,7 +97,9 @@ class Wall:
         cell = ((np.arange(each * _FINER) + 0.5) / _FINER - each / 2) * step
         order = scipy.fft.fftfreq(len(cell), 1 / len(cell))
         held = np.abs(order) < each // 2
-        amplitude = (scipy.fft.fft(np.exp(-1j * math.pi * index * cell**2 / (wavelength * camera.mla_focal_length))))[held]
+        amplitude = (scipy.fft.fft(np.exp(-1j * math.pi * index * cell**2 / (wavelength * camera.mla_focal_length))))[
+            held
+        ]
         lens = np.exp(2j * math.pi * np.outer((np.arange(each) + 0.5 - 0.5 / _FINER) / each, order[held])) @ amplitude
         array = np.tile(lens / len(cell), lenses) * np.exp(1j * k * place**2 / (2 * b))
         frequency = scipy.fft.fftfreq(count, step)
@@ -110,8 +113,8 @@ class Wall:
         cover = cover.reshape(len(cosine), _PARTS, len(cosine), _PARTS).mean((1, 3))
         slope = 1 / np.sqrt(np.maximum(1 - cosine**2 - cosine[:, None] ** 2, 0.1))
         Px, Py = -b * cosine * slope, -b * cosine[:, None] * slope
-        # Rays pass equal areas of the pupil equally often.
-        source = cover * slope**2 * (turn**2 / wavelength)
+        # Rays pass equal areas of the pupil and of the array equally often.
+        source = cover * slope**2 * (turn**2 / wavelength * b / (b + self.distance))
         near = np.sqrt(Px**2 + Py**2 + b * b)
         waves = (np.exp(1j * k * np.outer(place, cosine)) * array[:, None]).astype(np.complex64)
         total = np.zeros((count, count))
@@ -156,9 +159,7 @@ class Wall:
                 ]
                 across, up = (_hats(*each, step, plan.samples, window) for each in ends)
                 total += np.einsum("ay,yxj,bx->abj", up, near, across, optimize=True)
-                x, y = (
-                    first[:, None] + (node + 1) / 2 * (last - first)[:, None] for first, last in ends
-                )
+                x, y = (first[:, None] + (node + 1) / 2 * (last - first)[:, None] for first, last in ends)
                 distance = np.hypot(x[None, :, None, :], y[:, None, :, None])
                 beyond = np.maximum(np.abs(x)[None, :, None, :], np.abs(y)[:, None, :, None]) > window / 2
                 density = np.where(beyond, plan.tail_density / np.maximum(distance, step) ** 3, 0)
@@ -197,14 +198,15 @@ def _hats(
 
 @case(
     "photodiodes",
-    "Two by two photodiodes under lenses of 2.8 um in a medium of index 1.5: walls against exact sums, relative L2 over "
-    "the pixels, for the mean of all captures, and that of a capture of some rays from this mean",
+    "Two by two photodiodes under lenses of 2.8 um in a medium of index 1.5: walls against exact sums, relative L2 "
+    "over the pixels, for the mean of all captures, and that of a capture of some rays from this mean",
     {
         "f-number": "f/{f_number:g}", "wavelength (nm)": "{wavelength:g}", "blur (lenses)": "{blur:g}",
         "MiB": "{memory:.0f}", "planning (s)": "{planning:.1f}", "responses": "{difference:.2%}",
-        "drawn rays": "{drawn:.1%}", "their noise": "{noise:.1%}", "energy over the reference's": "{energy:.4f}", "points": "{points}", "s": "{seconds:.0f}",
+        "drawn rays": "{drawn:.1%}", "their noise": "{noise:.1%}", "energy": "{energy:.4f}",
+        "limit": "{limit:.1%}", "points": "{points}", "s": "{seconds:.0f}",
     },
-    (at_most("difference", MOST), at_most("energy_off", 0.005)),
+    (at_most("difference", "limit"), at_most("energy_off", 0.005)),
     page="docs/theory/photodiodes.md",
     quick={"f_numbers": (8.0,), "wavelengths": (650.0,), "blurs": (0.0,), "samples": 256},
 )  # fmt: skip
@@ -235,9 +237,92 @@ def photodiodes(
                 energy = float(image.sum() / exact.sum())
                 yield {
                     "f_number": f_number, "wavelength": wavelength, "blur": blur, "memory": plan.nbytes / 2**20,
-                    "planning": planning, "difference": relative(image, exact), "drawn": relative(drawn, image), "noise": noise,
+                    "planning": planning, "difference": relative(image, exact), "drawn": relative(drawn, image),
+                    "noise": noise, "limit": LIMITS[blur != 0],
                     "energy": energy, "energy_off": abs(energy - 1), "points": sum(1 for _ in wall.nodes()),
                     "seconds": seconds,
                 }  # fmt: skip
                 name = f"f{f_number:g}_{wavelength:g}_{blur:g}_responses_exact_difference_times_10.png"
                 write_comparison(output / name, image, exact, gain=10)
+
+
+@case(
+    "photodiode-split",
+    "Light of a plane wave in the right pixel of two less that in the left one, over both, by its angle of incidence; "
+    "lenses of these pitches, focal lengths of 4/2.8 pitches, 550 nm, index 1.5, and in the ray model",
+    {
+        "pitch (um)": "{pitch:g}", "angle (degrees)": "{angle:g}", "responses": "{contrast:.3f}", "rays": "{rays:g}",
+        "light": "{light:.3f}",
+    },
+    (at_most("gained", 1e-3),),
+    page="docs/theory/photodiodes.md",
+    pivot=Pivot("{pitch:g}", "{angle:g} degrees", "{contrast:.2f}"),
+    quick={"pitches": (2.8,)},
+)  # fmt: skip
+def photodiode_split(
+    *,
+    pitches: tuple[float, ...] = (1.4, 2.8, 5.0),
+    angles: tuple[float, ...] = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0),
+    wavelength: float = 550.0,
+) -> Iterator[Row]:
+    """Compare pitches in micrometres and angles in degrees; rays of all these angles meet one side only."""
+    for pitch in pitches:
+        camera = camera_of(1.2, 4, pitch / 1000, pitch / 1000 * DEPTH / PITCH)
+        plan = PhotodiodeResponses(camera, wavelength, wavelength)
+        light = plan.by_direction(0.0, 0.0)
+        # Light that comes from the left goes to the right.
+        right, left = light[1] + light[3], light[0] + light[2]
+        along = (np.arange(right.shape[1]) - right.shape[1] // 2) * plan.step
+        middle, area = right.shape[0] // 2, (pitch / 1000) ** 2
+        for angle in angles:
+            one, other = (np.interp(math.sin(math.radians(angle)), along, side[middle]) for side in (right, left))
+            yield {
+                "pitch": pitch, "angle": angle, "contrast": float((one - other) / (one + other)),
+                "rays": float(np.sign(angle)), "light": float((one + other) / area),
+                "gained": float((one + other) / area) - 1,
+            }  # fmt: skip
+
+
+@case(
+    "photodiode-cost",
+    "The middle of the still life behind 4000 x 3000 lenses of 2.8 um, by rays and by waves in turn: seconds elapsed "
+    "and of the processor in the second run, with the tables made, and peak of memory",
+    {
+        "lenses": "{lenses[0]} x {lenses[1]}", "rays (s)": "{ray[0]:.1f}, {ray[1]:.1f}",
+        "waves (s)": "{wave[0]:.1f}, {wave[1]:.1f}", "waves over rays": "{ratio:.2f}", "first waves (s)": "{first:.1f}",
+        "light": "{light:.3f}", "peak (GiB)": "{memory:.1f}",
+    },
+    (at_most("ratio", 1.6), at_most("memory", 6.0)),
+    page="docs/theory/photodiodes.md",
+    quick={"lenses": (64, 48), "samples": 2},
+)  # fmt: skip
+def photodiode_cost(
+    *, lenses: tuple[int, ...] = (1024, 768), samples: int = 8, aperture_radius: float = 15.0
+) -> Iterator[Row]:
+    """Compare times; ``lenses=4000,3000`` captures all."""
+    whole = 4000, 3000
+    camera = PlenopticCamera(
+        aperture_radius=aperture_radius, mla_pitch=PITCH, mla_focal_length=DEPTH, mla_medium=MEDIUM,
+        detector_width=whole[0] * PITCH, resolution=(2 * whole[0], 2 * whole[1]),
+        crop_offset=(whole[0] - lenses[0], whole[1] - lenses[1]), crop_size=(2 * lenses[0], 2 * lenses[1]),
+    )  # fmt: skip
+    # By rays, reduced lengths stand for the medium.
+    reduced = camera.replace(mla_medium=1.0, mla_focal_length=DEPTH / MEDIUM, detector_distance=DEPTH / MEDIUM)
+    scene = load_scene("still_life")
+    sensors = {"ray": mi.load_dict(reduced.to_sensor()), "wave": mi.load_dict(camera.to_sensor())}
+    runs: dict[str, list[tuple[Any, float, float]]] = {"ray": [], "wave": []}
+    for _ in range(2):
+        for model, sensor in sensors.items():
+            options = {"wavelength": 550.0} if model == "wave" else {}
+            capture = once(lambda m=model, s=sensor, o=options: _light(scene, s, m, samples, o))
+            runs[model].append(capture)
+    row = {model: runs[model][1][1:] for model in runs}
+    yield {
+        **row, "lenses": lenses, "ratio": row["wave"][0] / row["ray"][0], "first": runs["wave"][0][1],
+        "light": runs["wave"][1][0] / runs["ray"][1][0], "memory": peak_memory(),
+    }  # fmt: skip
+
+
+def _light(scene: Any, sensor: Any, model: str, samples: int, options: Row) -> float:
+    """Return the mean of a capture."""
+    return float(render_capture(scene, sensor=sensor, model=model, spp=samples, **options).image.mean())

@@ -1,0 +1,106 @@
+"""Captures behind lenses of a few wavelengths, against exact sums, rays, and closed forms."""
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.system import photodiodes
+from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, has_small_lenses, pixels_per_lens
+from tools.bench.cases.photodiodes import Wall, camera_of
+from tools.bench.scenes.light_paths import facing, radiating, scene_of
+
+
+@pytest.fixture(autouse=True)
+def small_tables(monkeypatch):
+    monkeypatch.setattr(photodiodes, "_SPREADS", (6.0, 20.0))
+    monkeypatch.setattr(photodiodes, "_LEAST_WINDOW", 2.0)
+
+
+def test_a_table_keeps_the_light_of_each_direction_and_mirrors_it():
+    plan = PhotodiodeResponses(camera_of(4.0, 4), 550.0, 550.0)
+    index, table, means = plan.table
+    middle = index[plan.across, plan.across]
+    whole = table[0, middle].sum(0) * (plan.window / plan.samples) ** 2 / (1 - plan.tail)
+    by_direction = plan.by_direction(-0.5, -0.5)
+    far = by_direction.shape[1] // 2
+    assert whole == pytest.approx(by_direction[:, far, far], rel=0.01)
+    assert means.sum() == pytest.approx(plan.camera.mla_pitch**2, rel=0.01)
+    right, left = (
+        table[0, index[plan.across, plan.across + side], :, column::2].sum() for side, column in ((1, 1), (-1, 0))
+    )
+    assert right == pytest.approx(left, rel=1e-3)
+
+
+def test_light_passes_to_the_other_side_by_the_orders_of_the_lens():
+    plan = PhotodiodeResponses(camera_of(1.8, 4), 550.0, 550.0)
+    light = plan.by_direction(-0.5, -0.5)
+    area, far = plan.camera.mla_pitch**2, light.shape[1] // 2
+    # Lenses without gaps lose only evanescent light.
+    assert light.sum(0) / area == pytest.approx(np.ones(light.shape[1:]), abs=0.01)
+    right, left = light[1] + light[3], light[0] + light[2]
+    assert right[far, far] == pytest.approx(left[far, far], rel=1e-4)
+    # Light that comes from the left, at 8 degrees.
+    assert right[far, far + 3] > 6 * left[far, far + 3]
+    assert right[far, far - 3] == pytest.approx(left[far, far + 3], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_mean_of_captures_agrees_with_exact_sums():
+    wall = Wall(camera_of(8.0, 18), 650.0, 0.0)
+    plan = PhotodiodeResponses(wall.camera, 650.0, 650.0)
+    exact, mean = wall.exact(), wall.expected(plan)
+    assert np.linalg.norm(mean - exact) < 0.01 * np.linalg.norm(exact)
+    assert mean.sum() == pytest.approx(exact.sum(), rel=0.01)
+
+
+@pytest.mark.slow
+def test_drawn_rays_have_the_expected_mean():
+    wall = Wall(camera_of(1.8, 6), 550.0, 0.0)
+    plan = PhotodiodeResponses(wall.camera, 550.0, 550.0)
+    mean = wall.expected(plan)
+    drawn = np.mean([wall.captured(plan, 4096, seed) for seed in range(4)], axis=0)
+    assert np.linalg.norm(drawn - mean) < 0.02 * np.linalg.norm(mean)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("aside", [0, 1600], ids=["on the axis", "off the axis"])
+def test_a_white_wall_is_even_and_as_bright_as_by_rays(aside):
+    camera = camera_of(2.0, 2000).replace(crop_offset=(1992 - aside, 1992), crop_size=(16, 16))
+    wall = facing(200.0, 300.0, **radiating())
+    image = render_capture(scene_of(camera.to_sensor(), wall=wall), model="wave", wavelength=550.0, spp=16).image
+    # Without diffraction, micro-images of the pupil fill this part of the lenses.
+    part = np.pi * (camera.aperture_radius * 0.004 / 1.5 / camera.mla_distance) ** 2 / camera.mla_pitch**2
+    assert image.mean() == pytest.approx(part, rel=0.01)
+    right, left = image[:, 1::2], image[:, ::2]
+    assert right.std() < 0.002 * right.mean()
+    # Off the axis, at the lens's position over the distance from the pupil, chief rays are inclined to one side.
+    split = (right.mean() - left.mean()) / image.mean()
+    assert split == pytest.approx(0.0, abs=1e-3) if aside == 0 else split < -0.05
+
+
+def test_zones_shift_photodiodes_with_a_pitch_that_is_no_whole_number_of_pixels():
+    even = camera_of(2.0, 40)
+    camera = even.replace(mla_pitch=even.mla_pitch * 0.998)
+    zones = PhotodiodeResponses(camera, 550.0, 550.0).zones
+    assert pixels_per_lens(camera) == 2
+    assert len(zones) == 16
+    assert len(PhotodiodeResponses(even, 550.0, 550.0).zones) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mla_lattice": "hexagonal"}, "mla_lattice = 'hexagonal'"),
+        ({"mla_rotation": 3.0}, "mla_rotation = 3.0"),
+        ({"mla_aperture": "circle"}, "mla_aperture = 'circle'"),
+        ({"mla_pitch": 0.0024}, "half a pitch"),
+    ],
+)
+def test_what_responses_do_not_describe_is_refused_by_name(changes, message):
+    with pytest.raises(InputError, match=message):
+        pixels_per_lens(camera_of(2.0, 40).replace(**changes))
+
+
+def test_only_lenses_of_a_few_wavelengths_need_responses():
+    assert has_small_lenses(camera_of(2.0, 4), 550.0)
+    assert not has_small_lenses(PlenopticCamera(), 550.0)
