@@ -383,6 +383,8 @@ def _plan(camera: PlenopticCamera, wavelength: float, shortest: float, fine: boo
 class ResponseCapture(SignedCapture):
     """A capture by the responses of photodiodes: the camera, the light, the channels' responses and the accuracy."""
 
+    has_gradients = False
+
     @cached_property
     def nodes(self) -> list[Node]:
         """Return the nodes, the wavelengths of the tables."""
@@ -396,11 +398,18 @@ class ResponseCapture(SignedCapture):
         return nodes
 
     def sums(
-        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: SceneLight | None = None
+        self,
+        spp: int,
+        seed: int,
+        runs: int,
+        kind: Callable[..., Sum],
+        light: SceneLight | None = None,
+        nodes: list[Node] | None = None,
     ) -> list[Callable[[], Any]]:
         """Return functions that construct the sums of `runs` independent captures; see `SignedCapture`."""
+        used = self.nodes if nodes is None else nodes
         return [
-            partial(ResponseSum, self.camera, light or self.light, self.nodes, spp=-(-spp // runs), seed=own)
+            partial(ResponseSum, self.camera, light or self.light, used, spp=-(-spp // runs), seed=own)
             for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
 

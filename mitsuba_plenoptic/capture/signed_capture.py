@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -62,6 +62,9 @@ class SignedCapture:
     # Responses of the channels.
     colours: SignedColours
     accuracy: float
+
+    has_gradients: ClassVar[bool] = True
+    """Whether derivatives of the capture can be computed."""
 
     @cached_property
     def nodes(self) -> list[Node]:

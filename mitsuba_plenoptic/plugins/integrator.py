@@ -13,7 +13,6 @@ from ..camera import PlenopticCamera
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
-from ..capture.responses import ResponseCapture
 from ..capture.crosstalk import mix_deviations, mix_pixels
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
@@ -27,7 +26,7 @@ from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from ..system.photodiodes import has_small_lenses
+from ..system.phase_space import has_small_lenses
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 
@@ -245,7 +244,7 @@ def make_class() -> type:
             spp = spp or sensor.sampler().sample_count()
             capture = self._signed(scene, sensor)
             refuse_if(
-                isinstance(capture, ResponseCapture),
+                not capture.has_gradients,
                 f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}: captures behind lenses of a few wavelengths have "
                 "no gradients",
             )
@@ -300,6 +299,8 @@ def make_class() -> type:
             is_small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
             if is_small:
+                from ..capture.responses import ResponseCapture
+
                 refuse_if(
                     mi.is_spectral,
                     f"{NAME}: variant {mi.variant()}: responses of photodiodes under lenses of "

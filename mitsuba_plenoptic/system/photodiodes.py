@@ -36,9 +36,6 @@ from ..runtime.limits import single_threaded_blas
 from .optical_system import OpticalSystem, RayPupil
 from .sampling import fast_length
 
-SMALLEST = 20.0
-"""Pitch in wavelengths below which the paraxial kernels of `phase_space` do not hold."""
-
 _SPREADS, _LEAST_WINDOW = (14.0, 20.0), 5.0
 """Width of the window in diffraction widths of the pupil, at usual and fine accuracy, and in lenses at the least."""
 
@@ -62,11 +59,6 @@ _MOST_MEMORY = 2**30
 
 _RIDGE = 1e-3
 """Relative weight by which table nodes that the pupil hardly covers are held."""
-
-
-def has_small_lenses(camera: PlenopticCamera, wavelength: float) -> bool:
-    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
-    return min(camera.mla_pitches) < SMALLEST * in_millimetres(wavelength)
 
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:

@@ -5,7 +5,8 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.system import photodiodes
-from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, has_small_lenses, pixels_per_lens
+from mitsuba_plenoptic.system.phase_space import has_small_lenses
+from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, pixels_per_lens
 from tools.bench.cases.photodiodes import Wall, camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
