@@ -23,8 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..camera import PlenopticCamera
-from ..camera.parameters import part_units
-from ..camera.vector import parts_of, with_parts
+from ..camera.vector import part_units, parts_of, with_parts
 from ..lenses.distortion import undistorted
 
 CALIBRATED = (

@@ -101,3 +101,18 @@ class Parameter(Generic[Given, Kept]):
 def record(cls: _Record) -> _Record:
     """Make a class a record of parameters that cannot be changed."""
     return cast(_Record, dataclass(frozen=True, init=False, repr=False)(cls))
+
+
+def one_if_equal(pitches: tuple[float, float]) -> float | tuple[float, float]:
+    """Return a single pitch if both are equal, or else both."""
+    return pitches[0] if pitches[0] == pitches[1] else pitches
+
+
+def one_if_single(values: tuple[float, ...]) -> float | tuple[float, ...]:
+    """Return the value itself if there is only one, or else all values."""
+    return values[0] if len(values) == 1 else values
+
+
+def one(camera: Any) -> float:
+    """Return the step of a fit for parameters that have a natural unit."""
+    return 1.0

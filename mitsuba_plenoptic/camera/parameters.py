@@ -32,27 +32,13 @@ from ..errors import (
 )
 from ..lattice import APERTURES, LATTICES
 from ..lens_data import LensData
-from ..microlens import MicrolensShape, known_shape
+from ..microlens.base import MicrolensShape, known_shape
 from ..prescription import Glass
-from .entry import Captures, Form, Parameter, record
+from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .given_lens import known_glass, known_lens
 from .photodiodes import PhotodiodeResponse, known_response
 
 LENS_MODELS = ("ideal", "parabolic")
-
-
-def _one_if_equal(pitches: tuple[float, float]) -> float | tuple[float, float]:
-    """Return a single pitch if both are equal, or else both."""
-    return pitches[0] if pitches[0] == pitches[1] else pitches
-
-
-def _one_if_single(values: tuple[float, ...]) -> float | tuple[float, ...]:
-    """Return the value itself if there is only one, or else all values."""
-    return values[0] if len(values) == 1 else values
-
-
-def _one(camera: Any) -> float:
-    return 1.0
 
 
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
@@ -131,7 +117,7 @@ class CameraParameters:
         unit="mm",
         known_to=Captures.ALL,
         gradients=Captures.ALL,
-        shortest=_one_if_single,
+        shortest=one_if_single,
         in_first_files=True,
         alias="mla_focal_length",
     )
@@ -148,7 +134,7 @@ class CameraParameters:
         parts=("pitch_along", "pitch_across"),
         known_to=Captures.ALL,
         gradients=Captures.ALL,
-        shortest=_one_if_equal,
+        shortest=one_if_equal,
         in_first_files=True,
         alias="mla_pitch",
     )
@@ -174,7 +160,7 @@ class CameraParameters:
         unit="degrees",
         known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
-        scale=_one,
+        scale=one,
     )
     mla_offset: Parameter[tuple[float, float], tuple[float, float]] = Parameter(
         default=(0.0, 0.0),
@@ -226,7 +212,7 @@ class CameraParameters:
             "`mla_focal_length` and `detector_distance` are lengths in it: parallel light converges there at the "
             "focal length."
         ),
-        scale=_one,
+        scale=one,
         known_to=Captures.ALL,
     )
     mla_shape: Parameter[MicrolensShape | str | Path | dict[str, Any] | None, MicrolensShape | None] = Parameter(
@@ -325,7 +311,7 @@ class CameraParameters:
         otherwise="none",
         known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
-        scale=_one,
+        scale=one,
         unseen=1,
         room=36,
     )
@@ -451,15 +437,3 @@ class CameraParameters:
 
 PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for each in fields(CameraParameters))}
 """The entries of the table by the names of the constructor's arguments."""
-
-
-def with_gradient(kind: Captures) -> tuple[str, ...]:
-    """Return the names of the parameters with respect to which captures of a kind have derivatives."""
-    return tuple(name for name, entry in PARAMETERS.items() if kind in entry.gradients)
-
-
-def part_units(name: str) -> dict[str, str]:
-    """Return the units of a parameter's components, by their names in calibrations."""
-    entry = PARAMETERS[name]
-    parts = entry.parts or (name,)
-    return dict(zip(parts, [entry.unit] * len(parts) if isinstance(entry.unit, str) else entry.unit, strict=True))

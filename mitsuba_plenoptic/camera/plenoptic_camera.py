@@ -6,10 +6,8 @@ The table of parameters has the check of each one by itself.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,7 +24,8 @@ from ..errors import (
     suggest_keywords,
 )
 from ..lattice import LATTICES
-from ..lens_data import SINGLE, THIN, image_distance
+from ..lens_data import THIN, image_distance
+from ..microlens.base import focal_length_of, require_cover
 from ..presets import PRESETS
 from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
@@ -34,9 +33,7 @@ from .entry import Captures, record
 from .geometry import CameraGeometry
 from .parameters import PARAMETERS
 from .photodiodes import require_pixel_pairs
-
-_MLA_FOCAL_LENGTH = 0.512
-"""Focal length of the microlenses in millimetres, where neither it nor a shape is given."""
+from .scene_file import describe, write_xml
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
@@ -78,23 +75,12 @@ def _complete_lens(values: dict[str, Any]) -> None:
 
 def _complete_microlenses(values: dict[str, Any]) -> None:
     """Fill in the focal length of the microlenses; refuse one that contradicts their shape."""
-    shape, focal_lengths = values["mla_shape"], values["mla_focal_lengths"]
-    if shape is None:
-        if focal_lengths is None:
-            values["mla_focal_lengths"] = (_MLA_FOCAL_LENGTH,)
-        return
-    refuse_if(
-        not shape.power > 0,
-        f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",
-    )
-    own = values["mla_medium"] / shape.power
-    if focal_lengths is not None and not all(math.isclose(own, each, rel_tol=SINGLE) for each in focal_lengths):
-        raise InputError(
-            f"mla_focal_length = {short_repr(focal_lengths)}: with this mla_shape it is {own:.7g}; leave it out"
-        )
-    values["mla_focal_lengths"] = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
-    if values["mla_glass"] is not None:
-        raise InputError("mla_glass: an mla_shape brings its own material; leave it out")
+    if values["mla_shape"] is not None:
+        own = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
+        values["mla_focal_lengths"] = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
+        refuse_if(values["mla_glass"] is not None, "mla_glass: an mla_shape brings its own material; leave it out")
+    elif values["mla_focal_lengths"] is None:
+        values["mla_focal_lengths"] = (0.512,)
 
 
 def _check_array(values: dict[str, Any]) -> None:
@@ -129,10 +115,7 @@ def require_whole(camera: CameraGeometry) -> None:
     """Refuse parameters that are valid one by one but not in combination."""
     camera.lens_data.require_fit(camera)
     if camera.mla_shape is not None:
-        rim = np.linspace(0, 1, 65)
-        x, y = camera.lattice.aperture_point(*np.meshgrid(rim, rim))
-        covered = camera.mla_shape.covers(*camera.lattice.to_frame(x, y))
-        refuse_if(not np.all(covered), "mla_shape: it must be defined all over a lens's aperture, and ends within it")
+        require_cover(camera.mla_shape, camera.lattice)
     if camera.photodiode_response is not None:
         require_pixel_pairs(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
@@ -146,10 +129,6 @@ def require_whole(camera: CameraGeometry) -> None:
         np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0,
         f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis",
     )
-
-
-IRREGULAR = ("mla_jitter", "mla_figure_error")
-"""Parameters of irregular arrays."""
 
 
 def require_known_to(
@@ -167,7 +146,7 @@ def require_ideal(camera: CameraGeometry, *, irregular: bool = False) -> None:
 
     Among these are irregular arrays, except where fields are computed in full.
     """
-    besides = IRREGULAR if irregular else ()
+    besides = ("mla_jitter", "mla_figure_error") if irregular else ()
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
@@ -185,54 +164,6 @@ def require_no_glass(camera: CameraGeometry, what: str) -> None:
         glass = getattr(camera, name)
         if glass is not None:
             raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")
-
-
-def describe(parameters: dict[str, Any], to_world: Any) -> dict[str, Any]:
-    """Return the sensor for ``mi.load_dict`` of a camera's parameters by name; see `PlenopticCamera.to_sensor`."""
-    values = dict(parameters)
-    columns, rows = values.pop("resolution")
-    (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
-    sensor = {"type": "plenoptic"} | {name: _plain(value) for name, value in values.items() if value != ()}
-    if to_world is not None:
-        sensor["to_world"] = to_world
-    sensor["film"] = {
-        "type": "hdrfilm",
-        "width": columns,
-        "height": rows,
-        "crop_offset_x": left,
-        "crop_offset_y": top,
-        "crop_width": width,
-        "crop_height": height,
-        "rfilter": {"type": "box"},
-        "pixel_format": "luminance",
-        "component_format": "float32",
-    }
-    return sensor
-
-
-def _plain(value: Any) -> Any:
-    """Return a parameter in the form for a plugin: lenses and glasses as JSON, several values separated by commas."""
-    if isinstance(value, dict):
-        return json.dumps(value)
-    return ", ".join(map(repr, value)) if isinstance(value, tuple) else value
-
-
-def write_xml(sensor: dict[str, Any]) -> str:
-    """Write a sensor from `describe` as text for a scene file."""
-
-    def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
-        made = ElementTree.Element(tag, {"type": values["type"], **attributes})
-        for name, value in values.items():
-            if isinstance(value, dict):
-                made.append(element(name, value))
-            elif name != "type":
-                kind = {int: "integer", float: "float", str: "string"}[type(value)]
-                ElementTree.SubElement(made, kind, name=name, value=str(value))
-        return made
-
-    tree = element("sensor", sensor, id="camera")
-    ElementTree.indent(tree, "    ")
-    return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
 
 @record
@@ -275,8 +206,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         __init__.__signature__ = signature()
         __init__ = suggest_keywords(__init__)
         __doc__ = __doc__.replace("    TABLE\n", numpy_section())
-
-    # -- to and from other forms ---------------------------------------------------------------------
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
@@ -426,8 +355,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             if name in PARAMETERS:
                 values.pop(PARAMETERS[name].instead_of, None)
         return self._from_names(values | changes)
-
-    # -- colour --------------------------------------------------------------------------------------
 
     @property
     def is_dispersive(self) -> bool:

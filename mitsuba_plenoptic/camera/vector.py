@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, did_you_mean, refuse_if, short_repr
-from .entry import Form
+from .entry import Captures, Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
 
@@ -20,6 +20,18 @@ Values = dict[str, Array]
 
 _FARTHEST = 50.0
 """Steps, of `CameraVector.scales`, by which numbers may change where no bounds are given."""
+
+
+def with_gradient(kind: Captures) -> tuple[str, ...]:
+    """Return the names of the parameters with respect to which captures of a kind have derivatives."""
+    return tuple(name for name, entry in PARAMETERS.items() if kind in entry.gradients)
+
+
+def part_units(name: str) -> dict[str, str]:
+    """Return the units of a parameter's components, by their names in calibrations."""
+    entry = PARAMETERS[name]
+    parts = entry.parts or (name,)
+    return dict(zip(parts, [entry.unit] * len(parts) if isinstance(entry.unit, str) else entry.unit, strict=True))
 
 
 def parts_of(camera: PlenopticCamera, name: str) -> Array:

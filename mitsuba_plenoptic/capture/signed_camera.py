@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.entry import Captures
-from ..camera.parameters import with_gradient
-from ..camera.vector import Values, shortest_parts, with_parts
+from ..camera.vector import Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
+
+import numpy as np
 
 from ..errors import (
     NO_RECORD,
@@ -22,10 +25,15 @@ from ..errors import (
     short_repr,
 )
 from ..io.files import require_file
+from ..lattice import Lattice
+from ..lens_data import SINGLE
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 
 _MM_PER_NM = 1e-6
+
+_RIM = np.linspace(0, 1, 65)
+"""Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
 
 
 class MicrolensShape(ABC):
@@ -165,3 +173,24 @@ def known_index(name: str, value: Any) -> Glass:
 def per_millimetre(wavelength: float) -> float:
     """Return the number of waves in a millimetre, from a wavelength in nanometres."""
     return 1 / (require_wavelength(wavelength) * _MM_PER_NM)
+
+
+def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:
+    """Return the focal length in a medium of this index; refuse a negative one, or another one that is given."""
+    refuse_if(
+        not shape.power > 0,
+        f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",
+    )
+    own = medium / shape.power
+    refuse_if(
+        given is not None and not all(math.isclose(own, each, rel_tol=SINGLE) for each in given),
+        f"mla_focal_length = {short_repr(given)}: with this mla_shape it is {own:.7g}; leave it out",
+    )
+    return own
+
+
+def require_cover(shape: MicrolensShape, lattice: Lattice) -> None:
+    """Refuse a shape that ends within the aperture of a lens."""
+    x, y = lattice.aperture_point(*np.meshgrid(_RIM, _RIM))
+    covered = shape.covers(*lattice.to_frame(x, y))
+    refuse_if(not np.all(covered), "mla_shape: it must be defined all over a lens's aperture, and ends within it")

@@ -35,7 +35,7 @@ from ..errors import (
 )
 from ..io.lens_file import read_lens
 from ..lens_data import LensData
-from ..microlens import known_shape
+from ..microlens.base import known_shape
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.entry import Captures
-from ...camera.parameters import with_gradient
-from ...camera.vector import change_of, parts_of, size_of
+from ...camera.vector import change_of, parts_of, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
