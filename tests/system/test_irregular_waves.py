@@ -18,8 +18,8 @@ POINT = np.array([0.03, -0.02, 114.0])
     "changes",
     [
         {"mla_jitter": (0.002, 0.03), "mla_seed": 3},
-        {"mla_jitter": (0.002, 0.0), "mla_shape": SHAPES["sphere"]},
-        {"mla_figure_error": (5e-5, 0.02)},
+        pytest.param({"mla_jitter": (0.002, 0.0), "mla_shape": SHAPES["sphere"]}, marks=pytest.mark.slow),
+        pytest.param({"mla_figure_error": (5e-5, 0.02)}, marks=pytest.mark.slow),
     ],
     ids=["parabolic", "spherical", "figure error"],
 )

@@ -156,9 +156,8 @@ def width(image, lens):
     return np.mean(np.interp(fine, np.arange(lens), profile) > profile.max() / 2) * lens
 
 
-@pytest.mark.parametrize("changes", [GLASS, ON_CHIP], ids=["plenoptic", "on-chip"])
-def test_a_wall_is_as_bright_by_waves_as_by_rays(changes):
-    camera = PlenopticCamera(**{"detector_width": 0.064 * 8, "resolution": (128, 128)} | changes)
+def test_a_wall_is_as_bright_by_waves_as_by_rays():
+    camera = PlenopticCamera(detector_width=0.064 * 8, resolution=(128, 128), **GLASS)
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
         "camera": camera.to_sensor(),
