@@ -303,15 +303,12 @@ def photodiode_cost(
         detector_width=whole[0] * PITCH, resolution=(2 * whole[0], 2 * whole[1]),
         crop_offset=(whole[0] - lenses[0], whole[1] - lenses[1]), crop_size=(2 * lenses[0], 2 * lenses[1]),
     )  # fmt: skip
-    # By rays, reduced lengths stand for the medium.
-    reduced = camera.replace(mla_medium=1.0, mla_focal_length=DEPTH / MEDIUM, detector_distance=DEPTH / MEDIUM)
-    scene = load_scene("still_life")
-    sensors = {"ray": mi.load_dict(reduced.to_sensor()), "wave": mi.load_dict(camera.to_sensor())}
+    scene, sensor = load_scene("still_life"), mi.load_dict(camera.to_sensor())
     runs: dict[str, list[tuple[Any, float, float]]] = {"ray": [], "wave": []}
     for _ in range(2):
-        for model, sensor in sensors.items():
+        for model in runs:
             options = {"wavelength": 550.0} if model == "wave" else {}
-            capture = once(lambda m=model, s=sensor, o=options: _light(scene, s, m, samples, o))
+            capture = once(lambda m=model, o=options: _light(scene, sensor, m, samples, o))
             runs[model].append(capture)
     row = {model: runs[model][1][1:] for model in runs}
     yield {
