@@ -92,6 +92,8 @@ class Tables:
         ]
         density = np.sqrt((table**2).mean(-1))
         density += _LEAST * density.mean(-1, keepdims=True)
+        # Nodes of other zones, which have no light in this one, are drawn near the pupil's rim.
+        density[~density.any(-1)] = 1
         upto = np.cumsum(density, axis=-1, dtype=np.float64)
         self._upto = mi.Float((upto / upto[..., -1:]).astype(np.float32).ravel())
 

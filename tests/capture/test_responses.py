@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.capture.responses import Tables
 from mitsuba_plenoptic.system import photodiodes
 from mitsuba_plenoptic.system.phase_space import has_small_lenses
 from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, pixels_per_lens
@@ -30,6 +31,19 @@ def test_a_table_keeps_the_light_of_each_direction_and_mirrors_it():
         table[0, index[plan.across, plan.across + side], :, column::2].sum() for side, column in ((1, 1), (-1, 0))
     )
     assert right == pytest.approx(left, rel=1e-3)
+
+
+def test_nodes_that_only_some_zones_use_leave_pixels_finite():
+    wide = PlenopticCamera(
+        focal_length=0.9, mla_distance=1.0, aperture_radius=0.125, mla_pitch=0.0028, mla_focal_length=0.004,
+        mla_medium=1.5, detector_width=0.0028 * 20, resolution=(40, 40),
+    )  # fmt: skip
+    plan = PhotodiodeResponses(wide, 550.0, 550.0)
+    _, table, _ = plan.table
+    assert (~table.any(axis=(2, 3))).any()
+    upto = Tables(wide, [plan])._upto.numpy().reshape(table.shape[:3])
+    assert np.all(np.diff(upto, axis=-1) >= 0)
+    np.testing.assert_allclose(upto[..., -1], 1, atol=1e-6)
 
 
 def test_light_passes_to_the_other_side_by_the_orders_of_the_lens():
