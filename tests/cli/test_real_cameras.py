@@ -54,6 +54,7 @@ def test_a_white_picture_corrects_the_array(lytro, tmp_path, run):
     assert errors[0] < 0.5 * errors[1] and errors[0] < 0.01
 
 
+@pytest.mark.slow
 def test_decoded_and_reconstructed_by_both_models(lytro, tmp_path, run):
     folder = lytro[0]
     colours = tmp_path / "colours.exr"

@@ -107,6 +107,7 @@ def test_a_dark_subset_adds_nothing():
     np.testing.assert_array_equal(lit.image, shared.image)
 
 
+@pytest.mark.slow
 def test_a_label_for_each_lens_is_the_limit_without_interference():
     capture = scene_of(SMALL)
     every = np.arange(LensArray.of(SMALL).centres[0].size).reshape(LensArray.of(SMALL).shape)

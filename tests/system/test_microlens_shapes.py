@@ -142,7 +142,18 @@ def propagated(camera, name, position, wavelength, finer=4):
 
 
 @pytest.mark.parametrize(
-    ("name", "method"), [*((name, "full_field") for name in SHAPES), ("asphere", "patch"), ("sampled", "patch")]
+    ("name", "method"),
+    [
+        ("sphere", "full_field"),
+        ("zones", "full_field"),
+        ("sampled", "patch"),
+        *(
+            pytest.param(name, "full_field", marks=pytest.mark.slow)
+            for name in SHAPES
+            if name not in ("sphere", "zones")
+        ),
+        pytest.param("asphere", "patch", marks=pytest.mark.slow),
+    ],
 )
 def test_point_spreads_against_propagation(name, method):
     camera = small_camera(2, **HALF, mla_shape=SHAPES[name], mla_medium=1.3)
@@ -232,7 +243,9 @@ def white_micro_image(camera, name, wavelength, step=5e-4):
     return inner.reshape(pixels, each, pixels, each).mean((1, 3)) / spot.sum()
 
 
-@pytest.mark.parametrize("name", ["sphere", "sampled", "zones"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("sphere", marks=pytest.mark.slow), "sampled", pytest.param("zones", marks=pytest.mark.slow)]
+)
 def test_signed_rays_of_a_wall_against_its_moved_spot(name):
     camera = PlenopticCamera(
         detector_width=0.064 * 3, resolution=(48, 48), **HALF, mla_shape=SHAPES[name], mla_offset=(0.032, 0.032)
