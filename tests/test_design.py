@@ -299,7 +299,7 @@ def test_a_point_comes_back_by_waves_to_where_it_was(numbers):
 
 
 @FOCUSED
-@pytest.mark.parametrize("interleave", [2, "auto"])
+@pytest.mark.parametrize("interleave", [pytest.param(2, marks=pytest.mark.slow), "auto"])
 def test_a_white_scene_comes_back_by_waves_to_one(numbers, interleave):
     camera = PlenopticCamera(**numbers, **SMALL)
     options = {"camera": camera, "wavelength": 633, "method": "partial", "interleave": interleave}

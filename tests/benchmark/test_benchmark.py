@@ -79,6 +79,7 @@ class KilledError(Exception):
     """Stands in for the end of a process."""
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_twice_ends_with_the_same_bits(made, tmp_path, monkeypatch):
     write, writes = production.write_samples, []
 

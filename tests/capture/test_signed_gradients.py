@@ -228,6 +228,7 @@ def test_colours():
     assert disagreement(scene, key, change) < 1e-6
 
 
+@pytest.mark.slow
 def test_spectral_variants_are_differentiated_in_reverse():
     mi.set_variant("llvm_ad_spectral")
     integrator = through("path") | {"wavelength": 550.0}

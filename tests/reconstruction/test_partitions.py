@@ -63,7 +63,7 @@ def test_every_pixel_has_the_label_of_its_lens_on_any_lattice(lattice):
 
 
 @pytest.mark.parametrize("lattice", [{}, LATTICES["hexagonal"]], ids=["square", "hexagonal"])
-@pytest.mark.parametrize("period", [1, 2, 3])
+@pytest.mark.parametrize("period", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_interleaved_labels_are_interleave(period, lattice):
     camera = small_camera(8, **HALF, **lattice)
     capture = scene_of(camera)

@@ -146,7 +146,7 @@ def test_forward_then_back_peaks_in_the_radiators_bin(options, points):
 
 
 @cameras
-@pytest.mark.parametrize("interleave", [1, 2])
+@pytest.mark.parametrize("interleave", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
     image = lit_inside(camera, camera.shape[0] // 2 - 100, camera.shape[0] // 2 + 100)
     focus = camera.focus_distance
