@@ -31,7 +31,7 @@ from ..system.optical_system import RayPupil
 from ..system.photodiodes import PhotodiodeResponses, lens_range
 from .noise import Mended
 from .scene_light import SceneLight, require_finite
-from .signed_capture import SignedCapture, Sum
+from .signed_capture import SignedCapture
 from .signed_colours import FINE, Node, mixed
 from .signed_draws import chances_of, tent
 
@@ -264,9 +264,11 @@ class ResponseSum:
         self.box = Box(0, 0, columns, rows)
         self._columns, self._rows = (lens_range(camera, across, axis) for axis in (0, 1))
         plan, lens = self._tables.longest, self._tables.longest.system.lens
-        # A pixel is the mean over its area and that of a lens of the radiance of all rays by way of the pupil.
+        # A pixel is the mean over its area and the lens's aperture of the radiance of all rays by way of the pupil.
         scale = camera.detector_distance / (camera.mla_medium * plan.camera.pupil_distance)
-        self._scale = scale**2 * math.pi * float(lens.reach) ** 2 / (camera.pixel_size * camera.mla_pitch) ** 2
+        self._scale = (
+            scale**2 * math.pi * float(lens.reach) ** 2 / (camera.pixel_size * camera.mla_fill * camera.mla_pitch) ** 2
+        )
         # Two halves of the rays of a lens correct each other.
         self._rays = 2 * max(1, round(spp * across**2 * self._scale * camera.pixel_size**2 / 2))
         lenses = self._columns[1] - self._columns[0]
@@ -399,21 +401,11 @@ class ResponseCapture(SignedCapture):
         nodes[0].plan.require_memory(len(nodes))
         return nodes
 
-    def sums(
-        self,
-        spp: int,
-        seed: int,
-        runs: int,
-        kind: Callable[..., Sum],
-        light: SceneLight | None = None,
-        nodes: list[Node] | None = None,
-    ) -> list[Callable[[], Any]]:
-        """Return functions that construct the sums of `runs` independent captures; see `SignedCapture`."""
-        used = self.nodes if nodes is None else nodes
-        return [
-            partial(ResponseSum, self.camera, light or self.light, used, spp=-(-spp // runs), seed=own)
-            for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
-        ]
+    def _sum(
+        self, kind: Callable[..., Any], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+    ) -> Callable[[], Any]:
+        """Return a function that constructs one sum, which is of one kind only."""
+        return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
         """Return no channels: the noise of few rays exceeds the light around, so that pixels remain as they are."""

@@ -95,20 +95,18 @@ class SignedCapture:
         They are functions so that the memory of one sum is freed before the next is made. Light and nodes are the
         capture's own by default.
         """
+        used = light or self.light, self.nodes if nodes is None else nodes
         return [
-            partial(
-                kind,
-                self.camera,
-                light or self.light,
-                self.nodes if nodes is None else nodes,
-                self.colours.drawn,
-                parts=self._parts,
-                spp=-(-spp // runs),
-                seed=own,
-            )
+            self._sum(kind, *used, spp=-(-spp // runs), seed=own)
             # Captures with neighbouring seeds must not share runs.
             for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
         ]
+
+    def _sum(
+        self, kind: Callable[..., Sum], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+    ) -> Callable[[], Sum]:
+        """Return a function that constructs one sum."""
+        return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
         """Capture the scene.
