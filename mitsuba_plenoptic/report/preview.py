@@ -21,7 +21,7 @@ from .preview_views import View, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
 # objective, which takes more.
-_COLUMNS, _SPP, _OBJECTIVE_SPP = 320, 16, 64
+_COLUMNS, _SPP, _OBJECTIVE_SPP = 320, 16, 128
 
 # Fractions of the picture's width that a scene spans and of what is seen that can be refocused, below which a user is
 # warned.
@@ -227,12 +227,12 @@ def _draw_from_above(axes: Axes, seen: Preview) -> None:
     if near < reach:
         drawn = max(near, start), min(far, reach)
         axes.axvspan(*drawn, color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
-    axes.axvline(focus, color=_FOCUS, label=f"in focus, {view.in_units(focus)}")
+    axes.axvline(focus, color=_FOCUS, label=view.focus_label)
     for side in (-0.5, 0.5):
         border = [side * view.field(end)[0] for end in (start, reach)]
         axes.plot([start, reach], border, color="#667080", linewidth=0.8)
     axes.plot(points[:, 2], -points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
     axes.set_xlim(start, reach)
-    axes.set_xticks(*zip(*view.ticks().items(), strict=True), fontsize=8)
+    axes.set_xticks(*zip(*view.ticks(reach).items(), strict=True), fontsize=8)
     axes.set_title("From above; grey: borders of the field", size=9, loc="left", pad=6)
     axes.legend(fontsize=7, loc="upper left", framealpha=0.9)

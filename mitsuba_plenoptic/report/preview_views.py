@@ -15,9 +15,10 @@ from .. import design
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lens_data import defocus_factor, image_distance
-from ..lenses.common import main_lens
 from ..lenses.telecentric import TelecentricLens
 from .experiment import photograph, photographic_sensor
+
+_RAYS_PER_PASS = 2**22
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,11 @@ class View(ABC):
     @abstractmethod
     def focus(self) -> float:
         """Distance of the plane in focus."""
+
+    @property
+    def focus_label(self) -> str:
+        """Name of the plane in focus."""
+        return f"in focus, {self.in_units(self.focus)}"
 
     @abstractmethod
     def sharp_range(self) -> tuple[float, float]:
@@ -63,8 +69,8 @@ class View(ABC):
         """Return from which to which distance to draw the field, with what is at some distances."""
 
     @abstractmethod
-    def ticks(self) -> dict[float, str]:
-        """Return the distances to mark, with their names."""
+    def ticks(self, reach: float) -> dict[float, str]:
+        """Return the distances to mark on a drawing as far as `reach`, with their names."""
 
     def in_units(self, distance: float) -> str:
         """Write a distance with its unit."""
@@ -130,7 +136,7 @@ class LensView(View):
         """Draw from the lens on."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
-    def ticks(self) -> dict[float, str]:
+    def ticks(self, reach: float) -> dict[float, str]:
         """Mark the lens and the plane in focus."""
         return {0.0: "lens", self.focus: self.in_units(self.focus)}
 
@@ -146,6 +152,11 @@ class MicroscopeView(View):
         """The native object plane."""
         return 0.0
 
+    @property
+    def focus_label(self) -> str:
+        """Name of the plane in focus."""
+        return "in focus, the native object plane"
+
     def sharp_range(self) -> tuple[float, float]:
         """Return `design.depth_of_field`."""
         return design.depth_of_field(self.camera)
@@ -159,16 +170,19 @@ class MicroscopeView(View):
             integrator = mi.load_dict({"type": "path"})
         sampler = mi.load_dict({"type": "independent"})
         total = np.zeros(size[::-1])
-        x, y = _pixel_centres(size)
-        for index in range(spp):
-            sampler.seed(index, size[0] * size[1])
+        # Samples of a pixel side by side, in passes of bounded size.
+        together = max(1, min(spp, _RAYS_PER_PASS // total.size))
+        passes = -(-spp // together)
+        x, y = (dr.repeat(middle, together) for middle in _pixel_centres(size))
+        for index in range(passes):
+            sampler.seed(index, dr.width(x))
             jitter, stop = sampler.next_2d(), mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
             place = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
             radius = self.camera.aperture_radius
             rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y), scale, pose)
             light, found = integrator.sample(scene, sampler, rays)[:2]
             value = dr.select(found, mi.luminance(light) if mi.is_rgb else light[0], 0.0)
-            total += np.array(value, dtype=np.float64).reshape(total.shape) / spp
+            total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
         return total
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
@@ -192,9 +206,9 @@ class MicroscopeView(View):
         half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
         return -half, half
 
-    def ticks(self) -> dict[float, str]:
-        """Mark the native object plane and the ends of the depth of field."""
-        ends = {end: self.in_units(end) for end in self.sharp_range() if math.isfinite(end)}
+    def ticks(self, reach: float) -> dict[float, str]:
+        """Mark the native object plane, and the ends of the depth of field where there is room."""
+        ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
         return {**ends, 0.0: "native plane"}
 
     @property

@@ -158,17 +158,19 @@ def solid_lambda(height: float, depth: float) -> Mesh:
 
 def fibres() -> Mesh:
     """Return thin fibres between pairs of points: prisms whose perimeter is that of a circle 1 um wide."""
-    radius, sides = 0.0005, 32
+    radius, sides, rings = 0.0005, 16, 9
     angle = np.arange(sides) * (2 * math.pi / sides)
     corners = radius * (math.pi / sides) / math.sin(math.pi / sides) * np.stack([np.cos(angle), np.sin(angle)])
+    # Long thin triangles would make it slow to find what a ray meets.
+    part = np.linspace(0, 1, rings)[:, None]
     vertices, faces = [], []
-    for number, ends in enumerate(np.array(_FIBRES).reshape(-1, 2, 3)):
-        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    for number, (first, last) in enumerate(np.array(_FIBRES)):
+        along = (last - first) / np.linalg.norm(last - first)
         across = np.cross(along, [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
         ring = corners[0][:, None] * across + corners[1][:, None] * np.cross(along, across)
-        vertices.append((ends[:, None] + ring).reshape(-1, 3))
-        faces.append(grid_faces(2, sides, wrap_columns=True) + 2 * sides * number)
+        vertices.append(((first + part * (last - first))[:, None] + ring).reshape(-1, 3))
+        faces.append(grid_faces(rings, sides, wrap_columns=True) + rings * sides * number)
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
