@@ -9,6 +9,8 @@ import pytest
 
 from mitsuba_plenoptic import Capture, InputError, Objective, PlenopticCamera, design, read_capture, reconstruct
 from mitsuba_plenoptic.io.captures import write_capture
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.optics.rays import microlens_slope
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 AIR = Objective(20, 0.5)
@@ -121,6 +123,53 @@ def test_parallax_is_told_in_the_image_of_the_stop_only():
         design.parallax(PlenopticCamera.preset("lfm"), 0.1)
     with pytest.raises(InputError, match="this camera is no microscope"):
         design.native_field(PlenopticCamera())
+
+
+def width_seen(camera, depth, pixels, points):
+    """Width at a depth between two rays, each from a detector point through a point of the microlens on the axis."""
+    seen = []
+    for pixel, point in zip(pixels, points, strict=True):
+        slope = microlens_slope(pixel, point, 0.0, camera.reduced_distance, camera.mla_focal_length)
+        start, behind, _ = main_lens(camera).trace((np.float64(point), 0.0), (np.float64(slope), 0.0))
+        seen.append(start[0] + (depth - start[2]) * behind[0])
+    return abs(seen[1] - seen[0])
+
+
+@pytest.mark.parametrize("arrangement", ["image", "fourier"])
+@pytest.mark.parametrize("detector_distance", [20.0, 21.5, 18.5])
+def test_at_the_ends_of_the_depth_of_field_a_lens_blurs_by_a_pixel(arrangement, detector_distance):
+    further = {"fourier_focal_length": 50} if arrangement == "fourier" else {}
+    camera = PlenopticCamera(
+        main_lens=Objective(20, 0.3, 1.33, arrangement=arrangement, **further),
+        mla_pitch=0.5,
+        mla_focal_length=20,
+        detector_distance=detector_distance,
+        detector_width=4,
+        resolution=(800, 800),
+    )
+    ends = design.depth_of_field(camera)
+    half, pixel = camera.mla_pitch / 2, camera.pixel_size
+    for depth in ends:
+        lens = width_seen(camera, depth, (0, 0), (-half, half))
+        of_pixel = width_seen(camera, depth, (-pixel / 2, pixel / 2), (0, 0))
+        assert lens == pytest.approx(of_pixel, rel=0.05)
+    # Lenses focused on a real image before them see nearer depths in the image of the stop, and farther ones elsewhere.
+    side = np.sign(detector_distance - 20) * (1 if arrangement == "image" else -1)
+    assert ends[0] < ends[1] and {-1: ends[1] < 0, 0: ends[0] == -ends[1], 1: ends[0] > 0}[side]
+
+
+def test_depth_of_field_is_levoys():
+    """Of matched micro-images, N^2 wavelengths n / 2 NA^2 from end to end, N being the spots in each."""
+    camera = PlenopticCamera(
+        main_lens=Objective(20, 0.05, 1.33),
+        mla_pitch=0.15,
+        mla_focal_length=30,
+        detector_width=3,
+        resolution=(8000, 8000),
+    )
+    spots = 0.15 / design.spot_radius(camera, 550)
+    near, far = design.depth_of_field(camera, 550)
+    assert far - near == pytest.approx(spots**2 * 550e-6 * 1.33 / (2 * 0.05**2), rel=2e-3)
 
 
 @pytest.mark.parametrize(

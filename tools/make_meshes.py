@@ -16,7 +16,7 @@ from pathlib import Path
 from built_in_scenes.figures import chart_bars, letter_eight, letter_f, letter_hash, siemens_star, slanted_square
 from built_in_scenes.images import write_hdr, write_png
 from built_in_scenes.mesh import flat_mesh
-from built_in_scenes.solids import pawn, rounded_die, solid_lambda, torus_knot
+from built_in_scenes.solids import fibres, pawn, rounded_die, solid_lambda, torus_knot
 from built_in_scenes.textures import (
     average,
     die,
@@ -47,6 +47,7 @@ def write_all(directory: Path) -> list[Path]:
         "die": rounded_die(3.4, 0.42, 4),
         "knot": torus_knot(2.3, 0.42, 128, 20),
         "lambda": solid_lambda(4.2, 1.0),
+        "fibres": fibres(),
     }
     textures = {
         "waves": (levels(waves, 256, 256), ramp((54, 88, 138), (240, 234, 216))),

@@ -290,7 +290,8 @@ def open_scene(
     for text in design_warnings(seen):
         warnings.warn(text, stacklevel=2)
     box = loaded.bbox()
-    if box.valid():
+    # An objective sees what is nearer than its focal length.
+    if box.valid() and seen.lens_data.converges:
         to_camera = sensor.world_transform().inverse()
         farthest = max(float((to_camera @ box.corner(index)).z[0]) for index in range(8))
         if farthest < seen.focal_length:

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from .. import design
 from ..camera import PlenopticCamera
 from ..capture.render import estimate_capture, plenoptic_sensor
 from ..errors import InputError
@@ -33,27 +32,30 @@ def preview(
     """See in seconds what a camera will see of a scene, before it is captured.
 
     The picture is that of Mitsuba's thin lens of the same aperture and field,
-    focused on the camera's plane in focus. What refocusing makes sharp is
-    outlined in blue, the plane in focus in yellow. Printed are the field, the
-    micro-images, what is poor about the framing, and what captures will take.
+    focused on the camera's plane in focus, or that of a microscope without its
+    microlenses. What refocusing makes sharp is outlined in blue, the plane in
+    focus in yellow. Printed are the field, the micro-images, what is poor about
+    the framing, and what captures will take.
 
     [bold]Examples:[/bold]
 
       mitsuba-plenoptic preview letters
 
       mitsuba-plenoptic preview my_scene.xml --camera lytro --fit
+
+      mitsuba-plenoptic preview beads
     """
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
     with progress_bar("Previewing"):
         loaded = open_scene(scene, parse_definitions(define), None, camera)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
-        seen_by.require_lens("a preview")
         # Brings Matplotlib, which takes a while to load.
-        from ..report.preview import draw_preview, focus_of, framing_warnings, preview_of, propose, sharp_range
+        from ..report.preview import draw_preview, framing_warnings, preview_of, propose
 
-        focus = focus_of(seen_by)
         seen = preview_of(loaded, seen_by)
-        previews = [(f"{scene}, focused at {focus:.4g} mm", seen)]
+        view = seen.view
+        where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
+        previews = [(f"{scene}, in focus {where}", seen)]
         lines = []
         if fit:
             proposal = propose(loaded, seen)
@@ -63,16 +65,16 @@ def preview(
                     f"proposal: focus at {proposal.distance:.4g} mm: mla_distance = {proposal.mla_distance:.6g}"
                 )
             else:
-                lines.append(
-                    f"proposal: multiply the scene's lengths by {proposal.scale:g} and put the camera at "
-                    f"{proposal.lookat()}, {proposal.distance:.4g} mm before its middle"
-                )
+                scaled = "" if proposal.scale == 1 else f"multiply the scene's lengths by {proposal.scale:g} and "
+                before = f"{proposal.distance:.4g} mm before its middle"
+                if seen_by.objective is not None:
+                    before = "the native object plane in its middle"
+                lines.append(f"proposal: {scaled}put the camera at {proposal.lookat()}, {before}")
             lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
         draw_preview(target, previews)
-    width = design.field_width(seen_by, focus)
-    near, far = sharp_range(seen_by)
-    typer.echo(f"field: {width:.4g} x {width * seen_by.resolution[1] / seen_by.resolution[0]:.4g} mm at {focus:.4g} mm")
-    typer.echo(f"made sharp by refocusing: {near:.4g} mm to {far:.4g} mm".replace("inf mm", "infinity"))
+    width, height = (extent * view.per_millimetre for extent in view.field(view.focus))
+    typer.echo(f"field: {width:.4g} x {height:.4g} {view.unit} {where}")
+    typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
     pixels = seen_by.micro_image_pitch / seen_by.pixel_size
     typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.bin_count[0]} x {seen_by.bin_count[1]} of them")
     for model in ("ray", "wave"):

@@ -37,7 +37,7 @@ from .micro_images import (
     spot_radius,
     white_mean,
 )
-from .microscope import lens_aperture, lenses_across_stop, native_field, objective_limit, parallax
+from .microscope import depth_of_field, lens_aperture, lenses_across_stop, native_field, objective_limit, parallax
 from .warnings import design_warnings
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "best_distances",
     "crosstalk_lenses",
     "crosstalk_neighbours",
+    "depth_of_field",
     "depth_ranges",
     "design_warnings",
     "direction_count",

@@ -293,16 +293,13 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
         infinite.
     """
     camera.require_lens("the range of depths")
-    slack = _finest(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
     found: list[tuple[float, float] | None] = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         if focus == "unfocused":
             found.append(refocus_range(camera, wavelength))
             continue
         side = math.copysign(1, a)
-        # Distances of the image from the MLA, on the side where the microlens is in focus.
-        far = math.inf if abs(1 / a) <= slack else 1 / (abs(1 / a) - slack)
-        near = max(1 / (abs(1 / a) + slack), _covering(camera, side))
+        near, far = sharp_images(camera, a, _covering(camera, side), wavelength)
         images = sorted(camera.mla_distance - side * distance for distance in (near, far))
         # The nearer the object, the farther its image; none is nearer than the focal length.
         objects = [
@@ -311,6 +308,21 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
         ]
         found.append((objects[0], objects[1]) if near <= far and objects[0] < math.inf else None)
     return found
+
+
+def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:
+    """Return how near to and how far from the MLA an image is sharp, on the side where a microlens is in focus at a.
+
+    From the distance `covering` on, the light of a point spans a lens pitch.
+    """
+    slack = vergence_slack(camera, wavelength)
+    far = math.inf if abs(1 / a) <= slack else 1 / (abs(1 / a) - slack)
+    return max(1 / (abs(1 / a) + slack), covering), far
+
+
+def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
+    """Return by how much 1/a may differ from a microlens's focus for a blur of a pixel, or of the spot if wider."""
+    return _finest(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:

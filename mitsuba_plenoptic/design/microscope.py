@@ -13,6 +13,8 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_wavelength
 from ..objective import Objective
 from ..optics.waves import in_millimetres
+from .focus import focus_types, mla_object_distances, sharp_images, vergence_slack
+from .micro_images import direction_count
 
 
 def objective_of(camera: PlenopticCamera) -> Objective:
@@ -37,6 +39,47 @@ def native_field(camera: PlenopticCamera) -> float:
     if lens.images_stop:
         return camera.mla_pitch / lens.view_scale(camera.reduced_distance)
     return camera.detector_width / lens.magnification
+
+
+def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
+    r"""Return the least and the greatest depth beyond the native object plane at which some microlenses are sharp.
+
+    Unfocused microlenses in the native image plane: the depths that refocusing brings back to one sample per lens. The
+    blur :math:`2 M |d| \tan\alpha` on the array may span as many lenses as directions are resolved under each; for
+    micro-images that touch and a small NA this is Levoy et al.'s :math:`N_u^2 \lambda n / 2 NA^2` from end to end
+    (2006, "Light field microscopy", section 3). Focused ones, for which the image of a depth d lies :math:`M^2 d / n`
+    before the array: as `depth_ranges` for other cameras. Fourier arrangement: the blur of a point in the picture of
+    one lens, :math:`|d| w z M^2 / n f_F^2`, is at most a pixel, or the spot of diffraction if that is wider.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope.
+    wavelength : float
+        Wavelength in nanometres.
+
+    Returns
+    -------
+    (float, float)
+        In millimetres; NaN if no type of microlens is sharp at any depth.
+    """
+    lens = objective_of(camera)
+    ranges: list[tuple[float, float]] = []
+    for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
+        if lens.images_stop:
+            scale, slack = lens.immersion * (lens.last_focal_length / lens.magnification) ** 2, vergence_slack
+            ranges += [(-scale * (1 / a + slack(camera, wavelength)), -scale * (1 / a - slack(camera, wavelength)))]
+            continue
+        # Diameter of a point's light on the array for each millimetre of depth.
+        growth = lens.blur_diameter(1)
+        if focus == "unfocused":
+            reach = direction_count(camera, wavelength) * camera.mla_pitch / growth
+            ranges += [(-reach, reach)]
+            continue
+        scale = lens.immersion / lens.magnification**2
+        near, far = sharp_images(camera, a, max(camera.mla_pitches) / growth / scale, wavelength)
+        ranges += [tuple(sorted(math.copysign(scale * image, a) for image in (near, far)))] if near <= far else []  # type: ignore[list-item]
+    return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else (math.nan, math.nan)
 
 
 def objective_limit(camera: PlenopticCamera, wavelength: float) -> float:

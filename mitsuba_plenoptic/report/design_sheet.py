@@ -333,7 +333,13 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
         ("focal length", _four(lens.focal_length), "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
         ("stop", _four(2 * lens.stop_radius), "mm", "diameter, in the back focal plane"),
         ("object seen", _four(1e3 * design.native_field(camera)), "um", "width"),
+        ("depth of field", _depths(design.depth_of_field(camera)), "um", "by rays, of microlenses or by refocusing"),
     ]
+
+
+def _depths(limits: tuple[float, float]) -> str:
+    """Write depths in micrometres, nearest first."""
+    return "nothing is sharp" if math.isnan(limits[0]) else " to ".join(_four(1e3 * limit) for limit in limits)
 
 
 def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:

@@ -1,4 +1,4 @@
-"""A look at a scene before it is captured: what a thin lens sees, what is in focus, and whether the camera suits it."""
+"""A look at a scene before it is captured: what its lens sees, what is in focus, and whether the camera suits it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import mitsuba as mi
 import numpy as np
 from matplotlib.axes import Axes
 
-from .. import design
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..lens_data import defocus_factor, image_distance
-from .experiment import photograph, photographic_sensor
+from ..lens_data import image_distance
 from .framing import Canvas, show
 from .images import Brightness
+from .preview_views import View, view_of
 
-# Columns of pictures at least, and samples of each of their pixels.
-_COLUMNS, _SPP = 320, 16
+# Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
+# objective, which takes more.
+_COLUMNS, _SPP, _OBJECTIVE_SPP = 320, 16, 128
 
 # Fractions of the picture's width that a scene spans and of what is seen that can be refocused, below which a user is
 # warned.
@@ -38,7 +38,7 @@ _SHARP, _FOCUS = "#3fb4ff", "#ffb000"
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """What a thin lens of a camera sees.
+    """What a camera sees without its microlenses.
 
     Attributes
     ----------
@@ -47,15 +47,15 @@ class Preview:
     points : (rows, columns, 3) array
         What the middle of the lens sees in the camera's frame, x to the left, y up and z the distance; NaN where there
         is nothing.
-    camera : PlenopticCamera
-        The camera.
+    view : View
+        The camera's view.
     scale : float
         Lengths of the camera's scene over those of the given one.
     """
 
     picture: np.ndarray
     points: np.ndarray
-    camera: PlenopticCamera
+    view: View
     scale: float = 1.0
 
     @property
@@ -87,7 +87,7 @@ class Proposal:
     scale : float
         Factor for all lengths of the scene; 1 if only the focus is to change.
     pose : mitsuba.ScalarTransform4f or None
-        Position of the lens in the scene before it is scaled; None for its own.
+        Position of the camera in the scene before it is scaled; None for its own.
     """
 
     distance: float
@@ -99,95 +99,83 @@ class Proposal:
         """Return the sensor's position in the scaled scene as Mitsuba's XML."""
         matrix = np.array(self.pose.matrix, dtype=np.float64).reshape(4, 4)
         origin, up, ahead = self.scale * matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
-        target = origin + self.distance * ahead / np.linalg.norm(ahead)
+        # The native plane of a microscope is where it stands.
+        target = origin + (self.distance or 1.0) * ahead / np.linalg.norm(ahead)
         texts = [", ".join(f"{value:.6g}" for value in vector + 0.0) for vector in (origin, target, up)]
         return '<lookat origin="{}" target="{}" up="{}"/>'.format(*texts)
 
 
-def focus_of(camera: PlenopticCamera) -> float:
-    """Return the distance of the object plane that the first microlenses see sharply."""
-    distance = design.best_distances(camera)[0]
-    refuse_if(
-        not camera.focal_length < distance < math.inf,
-        f"mla_distance = {camera.mla_distance:g}: no plane beyond the focal length {camera.focal_length:g} is in focus",
-    )
-    return distance
-
-
 def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
-    """See a scene through a thin lens, as the camera has it or as a fit proposes.
+    """See a scene as the camera has it or as a fit proposes.
 
-    In place of the scene the lens is scaled.
+    In place of the scene the camera is scaled.
     """
-    scale, moved = (fit.scale, fit.pose) if fit else (1.0, None)
-    camera = camera.replace(mla_distance=fit.mla_distance) if fit else camera
+    scale, pose = (fit.scale, fit.pose) if fit else (1.0, None)
+    if fit and fit.mla_distance != camera.mla_distance:
+        camera = camera.replace(mla_distance=fit.mla_distance)
+    view = view_of(camera)
     columns, rows = camera.bin_count
     size = (columns * -(-_COLUMNS // columns), rows * -(-_COLUMNS // columns))
-    pose = {} if moved is None else {"to_world": moved}
-    lens = {"aperture_radius": camera.aperture_radius / scale, "focus_distance": focus_of(camera) / scale}
-    sensor = photographic_sensor(scene, camera, size, type="thinlens", **lens, **pose)
-    pinhole = photographic_sensor(
-        scene, camera, size, type="perspective", near_clip=1e-6 * focus_of(camera) / scale, **pose
-    )
-    index = dr.arange(mi.UInt32, size[0] * size[1])
-    row = index // size[0]
-    pixel = mi.Point2f((index - row * size[0] + 0.5) / size[0], (row + 0.5) / size[1])
-    rays, _ = pinhole.sample_ray(0, 0.5, pixel, mi.Point2f(0.5))
+    spp = _SPP if camera.objective is None else _OBJECTIVE_SPP
+    picture = view.take(scene, size, spp, scale, pose)
+    rays, to_world = view.sight(scene, size, scale, pose)
     hit = scene.ray_intersect(rays)
-    seen = pinhole.world_transform().inverse() @ hit.p
+    seen = to_world.inverse() @ hit.p
     points = np.array(dr.select(hit.is_valid(), seen, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
-    return Preview(photograph(scene, sensor, _SPP), scale * points, camera, scale)
-
-
-def sharp_range(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return the nearest and the farthest distance that some microlenses bring back sharply."""
-    ranges = [found for found in design.depth_ranges(camera) if found is not None]
-    return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
+    return Preview(picture, scale * points, view, scale)
 
 
 def framing_warnings(seen: Preview) -> list[str]:
     """Describe what is poor about where the scene is, with fractions of the picture."""
-    distance = seen.distance[np.isfinite(seen.distance)]
+    view, distance = seen.view, seen.distance[np.isfinite(seen.distance)]
     if not distance.size:
         return ["nothing of the scene is in the picture"]
     found = []
     if seen.filled < _LITTLE_FILLED:
         found.append(f"the scene spans {seen.filled:.2%} of the picture")
-    near = float((distance <= seen.camera.focal_length).mean())
-    if near > 0:
+    near = float((distance <= view.camera.focal_length).mean())
+    if near > 0 and view.camera.objective is None:
         found.append(
-            f"{near:.0%} of what is seen is within the focal length of {seen.camera.focal_length:g} mm, where nothing "
+            f"{near:.0%} of what is seen is within the focal length of {view.camera.focal_length:g} mm, where nothing "
             "is in focus"
         )
-    ends = sharp_range(seen.camera)
+    ends = view.sharp_range()
     sharp = float(((distance >= ends[0]) & (distance <= ends[1])).mean())
     if sharp < _LITTLE_SHARP:
         found.append(
-            f"only {sharp:.0%} of what is seen is from {ends[0]:.4g} to {ends[1]:.4g} mm, which refocusing makes "
-            f"sharp; it is from {distance.min():.4g} to {distance.max():.4g} mm"
+            f"only {sharp:.0%} of what is seen is from {view.between(*ends)}, which refocusing makes sharp; it is from "
+            f"{view.between(distance.min(), distance.max())}"
         )
     return found
 
 
 def propose(scene: Any, seen: Preview) -> Proposal:
     """Propose a focus for the scene, or a scale and a position for it where the focus alone would not do."""
-    camera = seen.camera
-    near, far = _span(seen.distance)
-    # In the middle of the inverse distances, so that both ends are blurred alike.
-    middle = 2 / (1 / near + 1 / far) if near > 0 else math.nan
-    if seen.filled >= _LITTLE_FILLED and middle > _NEAREST * camera.focal_length:
-        # As far from the main lens's image as now.
-        behind = camera.mla_distance - image_distance(camera.focal_length, focus_of(camera))
-        return Proposal(middle, image_distance(camera.focal_length, middle) + behind)
+    view, camera = seen.view, seen.view.camera
+    if seen.filled >= _LITTLE_FILLED:
+        near, far = _span(seen.distance)
+        if camera.objective is not None:
+            # Its native plane is where it stands.
+            return Proposal(0.0, camera.mla_distance, pose=_pose(scene, (0.0, 0.0, (near + far) / 2)))
+        # In the middle of the inverse distances, so that both ends are blurred alike.
+        middle = 2 / (1 / near + 1 / far) if near > 0 else math.nan
+        if middle > _NEAREST * camera.focal_length:
+            # As far from the main lens's image as now.
+            behind = camera.mla_distance - image_distance(camera.focal_length, view.focus)
+            return Proposal(middle, image_distance(camera.focal_length, middle) + behind)
     low, high = _extent(scene)
     size, centre = high - low, (low + high) / 2
     refuse_if(not size[:2].max() > 0, "scene: its objects have no width or height")
-    focus = focus_of(camera)
-    field = camera.mla_pitch * focus / camera.mla_distance * np.array(camera.bin_count)
+    field = np.array(view.field(view.focus))
     scale = float(f"{_FILL * float(np.min(field / np.maximum(size[:2], 1e-6 * size.max()))):.2g}")
+    pose = _pose(scene, (centre[0], centre[1], centre[2] - view.focus / scale))
+    return Proposal(view.focus, camera.mla_distance, scale, pose)
+
+
+def _pose(scene: Any, position: Any) -> Any:
+    """Return the pose of the scene's sensor, moved to a position in its own frame."""
     to_world = mi.ScalarTransform4f(np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4))
-    pose = to_world @ mi.ScalarTransform4f().translate([centre[0], centre[1], centre[2] - focus / scale])
-    return Proposal(focus, camera.mla_distance, scale, pose)
+    return to_world @ mi.ScalarTransform4f().translate(list(position))
 
 
 def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -221,30 +209,30 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
 
 
 def _outline(axes: Axes, seen: Preview) -> None:
-    """Outline what refocusing makes sharp, and what the picture has in focus: blurred by less than a microlens."""
-    camera, distance = seen.camera, seen.distance
-    near, far = sharp_range(camera)
-    image = image_distance(camera.focal_length, focus_of(camera))
-    blur = camera.aperture_diameter * np.abs(defocus_factor(distance, image, camera.focal_length))
-    for part, colour in (((distance >= near) & (distance <= far), _SHARP), (blur <= camera.mla_pitch, _FOCUS)):
+    """Outline what refocusing makes sharp, and what the picture has in focus."""
+    distance = seen.distance
+    near, far = seen.view.sharp_range()
+    in_focus = seen.view.is_focused(distance)
+    for part, colour in (((distance >= near) & (distance <= far), _SHARP), (in_focus, _FOCUS)):
         if part.any() and not part.all():
             axes.contour(part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
 
 
 def _draw_from_above(axes: Axes, seen: Preview) -> None:
     """Draw what is seen from above, between the borders of the field."""
-    camera, focus = seen.camera, focus_of(seen.camera)
+    view, focus = seen.view, seen.view.focus
     points = seen.points[np.isfinite(seen.distance)][::7]
-    near, far = sharp_range(camera)
-    reach = 1.15 * max(focus, float(np.percentile(points[:, 2], 99)) if len(points) else 0)
-    half = camera.bin_count[0] * camera.mla_pitch / 2 / camera.mla_distance
+    near, far = view.sharp_range()
+    start, reach = view.drawn_range(points[:, 2])
     if near < reach:
-        axes.axvspan(near, min(far, reach), color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
-    axes.axvline(focus, color=_FOCUS, label=f"in focus, {focus:.4g} mm")
-    axes.plot([0, reach], [0, half * reach], [0, reach], [0, -half * reach], color="#667080", linewidth=0.8)
+        drawn = max(near, start), min(far, reach)
+        axes.axvspan(*drawn, color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
+    axes.axvline(focus, color=_FOCUS, label=view.focus_label)
+    for side in (-0.5, 0.5):
+        border = [side * view.field(end)[0] for end in (start, reach)]
+        axes.plot([start, reach], border, color="#667080", linewidth=0.8)
     axes.plot(points[:, 2], -points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
-    axes.set_xlim(0, reach)
-    axes.set_xticks([0, focus])
-    axes.set_xticklabels(["lens", f"{focus:.4g} mm"], fontsize=8)
+    axes.set_xlim(start, reach)
+    axes.set_xticks(*zip(*view.ticks(reach).items(), strict=True), fontsize=8)
     axes.set_title("From above; grey: borders of the field", size=9, loc="left", pad=6)
     axes.legend(fontsize=7, loc="upper left", framealpha=0.9)

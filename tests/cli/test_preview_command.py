@@ -12,6 +12,7 @@ from mitsuba_plenoptic.report import preview
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
     monkeypatch.setattr(preview, "_SPP", 1)
+    monkeypatch.setattr(preview, "_OBJECTIVE_SPP", 1)
     monkeypatch.setattr(preview, "_COLUMNS", 32)
 
 
@@ -27,7 +28,14 @@ def test_what_is_printed(tmp_path, run):
     assert np.asarray(Image.open(path)).shape[0] > 1000
 
 
+def test_microscopes(tmp_path, run):
+    text = run(
+        "preview", "beads", "-D", "resolution=150", "-D", "detector_width=1.5", "-o", tmp_path / "look.pdf", "--fit"
+    )
+    assert "field: 75 x 75 um in the native object plane" in text
+    assert "made sharp by refocusing: -97.43 to 97.43 um" in text
+    assert "ray capture: about" in text and "the native object plane in its middle" in text
+
+
 def test_refused(tmp_path, complaint):
     assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png or .pdf")
-    words = complaint("preview", "letters", "--camera", "lfm", "-o", tmp_path / "a.png")
-    assert "a preview is not defined behind an objective" in words

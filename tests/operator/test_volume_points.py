@@ -60,3 +60,16 @@ def test_beads_send_what_their_size_says():
 def test_fibres_are_in_view():
     image = render_capture(load_scene("fibres"), model="ray", spp=4).image
     assert 0.01 < np.mean(image > 0) < 0.5
+
+
+def test_fibres_are_as_thin_from_the_objective_as_from_near_by():
+    """Mitsuba's cylinders of this width are twice as wide from 10 mm away."""
+    scene, width, count = load_scene("fibres"), 0.225, 700
+    places = np.stack(np.meshgrid(*2 * [np.linspace(-width / 2, width / 2, count)]), -1).reshape(-1, 2).T
+    for start in (-10.0, -0.2):
+        hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(*places, start), mi.Vector3f(0, 0, 1)))
+        seen = hit.is_valid().numpy()
+        # Their lengths across the axis times 1 um, less where they cross.
+        assert seen.mean() * width**2 == pytest.approx(1.12e-3, rel=0.03)
+        # Their outsides shine.
+        assert (hit.wi.numpy()[2][seen] > 0).mean() > 0.99

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, with_camera
+from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, with_camera
 from mitsuba_plenoptic.report import preview
 from mitsuba_plenoptic.report.preview import framing_warnings, preview_of, propose
 
@@ -19,6 +19,7 @@ WIDTH = 16 * 0.064 * 240 / 120  # of the field in the plane in focus
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
     monkeypatch.setattr(preview, "_SPP", 1)
+    monkeypatch.setattr(preview, "_OBJECTIVE_SPP", 64)
     monkeypatch.setattr(preview, "_COLUMNS", 64)
 
 
@@ -86,6 +87,62 @@ def test_a_scale_is_proposed(size, distance, across):
     scaled = preview_of(scene_of(size, distance, across, fit.scale, numbers), CAMERA)
     assert scaled.filled == pytest.approx(proposed.filled, abs=0.04)
     assert np.nanmean(scaled.distance) == pytest.approx(240, rel=1e-3) == np.nanmean(proposed.distance)
+
+
+MICROSCOPE = PlenopticCamera(
+    main_lens=Objective(20, 0.5), mla_pitch=0.15, mla_focal_length=3, detector_width=2.4, resolution=(240, 240)
+)
+FIELD = 16 * 0.15 / 20
+
+
+def before_microscope(size, depth, across=0.0):
+    """A luminous disc before a microscope."""
+    disk = mi.ScalarTransform4f().translate([across, 0, depth]).scale(size / 2).rotate([1, 0, 0], 180)
+    emitter = {"type": "area", "radiance": 1.0}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path"},
+            "disk": {"type": "disk", "to_world": disk, "emitter": emitter},
+            "sensor": {"type": "perspective"},
+        }
+    )
+    return with_camera(scene, MICROSCOPE)
+
+
+def test_a_microscope_sees_through_its_objective():
+    depth, across = 0.02, 0.25 * FIELD
+    seen = preview_of(before_microscope(0.1 * FIELD, depth, across), MICROSCOPE)
+    assert np.nanmax(np.abs(seen.distance - depth)) < 1e-6 and seen.filled == pytest.approx(0.1, abs=2 / 64)
+    # As far from the axis at every depth, +x to the left.
+    size = FIELD / seen.picture.shape[1]
+    column, row = (np.average(np.arange(64) + 0.5, weights=seen.picture.sum(axis)) for axis in (0, 1))
+    assert (32 - column) * size == pytest.approx(across, abs=size / 4) and row == pytest.approx(32, abs=0.3)
+    # The sine condition fills the cone evenly in |sin|^2, and the disc evenly in r^2: the mean square on one axis is
+    # d^2 <tan^2> / 2 + r^2 / 4.
+    cone = -1 - np.log(1 - 0.5**2) / 0.5**2
+    spread = np.average((np.arange(64) + 0.5 - column) ** 2, weights=seen.picture.sum(0)) * size**2
+    assert spread == pytest.approx(depth**2 * cone / 2 + (0.05 * FIELD) ** 2 / 4, rel=0.03)
+    # A blurred object loses no light.
+    focused = preview_of(before_microscope(0.1 * FIELD, 0.0), MICROSCOPE)
+    assert seen.picture.sum() == pytest.approx(focused.picture.sum(), rel=0.05)
+    assert focused.picture.max() == 1
+
+
+def test_framing_before_a_microscope(tmp_path):
+    far = before_microscope(0.8 * FIELD, 0.5)
+    seen = preview_of(far, MICROSCOPE)
+    (text,) = framing_warnings(seen)
+    assert re.search("only 0% of what is seen is from -97.* to 97.* um, .* it is from 500 to 500 um", text), text
+    fit = propose(far, seen)
+    assert fit.scale == 1 and framing_warnings(preview_of(far, MICROSCOPE, fit)) == []
+    assert '<lookat origin="0, 0, 0.5" target="0, 0, 1.5"' in fit.lookat()
+    small = before_microscope(0.1 * FIELD, 0.3, 0.3 * FIELD)
+    fit = propose(small, preview_of(small, MICROSCOPE))
+    proposed = preview_of(small, MICROSCOPE, fit)
+    assert proposed.filled == pytest.approx(0.8, abs=0.05) and framing_warnings(proposed) == []
+    assert fit.scale * 0.1 * FIELD == pytest.approx(0.8 * FIELD, rel=0.05)
+    preview.draw_preview(tmp_path / "look.png", [("before", seen), ("after", proposed)])
 
 
 def test_a_camera_without_a_plane_in_focus_is_refused():
