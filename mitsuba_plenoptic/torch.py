@@ -171,10 +171,11 @@ def render(
     Raises
     ------
     InputError
-        If a name is unknown.
+        If no value is given, a name is unknown, or a value has another shape.
     """
-    image = rendering(scene, values, integrator=integrator, spp=spp, seed=seed)
-    return dr.wrap(source="torch", target="drjit")(image)(*(_required(value).float() for value in values.values()))
+    shapes = {name: tuple(_required(value).shape) for name, value in values.items()}
+    image = rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
+    return dr.wrap(source="torch", target="drjit")(image)(*(value.float() for value in values.values()))
 
 
 class _Linear(torch.autograd.Function):
