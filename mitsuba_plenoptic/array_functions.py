@@ -255,16 +255,16 @@ def _together(function: Callable[[Array], Array], captures: Array) -> Array:
 _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"
 
 
-def rendering(
-    scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int
-) -> Callable[..., Any]:
+def rendering(scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> Callable[..., Any]:
     """Return the function of Dr.Jit's tensors, one for each name, that renders a scene with these parameters."""
     parameters = mi.traverse(scene)
     require_known("values: ", shapes, list(parameters.keys()))
     refuse_if(not shapes, "values: give at least one parameter of the scene")
     for name, shape in shapes.items():
         kind = type(parameters[name])
-        refuse_if(not dr.is_diff_v(kind) or not dr.is_float_v(kind), f"{name}: it is {kind.__name__}: {_NO_DERIVATIVES}")
+        refuse_if(
+            not dr.is_diff_v(kind) or not dr.is_float_v(kind), f"{name}: it is {kind.__name__}: {_NO_DERIVATIVES}"
+        )
         expected = np.shape(np.array(parameters[name]))
         # One number may have no axis.
         refuse_if(

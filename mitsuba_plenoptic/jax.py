@@ -1,8 +1,8 @@
 """Captures and reconstructions as differentiable functions of JAX's arrays (extra ``jax``).
 
 Axes before those that a function names are a batch. Results have the type of the array given, which must be of floating
-point. The functions run on the processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``, and
-differentiated in reverse and in forward mode.
+point. The functions run on the processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``,
+and differentiated in reverse and in forward mode.
 """
 
 from __future__ import annotations
@@ -344,7 +344,9 @@ def _change_transpose(gradient: Any, *given: Any, function: _Latest, which: tupl
 
 
 def _once(*_: Any, **__: Any) -> Any:
-    raise InputError("derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none")
+    raise InputError(
+        "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
+    )
 
 
 for _each in (_smooth, _change, _gradient):

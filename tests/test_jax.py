@@ -154,7 +154,7 @@ def test_compiled_and_mapped_derivatives_of_cameras():
     figure = lambda d: (bridge.capture(computing, CAMERA, {"mla_distance": d}, weights) ** 2).sum()  # noqa: E731
     expected = [jax.grad(figure)(each) for each in distances]
     np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(figure)))(distances), expected, rtol=1e-5)
-    with pytest.raises(InputError, match="^derivatives of derivatives: "):
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
         jax.grad(jax.grad(figure))(distances[0])
 
 
@@ -163,7 +163,10 @@ def test_captures_of_scenes():
     scene = load_scene(
         "letters", parameters={"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
     )
-    integrator, names = mi.load_dict({"type": "plenoptic_wave"}), [f"{one}.emitter.radiance.value" for one in ("f", "hash")]
+    integrator, names = (
+        mi.load_dict({"type": "plenoptic_wave"}),
+        [f"{one}.emitter.radiance.value" for one in ("f", "hash")],
+    )
     start = [np.array(mi.traverse(scene)[name], np.float64) for name in names]
 
     def image(*values, seed=0):
@@ -186,7 +189,7 @@ def test_types():
     half = bridge.forward(operator, np.ones(3, np.float16))
     assert half.dtype == np.float16
     np.testing.assert_allclose(half, operator.forward(np.ones(3)), rtol=1e-3, atol=1e-6)
-    with pytest.raises(InputError, match="^weights: its type is int64: it must be of floating point$"):
+    with pytest.raises(InputError, match=r"^weights: its type is int64: it must be of floating point$"):
         bridge.forward(operator, [1, 2, 3])
 
 

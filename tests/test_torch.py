@@ -267,7 +267,10 @@ def test_captures_of_scenes():
     ("values", "message"),
     [
         ({}, "^values: give at least one parameter of the scene$"),
-        ({"f.emitter.radiance.value": torch.ones(3)}, r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$"),
+        (
+            {"f.emitter.radiance.value": torch.ones(3)},
+            r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$",
+        ),
         ({"f.faces": torch.ones(18)}, "^f.faces: it is UInt: give floating-point numbers"),
         ({"f.emitter.radiance": torch.ones(1)}, "^values: f.emitter.radiance: it is not one of"),
     ],
@@ -287,7 +290,9 @@ def test_mistakes():
     with pytest.raises(InputError, match=r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"):
         bridge.forward(stored(), [1, 2, 3])
     for wrong in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta")):
-        with pytest.raises(InputError, match=r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating point"):
+        with pytest.raises(
+            InputError, match=r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating point"
+        ):
             bridge.forward(stored(), wrong)
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
