@@ -25,6 +25,7 @@ from ..reconstruction import reconstruct
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from ..runtime.jobs import Progress, counted
 from .contents import CAPTURES, DISTANCES, FINER, PUPIL_POINTS, WAVELENGTH, Benchmark, capture_of
+from .network import costs, depths
 from .score import answer_folder
 
 Answers = dict[str, np.ndarray]
@@ -112,12 +113,18 @@ def _deconvolved(question: Question) -> Answers:
     return {"refocus": _images(question.capture, method="deconvolved")}
 
 
+def _network(question: Question) -> Answers:
+    """Find depths by the trained network."""
+    return {"depth": depths(costs(question.light_field, question.camera))}
+
+
 BASELINES: dict[str, Callable[[Question], Answers]] = {
     "plain": _plain,
     "ray": _ray,
     "coherent": _coherent,
     "partial": _partial,
     "deconvolved": _deconvolved,
+    "network": _network,
 }
 """Baselines by name."""
 
