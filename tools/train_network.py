@@ -17,7 +17,7 @@ import torch
 
 from mitsuba_plenoptic.benchmark import CAPTURES, Benchmark
 from mitsuba_plenoptic.benchmark.baselines import Question
-from mitsuba_plenoptic.benchmark.contents import HELD_OUT, capture_of, central_truth
+from mitsuba_plenoptic.benchmark.contents import HELD_OUT, capture_of, central_truth, model_of
 from mitsuba_plenoptic.benchmark.network import DEPTHS, costs
 from mitsuba_plenoptic.benchmark.score import inner
 
@@ -34,7 +34,7 @@ def main(words: list[str] | None = None) -> int:
     given = parser.parse_args(words)
     examples = [each for folder in given.benchmarks for each in examples_of(Benchmark(folder))]
     layers = train(examples, given.seed, given.epochs)
-    np.savez(given.output, **{name: array for name, array in layers.items()})
+    np.savez(given.output, **layers)
     print(f"{given.output}: {sum(array.size for array in layers.values())} weights from {len(examples)} captures")
     return 0
 
@@ -53,12 +53,12 @@ def examples_of(made: Benchmark) -> list[tuple[np.ndarray, np.ndarray]]:
         part = tuple(inner(size) for size in inverse.shape)
         scored[part] = inverse[part]
         for name in CAPTURES:
-            question = Question(capture_of(sample, name), made.white(index, name.partition("_")[0]))
+            question = Question(capture_of(sample, name), made.white(index, model_of(name)))
             found.append((costs(question.light_field, question.camera), scored.astype(np.float32)))
     return found
 
 
-def train(examples: list[tuple[np.ndarray, np.ndarray]], seed: int, epochs: int) -> dict[str, np.ndarray]:
+def train(examples: list[tuple[np.ndarray, np.ndarray]], seed: int, epochs: int) -> dict[str, Any]:
     """Return the kernels and biases that fit the inverse depths best, in the mean absolute difference."""
     torch.manual_seed(seed)
     torch.use_deterministic_algorithms(True)

@@ -1,9 +1,9 @@
 """Depth by a small trained network: the baseline ``network``.
 
-The light field is compared with planes at fixed depths: for each, all views are shifted so that a point at this depth is
-at the same bin in all of them, and the variance over the views is small where the depth is right. Two layers of 3 x 3
-convolutions see these variances around a bin, and a third layer weighs the depths, whose mean is the answer. The
-weights were trained by ``tools/train_network.py`` and lie in ``network.npz``; NumPy applies them.
+A light field is compared with planes at fixed depths. For each depth, all views are shifted so that a point there lies
+in the same bin of all of them; the variance over the views is small where the depth is right. Two layers of 3 x 3
+convolutions take these variances from the bins around a bin, and a third one gives weights of the depths, whose mean
+inverse is the answer. ``tools/train_network.py`` trained the network and wrote ``network.npz``; here NumPy applies it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ def costs(light_field: xr.DataArray, camera: PlenopticCamera) -> np.ndarray:
 
     The first are those of the views at each depth relative to the last, the variance of the picture around a bin.
     """
-    v, u = (index - size // 2 for index, size in zip(np.indices(light_field.shape[:2]), light_field.shape, strict=False))
+    v, u = (
+        index - size // 2 for index, size in zip(np.indices(light_field.shape[:2]), light_field.shape, strict=False)
+    )
     inside = np.hypot(v, u) * camera.pupil_step <= _PUPIL * camera.aperture_radius
     views, v, u = light_field.values[inside], v[inside], u[inside]
     central = views[(v == 0) & (u == 0)][0]
