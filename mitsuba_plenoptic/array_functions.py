@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import drjit as dr
@@ -69,6 +69,11 @@ class SmoothFunction(Protocol):
 
     def shape(self, given: Shape) -> Shape:
         """Return the shape of the value from that of the first array."""
+
+
+def working_array(array: Array) -> Array:
+    """Return an array of a type that the sums take: half precision as single."""
+    return array if array.dtype in (np.float32, np.float64) else array.astype(np.float32)
 
 
 # -- points ------------------------------------------------------------------------------------------
@@ -134,6 +139,11 @@ class CameraCapture:
         require_known("parameters: ", names, [name for name in DIFFERENTIABLE if name != WAVELENGTH])
         self._make, self._camera, self._names = make, camera, tuple(names)
 
+    @cached_property
+    def _points(self) -> LinearFunction:
+        """The captures by the camera as it is."""
+        return points(self._make(self._camera))
+
     def at(self, *given: Array) -> CameraValue:
         """Capture points with weights by a camera with some values."""
         weights, *values = given
@@ -142,7 +152,7 @@ class CameraCapture:
 
     def shape(self, given: Shape) -> Shape:
         """Return the shape of images from that of weights."""
-        return points(self._make(self._camera)).shape(given)
+        return self._points.shape(given)
 
 
 class CameraValue:
@@ -242,16 +252,87 @@ def _together(function: Callable[[Array], Array], captures: Array) -> Array:
 # -- scenes ------------------------------------------------------------------------------------------
 
 
-def rendering(scene: Any, names: Mapping[str, Any], *, integrator: Any, spp: int, seed: int) -> Callable[..., Any]:
+_NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"
+
+
+def rendering(scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> Callable[..., Any]:
     """Return the function of Dr.Jit's tensors, one for each name, that renders a scene with these parameters."""
     parameters = mi.traverse(scene)
-    require_known("values: ", names, list(parameters.keys()))
+    require_known("values: ", shapes, list(parameters.keys()))
+    refuse_if(not shapes, "values: give at least one parameter of the scene")
+    for name, shape in shapes.items():
+        kind = type(parameters[name])
+        refuse_if(
+            not dr.is_diff_v(kind) or not dr.is_float_v(kind), f"{name}: it is {kind.__name__}: {_NO_DERIVATIVES}"
+        )
+        expected = np.shape(np.array(parameters[name]))
+        # One number may have no axis.
+        refuse_if(
+            tuple(shape) != expected and not math.prod(shape) == math.prod(expected) == 1,
+            f"{name} of shape {tuple(shape)}: it must be {expected}",
+        )
 
     def image(*tensors: Any) -> Any:
-        for name, tensor in zip(names, tensors, strict=True):
+        for name, tensor in zip(shapes, tensors, strict=True):
             kind = type(parameters[name])
             parameters[name] = kind(tensor) if dr.is_tensor_v(kind) else dr.unravel(kind, tensor.array, order="C")
         parameters.update()
         return mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed)
 
     return image
+
+
+class Rendering:
+    """The image of a scene as a function of some of its parameters."""
+
+    def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
+        self._image = rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
+        self._sensor, self._integrator = scene.sensors()[0], integrator or scene.integrator()
+
+    def at(self, *given: Array) -> RenderedValue:
+        """Render the scene with some values."""
+        return RenderedValue(self._image, given)
+
+    def shape(self, _: Shape) -> Shape:
+        """Return the shape of the image."""
+        film = self._sensor.film()
+        film.prepare(self._integrator.aov_names())
+        columns, rows = film.crop_size()
+        return int(rows), int(columns), int(film.bitmap().channel_count())
+
+
+class RenderedValue:
+    """The image of a scene, and its derivatives by some of its parameters."""
+
+    def __init__(self, image: Callable[..., Any], given: Sequence[Array]) -> None:
+        self._given = list(map(_tensor, given))
+        dr.enable_grad(self._given)
+        self._image = image(*self._given)
+        self.value = np.array(self._image)
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the image; see `Value`."""
+        for tensor, change in zip(self._given, changes, strict=True):
+            if change is not None:
+                dr.set_grad(tensor, _tensor(change))
+        return self._traverse(dr.ADMode.Forward, self._given, [self._image])[0]
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradient by each value that needs it; see `Value`."""
+        dr.set_grad(self._image, _tensor(gradient))
+        found = self._traverse(dr.ADMode.Backward, [self._image], self._given)
+        return [each if one else None for each, one in zip(found, needed, strict=True)]
+
+    def _traverse(self, mode: Any, start: list[Any], end: list[Any]) -> list[Array]:
+        """Return the gradients at the end of a pass, and keep what another pass needs."""
+        dr.enqueue(mode, start)
+        dr.traverse(mode, flags=dr.ADFlag.ClearInterior)
+        found = [np.array(dr.grad(each)) for each in end]
+        for each in (*start, *end):
+            dr.clear_grad(each)
+        return found
+
+
+def _tensor(array: Array) -> Any:
+    """Return an array as a tensor of Dr.Jit."""
+    return mi.TensorXf(np.ascontiguousarray(array, np.float32))

@@ -1,30 +1,42 @@
 """Captures and reconstructions as differentiable functions of JAX's arrays (extra ``jax``).
 
-Axes before those that a function names are a batch. Results have the type of the array given. The functions run on the
-processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``, and differentiated in reverse.
-Scenes are rendered by Dr.Jit, which cannot yet be called from JAX.
+Axes before those that a function names are a batch. Results have the type of the array given, which must be of floating
+point. The functions run on the processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``,
+and differentiated in reverse and in forward mode.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .array_functions import CameraCapture, LinearFunction, Refocus, SmoothFunction, Value, points, refocusing
+from .array_functions import (
+    CameraCapture,
+    LinearFunction,
+    Refocus,
+    Rendering,
+    SmoothFunction,
+    Value,
+    points,
+    refocusing,
+    working_array,
+)
 from .camera import PlenopticCamera
-from .errors import InputError
+from .errors import InputError, refuse_if
 from .operator.operator import CaptureOperator
 
 try:
     import jax
+    from jax.extend.core import Primitive
+    from jax.interpreters import ad, batching, mlir
 except ImportError:
     raise InputError("mitsuba_plenoptic.jax needs the package jax: pip install 'mitsuba-plenoptic[jax]'") from None
 
-__all__ = ["adjoint", "capture", "forward", "refocus"]
+__all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
 def forward(operator: CaptureOperator, weights: Any) -> Any:
@@ -50,7 +62,7 @@ def forward(operator: CaptureOperator, weights: Any) -> Any:
     InputError
         If the weights have a wrong shape, or as `CaptureOperator.forward` does.
     """
-    return _linear(points(operator), jax.numpy.asarray(weights))
+    return _linear.bind(_required("weights", weights), function=points(operator))
 
 
 def adjoint(operator: CaptureOperator, images: Any) -> Any:
@@ -73,7 +85,7 @@ def adjoint(operator: CaptureOperator, images: Any) -> Any:
     InputError
         If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
     """
-    return _linear(points(operator).T, jax.numpy.asarray(images))
+    return _linear.bind(_required("images", images), function=points(operator).T)
 
 
 def capture(
@@ -110,7 +122,8 @@ def capture(
         If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
     """
     function = _Latest(CameraCapture(make, camera, tuple(parameters)))
-    return _smooth(function, *map(jax.numpy.asarray, (weights, *parameters.values())))
+    values = (_required(name, value) for name, value in parameters.items())
+    return _smooth.bind(_required("weights", weights), *values, function=function)
 
 
 def refocus(by: Refocus, captures: Any) -> Any:
@@ -136,37 +149,66 @@ def refocus(by: Refocus, captures: Any) -> Any:
     InputError
         If the captures have a wrong shape.
     """
-    captures = jax.numpy.asarray(captures)
+    captures = _required("captures", captures)
     function = refocusing(by, captures.shape[-2:])
-    return _linear(function, captures) if isinstance(function, LinearFunction) else _smooth(_Latest(function), captures)
+    if isinstance(function, LinearFunction):
+        return _linear.bind(captures, function=function)
+    return _smooth.bind(captures, function=_Latest(function))
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _linear(function: LinearFunction, given: Any) -> Any:
-    """Apply a linear map."""
-    return _on_host(function.straight, given, shape=function.shape(given.shape), vectorized=True)
+def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
+    """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
+
+    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
+    The parameters of the scene change.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
+    values : mapping of str to Array
+        Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
+    integrator : mitsuba.Integrator, optional
+        Default: that of the scene.
+    spp : int
+        Samples per pixel. 0: those of the scene's sampler.
+    seed : int
+        Seed of the random numbers. Derivatives draw others.
+
+    Returns
+    -------
+    Array (rows, columns, channels)
+        The film's image, of the type of the first value, computed in single precision.
+
+    Raises
+    ------
+    InputError
+        If no value is given, a name is unknown, or a value has another shape.
+    """
+    given = [_required(name, value) for name, value in values.items()]
+    shapes = {name: value.shape for name, value in zip(values, given, strict=True)}
+    return _smooth.bind(*given, function=_Latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))
 
 
-def _linear_forward(function: LinearFunction, given: Any) -> tuple[Any, None]:
-    return _linear(function, given), None
-
-
-def _linear_backward(function: LinearFunction, _: None, gradient: Any) -> tuple[Any]:
-    return (_linear(function.T, gradient),)
-
-
-_linear.defvjp(_linear_forward, _linear_backward)
+def _required(name: str, value: Any) -> Any:
+    """Return a value as an array of floating point; others would round results."""
+    array = jax.numpy.asarray(value)
+    refuse_if(
+        not jax.numpy.issubdtype(array.dtype, jax.numpy.floating),
+        f"{name}: its type is {array.dtype}: it must be of floating point",
+    )
+    return array
 
 
 class _Latest:
-    """A function that remembers its latest value with what the derivatives need, for the reverse pass."""
+    """A function that remembers its latest value with what the derivatives need."""
 
     def __init__(self, function: SmoothFunction) -> None:
         self._function, self.shape = function, function.shape
         self._given: list[NDArray[Any]] = []
         self._value: Value | None = None
 
-    def at(self, *given: NDArray[Any]) -> Value:
+    def at(self, given: Sequence[NDArray[Any]]) -> Value:
         """Return the value at some arrays."""
         if self._value is None or not all(map(np.array_equal, given, self._given)):
             # JAX may use the memory of the arrays for others.
@@ -175,36 +217,139 @@ class _Latest:
         return self._value
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _smooth(function: _Latest, *given: Any) -> Any:
-    """Apply a function with derivatives."""
-    return _on_host(lambda *arrays: function.at(*arrays).value, *given, shape=function.shape(given[0].shape))
+# -- primitives of JAX -------------------------------------------------------------------------------
+# Each calls NumPy on the host. The transposes of linear maps and of changes make them differentiable in both modes.
 
 
-def _smooth_forward(function: _Latest, *given: Any) -> tuple[Any, tuple[Any, ...]]:
-    return _smooth(function, *given), given
+def _on_host(function: Callable[..., Any], like: Any, *given: Any) -> Any:
+    """Apply a function of lists of NumPy's arrays; `like` has the shapes and types of its results."""
+
+    def called(*arrays: Any) -> Any:
+        made = function([working_array(np.asarray(each)) for each in arrays])
+        return jax.tree.map(lambda one, each: np.asarray(each, one.dtype).reshape(one.shape), like, made)
+
+    return jax.pure_callback(called, like, *given)
 
 
-def _smooth_backward(function: _Latest, given: tuple[Any, ...], gradient: Any) -> tuple[Any, ...]:
-    def found(gradient: NDArray[Any], *arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-        made = function.at(*arrays).vjp(gradient, [True] * len(arrays))
-        return tuple(np.asarray(each, array.dtype) for each, array in zip(made, arrays, strict=True))
+def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
+    """Return what stands for an array of the same type."""
+    return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
 
-    like = tuple(jax.ShapeDtypeStruct(each.shape, each.dtype) for each in given)
-    return jax.pure_callback(
-        lambda *each: found(*map(np.asarray, each)), like, gradient, *given, vmap_method="sequential"
+
+def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], several: bool = False) -> Primitive:
+    """Return a primitive that applies a function; `like` returns what stands for its results."""
+    made = Primitive(f"plenoptic_{name}")
+    made.multiple_results = several
+
+    def evaluate(*given: Any, **options: Any) -> Any:
+        return _on_host(partial(apply, **options), like(*given, **options), *given)
+
+    def abstract(*given: Any, **options: Any) -> Any:
+        return jax.tree.map(lambda one: jax.core.ShapedArray(one.shape, one.dtype), like(*given, **options))
+
+    made.def_impl(evaluate)
+    made.def_abstract_eval(abstract)
+    mlir.register_lowering(made, mlir.lower_fun(evaluate, multiple_results=several))
+    return made
+
+
+def _one_by_one(primitive: Primitive) -> None:
+    """Let a primitive be mapped by ``jax.vmap``, which applies it to one row after the other."""
+
+    def batched(given: Sequence[Any], axes: Sequence[Any], **options: Any) -> Any:
+        mapped = [k for k, axis in enumerate(axes) if axis is not None]
+
+        def row(parts: Sequence[Any]) -> Any:
+            all_given = list(given)
+            for k, part in zip(mapped, parts, strict=True):
+                all_given[k] = part
+            return primitive.bind(*all_given, **options)
+
+        made = jax.lax.map(row, [jax.numpy.moveaxis(given[k], axes[k], 0) for k in mapped])
+        return made, [0] * len(made) if primitive.multiple_results else 0
+
+    batching.primitive_batchers[primitive] = batched
+
+
+# A linear map.
+_linear = _primitive(
+    "linear",
+    lambda given, function: function.straight(*given),
+    lambda given, function: _like(given, function.shape(given.shape)),
+)
+
+
+def _linear_transpose(gradient: Any, _: Any, *, function: LinearFunction) -> list[Any]:
+    return [_linear.bind(gradient, function=function.T)]
+
+
+def _linear_batched(given: Sequence[Any], axes: Sequence[Any], *, function: LinearFunction) -> tuple[Any, int]:
+    return _linear.bind(jax.numpy.moveaxis(given[0], axes[0], 0), function=function), 0
+
+
+ad.deflinear2(_linear, _linear_transpose)
+batching.primitive_batchers[_linear] = _linear_batched
+
+# A function with derivatives.
+_smooth = _primitive(
+    "smooth",
+    lambda given, function: function.at(given).value,
+    lambda *given, function: _like(given[0], function.shape(given[0].shape)),
+)
+
+
+def _split(given: Sequence[Any], which: tuple[bool, ...]) -> tuple[Sequence[Any], list[Any]]:
+    """Return the arrays where derivatives are taken, and the changes of those that change, None for others."""
+    changes = iter(given[len(which) :])
+    return given[: len(which)], [next(changes) if one else None for one in which]
+
+
+def _changed(given: Sequence[Any], *, function: _Latest, which: tuple[bool, ...]) -> NDArray[Any]:
+    arrays, changes = _split(given, which)
+    return function.at(arrays).jvp(changes)
+
+
+# Its change with those of some of the arrays, in which it is linear.
+_change = _primitive(
+    "change", _changed, lambda *given, function, which: _like(given[0], function.shape(given[0].shape))
+)
+
+
+def _gradients(given: Sequence[Any], *, function: _Latest, which: tuple[bool, ...]) -> list[Any]:
+    found = function.at(given[:-1]).vjp(given[-1], which)
+    return [each for each in found if each is not None]
+
+
+# The gradients by these arrays.
+_gradient = _primitive(
+    "gradient",
+    _gradients,
+    lambda *given, function, which: [_like(each) for each, one in zip(given, which, strict=False) if one],
+    several=True,
+)
+
+
+def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: _Latest) -> tuple[Any, Any]:
+    which = tuple(type(each) is not ad.Zero for each in changes)
+    known = [each for each, one in zip(changes, which, strict=True) if one]
+    value = _smooth.bind(*given, function=function)
+    return value, _change.bind(*given, *known, function=function, which=which)
+
+
+def _change_transpose(gradient: Any, *given: Any, function: _Latest, which: tuple[bool, ...]) -> list[Any]:
+    arrays = given[: len(which)]
+    if type(gradient) is ad.Zero:
+        return [None] * len(given)
+    return [None] * len(arrays) + _gradient.bind(*arrays, gradient, function=function, which=which)
+
+
+def _once(*_: Any, **__: Any) -> Any:
+    raise InputError(
+        "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
     )
 
 
-_smooth.defvjp(_smooth_forward, _smooth_backward)
-
-
-def _on_host(function: Callable[..., Any], *given: Any, shape: tuple[int, ...], vectorized: bool = False) -> Any:
-    """Apply a function of NumPy's arrays; the result has the type of the first."""
-    kind = given[0].dtype
-
-    def called(*arrays: Any) -> NDArray[Any]:
-        return np.asarray(function(*map(np.asarray, arrays)), kind)
-
-    method = "expand_dims" if vectorized else "sequential"
-    return jax.pure_callback(called, jax.ShapeDtypeStruct(shape, kind), *given, vmap_method=method)
+for _each in (_smooth, _change, _gradient):
+    _one_by_one(_each)
+ad.primitive_jvps.update({_smooth: _smooth_jvp, _change: _once, _gradient: _once})
+ad.primitive_transposes[_change] = _change_transpose

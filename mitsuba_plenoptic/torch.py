@@ -1,7 +1,8 @@
 """Captures and reconstructions as differentiable functions of PyTorch's tensors (extra ``torch``).
 
-Axes before those that a function names are a batch. Results have the type and the device of the tensor given. Tensors
-on the processor share their memory with NumPy; others are copied to it and back.
+Axes before those that a function names are a batch. Results have the type, which must be of floating point, and the
+device of the tensor given. Tensors in the processor's memory share it with NumPy; others are copied to it and back,
+except by `render`, whose tensors go to the device of Dr.Jit by DLPack.
 """
 
 from __future__ import annotations
@@ -13,7 +14,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from .array_functions import CameraCapture, LinearFunction, Refocus, SmoothFunction, points, refocusing, rendering
+from .array_functions import (
+    CameraCapture,
+    LinearFunction,
+    Refocus,
+    SmoothFunction,
+    points,
+    refocusing,
+    rendering,
+    working_array,
+)
 from .camera import PlenopticCamera
 from .errors import InputError, refuse_if, short_repr
 from .operator.operator import CaptureOperator
@@ -171,10 +181,11 @@ def render(
     Raises
     ------
     InputError
-        If a name is unknown.
+        If no value is given, a name is unknown, or a value has another shape.
     """
-    image = rendering(scene, values, integrator=integrator, spp=spp, seed=seed)
-    return dr.wrap(source="torch", target="drjit")(image)(*(_required(value).float() for value in values.values()))
+    shapes = {name: tuple(_required(value).shape) for name, value in values.items()}
+    image = rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
+    return dr.wrap(source="torch", target="drjit")(image)(*(value.float() for value in values.values()))
 
 
 class _Linear(torch.autograd.Function):
@@ -200,30 +211,40 @@ class _Smooth(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, function: SmoothFunction, *given: torch.Tensor) -> torch.Tensor:
         ctx.at = function.at(*map(_array, given))
-        ctx.like = [each.detach()[..., :0] if each.ndim else each.detach() for each in given]
+        # Derivatives are taken at the memory of these tensors: PyTorch refuses them once it has been overwritten.
+        ctx.save_for_backward(*given)
+        ctx.save_for_forward(*given)
         return _tensor(ctx.at.value, given[0])
 
     @staticmethod
     @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        given = ctx.saved_tensors
         found = ctx.at.vjp(_array(gradient), ctx.needs_input_grad[1:])
-        pairs = zip(found, ctx.like, strict=True)
+        pairs = zip(found, given, strict=True)
         return None, *(None if each is None else _tensor(each, like) for each, like in pairs)
 
     @staticmethod
     def jvp(ctx: Any, _: None, *changes: torch.Tensor | None) -> torch.Tensor:
-        given = [None if each is None else _array(each) for each in changes]
-        return _tensor(ctx.at.jvp(given), ctx.like[0])
+        made = ctx.at.jvp([None if each is None else _array(each) for each in changes])
+        return _tensor(made, ctx.saved_tensors[0])
 
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
     """Return the memory of a tensor, or a copy of it on the processor."""
-    return _required(tensor).detach().cpu().numpy()
+    given = _required(tensor).detach().cpu()
+    # NumPy has no type for bfloat16.
+    return working_array((given.float() if given.dtype == torch.bfloat16 else given).resolve_neg().numpy())
 
 
 def _required(value: Any) -> torch.Tensor:
-    """Return a tensor, or refuse anything else."""
+    """Return a tensor with values in memory, of floating point, which others would round results to; else refuse."""
     refuse_if(not isinstance(value, torch.Tensor), f"{short_repr(value)}: it must be a tensor of PyTorch")
+    refuse_if(
+        not value.is_floating_point() or value.layout != torch.strided or value.is_meta,
+        f"tensor of shape {tuple(value.shape)}, {value.dtype}, {value.layout}, device {value.device}: it must be a "
+        "dense tensor of floating point with values",
+    )
     return value
 
 

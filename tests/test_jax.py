@@ -3,11 +3,12 @@
 import importlib
 import sys
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from wave_cases import WAVELENGTH, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, StoredOperator
+from mitsuba_plenoptic import CaptureOperator, InputError, StoredOperator, load_scene
 from mitsuba_plenoptic.reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 jax = pytest.importorskip("jax")
@@ -15,6 +16,10 @@ bridge = importlib.import_module("mitsuba_plenoptic.jax")
 
 CAMERA = small_camera(2)
 POINTS = scattered(3, image=0.05)
+
+
+def computing(camera):
+    return CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0)
 
 
 def stored(camera=CAMERA):
@@ -65,7 +70,7 @@ def test_cameras():
     felt, made = random(*CAMERA.shape).cumsum(0).cumsum(1), []
 
     def make(camera):
-        made.append(CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0))
+        made.append(computing(camera))
         return made[-1]
 
     def figure(distance, weights):
@@ -97,6 +102,95 @@ def test_refocusing(kind, monkeypatch):
     assert len(calls) == (kind is not RayRefocus)
     reverse, difference = directional(figure, captures, random(2, *CAMERA.shape, low=0) * captures, 1e-2)
     assert reverse == pytest.approx(difference, rel=1e-3)
+
+
+def along(function, given, change, step):
+    """Return the change of a function of arrays in a direction in forward mode, and from central differences."""
+    _, made = jax.jvp(function, given, change)
+    ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
+    felt = np.random.default_rng(9).normal(size=made.shape).cumsum(-1).cumsum(-2)
+    return float((made * felt).sum()), float(((ahead - back) * felt).sum() / (2 * step))
+
+
+def test_forward_mode_of_points_and_cameras():
+    operator, weights = stored(), random(2, 3)
+    cubes = lambda w: bridge.forward(operator, w) ** 3  # noqa: E731
+    forward, difference = along(cubes, (weights,), (random(2, 3)[::-1],), 1e-4)
+    assert forward == pytest.approx(difference, rel=1e-6)
+
+    def captured(distance, weights):
+        return bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights)
+
+    start, weights = np.array(CAMERA.mla_distance), np.array([1.0, 0.5, 2.0])
+    forward, difference = along(captured, (start, weights), (np.array(1.0), 0.3 * weights), 0.01)
+    assert forward == pytest.approx(difference, rel=1e-3)
+    # What does not change takes no derivative.
+    only = jax.jvp(lambda d: captured(d, weights), (start,), (np.array(1.0),))[1]
+    both = jax.jvp(captured, (start, weights), (np.array(1.0), 0 * weights))[1]
+    np.testing.assert_allclose(only, both)
+
+
+def test_gradients_that_are_not_needed_are_not_computed(monkeypatch):
+    operator = computing(CAMERA)
+    monkeypatch.setattr(operator, "adjoint", lambda image: pytest.fail("the gradient by the weights was computed"))
+    figure = lambda d: (bridge.capture(lambda _: operator, CAMERA, {"mla_distance": d}, np.ones(3)) ** 2).sum()  # noqa: E731
+    assert np.isfinite(jax.grad(figure)(np.array(CAMERA.mla_distance)))
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_forward_mode_of_refocusing(kind):
+    by = kind(CAMERA, 225.0, **OPTIONS[kind])
+    captures = np.moveaxis(stored().forward(random(3, 2, low=0.5)), -1, 0) + 1e-4
+    change = random(2, *CAMERA.shape, low=0) * captures
+    forward, difference = along(lambda c: bridge.refocus(by, c), (captures,), (change,), 1e-2)
+    assert forward == pytest.approx(difference, rel=1e-3)
+    # Captures one by one are those of a batch.
+    mapped = jax.vmap(lambda c, d: jax.jvp(lambda x: bridge.refocus(by, x), (c,), (d,))[1])(captures, change)
+    np.testing.assert_allclose(mapped, jax.jvp(lambda c: bridge.refocus(by, c), (captures,), (change,))[1], rtol=1e-5)
+
+
+def test_compiled_and_mapped_derivatives_of_cameras():
+    weights, distances = np.array([1.0, 0.5, 2.0]), CAMERA.mla_distance + np.array([0.0, 0.1])
+    figure = lambda d: (bridge.capture(computing, CAMERA, {"mla_distance": d}, weights) ** 2).sum()  # noqa: E731
+    expected = [jax.grad(figure)(each) for each in distances]
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(figure)))(distances), expected, rtol=1e-5)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        jax.grad(jax.grad(figure))(distances[0])
+
+
+def test_captures_of_scenes():
+    mi.set_variant("llvm_ad_mono")
+    scene = load_scene(
+        "letters", parameters={"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
+    )
+    integrator, names = (
+        mi.load_dict({"type": "plenoptic_wave"}),
+        [f"{one}.emitter.radiance.value" for one in ("f", "hash")],
+    )
+    start = [np.array(mi.traverse(scene)[name], np.float64) for name in names]
+
+    def image(*values, seed=0):
+        made = dict(zip(names, values, strict=True))
+        return bridge.render(scene, made, integrator=integrator, spp=8, seed=seed)
+
+    made, forward = jax.jvp(image, start, [np.ones(1), 0.5 * np.ones(1)])
+    assert made.shape == (32, 32, 1) and made.dtype == np.float64
+    # Derivatives draw from another seed, which Mitsuba derives from the first.
+    other = int(mi.sample_tea_32(0, 1)[0])
+    ahead, back = (image(start[0] + step, start[1] + step / 2, seed=other) for step in (0.1, -0.1))
+    felt = random(32, 32, 1, low=0)
+    assert float((forward * felt).sum()) == pytest.approx(float(((ahead - back) * felt).sum()) / 0.2, rel=1e-3)
+    first, second = jax.grad(lambda *values: (image(*values) * felt).sum(), (0, 1))(*start)
+    assert float(first[0] + 0.5 * second[0]) == pytest.approx(float((forward * felt).sum()), rel=1e-4)
+
+
+def test_types():
+    operator = stored()
+    half = bridge.forward(operator, np.ones(3, np.float16))
+    assert half.dtype == np.float16
+    np.testing.assert_allclose(half, operator.forward(np.ones(3)), rtol=1e-3, atol=1e-6)
+    with pytest.raises(InputError, match=r"^weights: its type is int64: it must be of floating point$"):
+        bridge.forward(operator, [1, 2, 3])
 
 
 def test_mistakes():

@@ -13,6 +13,7 @@ from mitsuba_plenoptic.reconstruction import CoherentRefocus, DeconvolvedRefocus
 
 torch = pytest.importorskip("torch")
 bridge = importlib.import_module("mitsuba_plenoptic.torch")
+forward_ad = importlib.import_module("torch.autograd.forward_ad")
 
 CAMERA = small_camera(2)
 POINTS = scattered(3, image=0.05)
@@ -120,6 +121,33 @@ def test_operators_get_the_memory_of_tensors(monkeypatch):
     assert np.shares_memory(np.from_dlpack(made[0]), made[0].numpy())
 
 
+def test_tensors_of_other_types_and_layouts():
+    operator = stored()
+    weights = random(2, 3).detach()
+    expected = bridge.forward(operator, weights)
+    # Every second entry of a larger tensor, transposed.
+    strided = torch.zeros(6, 4, dtype=torch.float64)
+    strided[::2, ::2] = weights.T
+    np.testing.assert_allclose(bridge.forward(operator, strided[::2, ::2].T), expected)
+    by = RayRefocus(CAMERA, 225.0)
+    np.testing.assert_allclose(bridge.refocus(by, expected.mT.contiguous().mT), bridge.refocus(by, expected))
+    assert not bridge.forward(operator, weights).requires_grad
+    for kind, limit in ((torch.float16, 1e-3), (torch.bfloat16, 1e-2)):
+        made = bridge.forward(operator, weights.to(kind))
+        assert made.dtype == kind
+        torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
+
+
+def test_exchange_with_other_libraries_by_dlpack():
+    """Without copies: what NumPy owns, a tensor made of it, and the results."""
+    operator, owned = stored(), np.ones(3)
+    weights = torch.from_dlpack(owned)
+    image = bridge.forward(operator, weights)
+    owned[:] = 2
+    torch.testing.assert_close(bridge.forward(operator, weights), 2 * image)
+    assert np.from_dlpack(image).__array_interface__["data"][0] == image.data_ptr()
+
+
 # -- cameras -----------------------------------------------------------------------------------------
 
 
@@ -151,6 +179,31 @@ def test_weights_and_camera_together():
     assert float(pitch.grad) == pytest.approx(float(expected["mla_pitch"].sum()), rel=1e-5)
     np.testing.assert_allclose(offset.grad, expected["mla_offset"], rtol=1e-5)
     np.testing.assert_allclose(weights.grad, operator.adjoint(given).T, rtol=1e-5)
+
+
+def test_cameras_in_forward_mode():
+    felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
+    start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
+
+    def figure(distance, weights):
+        return (bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights) * felt).sum()
+
+    with forward_ad.dual_level():
+        changing = forward_ad.make_dual(start, torch.ones_like(start)), forward_ad.make_dual(weights, 0.3 * weights)
+        forward = forward_ad.unpack_dual(figure(*changing)).tangent
+    step = 0.02
+    ahead, back = (figure(start + one, weights * (1 + 0.3 * one)) for one in (step, -step))
+    assert float(forward) == pytest.approx(float(ahead - back) / (2 * step), rel=1e-3)
+
+
+def test_tensors_that_were_overwritten_are_refused():
+    weights = torch.ones(3, requires_grad=True)
+    distance = torch.tensor(120.0, requires_grad=True)
+    image = bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights)
+    with torch.no_grad():
+        weights += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
 
 
 # -- reconstructions ---------------------------------------------------------------------------------
@@ -210,6 +263,24 @@ def test_captures_of_scenes():
     assert float(value.grad.sum()) == pytest.approx(float(difference), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({}, "^values: give at least one parameter of the scene$"),
+        (
+            {"f.emitter.radiance.value": torch.ones(3)},
+            r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$",
+        ),
+        ({"f.faces": torch.ones(18)}, "^f.faces: it is UInt: give floating-point numbers"),
+        ({"f.emitter.radiance": torch.ones(1)}, "^values: f.emitter.radiance: it is not one of"),
+    ],
+)
+def test_values_that_the_scene_does_not_have(values, message):
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises(InputError, match=message):
+        bridge.render(load_scene("letters"), values)
+
+
 # -- mistakes ----------------------------------------------------------------------------------------
 
 
@@ -218,6 +289,11 @@ def test_mistakes():
         bridge.forward(stored(), random(2, 4))
     with pytest.raises(InputError, match=r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"):
         bridge.forward(stored(), [1, 2, 3])
+    for wrong in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta")):
+        with pytest.raises(
+            InputError, match=r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating point"
+        ):
+            bridge.forward(stored(), wrong)
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
     with pytest.raises(InputError, match=r"^captures of shape \(3,\): give \(\.\.\., rows, columns\)$"):

@@ -7,7 +7,7 @@ Each is a function of a `Question` and returns answers by the names of tasks; a 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ from ..lightfield import decode, depth_map, distance_of, micro_images, view
 from ..reconstruction import reconstruct
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from ..runtime.jobs import Progress, counted
-from .contents import CAPTURES, DISTANCES, FINER, PUPIL_POINTS, WAVELENGTH, Benchmark, capture_of
+from .contents import CAPTURES, DISTANCES, FINER, PUPIL_POINTS, WAVELENGTH, Benchmark, capture_of, model_of
+from .network import costs, depths
 from .score import answer_folder
 
 Answers = dict[str, np.ndarray]
@@ -36,6 +37,8 @@ class Question:
 
     capture: Capture
     white: Capture
+    # What depends on the white capture alone, by method: questions of one camera share it.
+    of_white: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def camera(self) -> PlenopticCamera:
@@ -86,15 +89,9 @@ def _images(capture: Capture, **options: Any) -> np.ndarray:
 def _by_white(question: Question, method: str) -> Answers:
     """Refocus capture and white capture by waves and divide; that takes less than the correction of displacements."""
     options = {"method": method, "wavelength": WAVELENGTH}
-    key = method, question.white.model, question.camera
-    if key not in _whites:
-        _whites.clear()
-        _whites[key] = _images(question.white, **options)
-    return {"refocus": _images(question.capture, **options) / _whites[key]}
-
-
-_whites: dict[Any, np.ndarray] = {}
-"""Refocused white captures of the last camera."""
+    if method not in question.of_white:
+        question.of_white[method] = _images(question.white, **options)
+    return {"refocus": _images(question.capture, **options) / question.of_white[method]}
 
 
 def _coherent(question: Question) -> Answers:
@@ -112,12 +109,18 @@ def _deconvolved(question: Question) -> Answers:
     return {"refocus": _images(question.capture, method="deconvolved")}
 
 
+def _network(question: Question) -> Answers:
+    """Find depths by the trained network."""
+    return {"depth": depths(costs(question.light_field, question.camera))}
+
+
 BASELINES: dict[str, Callable[[Question], Answers]] = {
     "plain": _plain,
     "ray": _ray,
     "coherent": _coherent,
     "partial": _partial,
     "deconvolved": _deconvolved,
+    "network": _network,
 }
 """Baselines by name."""
 
@@ -153,12 +156,15 @@ def run_baseline(
     answer = BASELINES[require_choice("baseline", name, BASELINES)]
     wanted = [require_choice("captures", capture, CAPTURES) for capture in captures]
     set_variant(DEFAULT_VARIANT)
-    # Camera by camera, as some of the work depends on the camera alone.
-    cameras = len(made.cameras)
-    tasks = [(index % cameras, capture, index) for index in made.entries() for capture in wanted]
-    for _, capture, index in counted(sorted(tasks), progress):
-        recorded = capture_of(made[index], capture)
-        found = answer(Question(recorded, made.white(index, recorded.model)))
+    # White captures are read once for each camera and model, and so is what follows from them.
+    tasks = [
+        (index % len(made.cameras), model_of(capture), capture, index) for index in made.entries() for capture in wanted
+    ]
+    shared: dict[tuple[int, str], tuple[Capture, dict[str, np.ndarray]]] = {}
+    for camera, model, capture, index in counted(sorted(tasks), progress):
+        if (camera, model) not in shared:
+            shared = {(camera, model): (made.white(index, model), {})}
+        found = answer(Question(capture_of(made[index], capture), *shared[camera, model]))
         place = answer_folder(Path(folder), made, index, capture)
         place.mkdir(parents=True, exist_ok=True)
         for task, array in found.items():

@@ -253,10 +253,15 @@ class Benchmark(DataSet):
         return self[len(self.entries()) + index % len(self.cameras)].capture(model)
 
 
+def model_of(name: str) -> str:
+    """Return the model of the light of a kind of captures, one of `CAPTURES`."""
+    return name.partition("_")[0]
+
+
 def capture_of(sample: Sample, name: str) -> Capture:
     """Return a capture of a sample by its name, one of `CAPTURES`."""
-    about, model = sample.facts["captures"][name], name.partition("_")[0]
-    return Capture(sample.arrays[name], sample.camera, about["wavelength"], model, about["metadata"])
+    about = sample.facts["captures"][name]
+    return Capture(sample.arrays[name], sample.camera, about["wavelength"], model_of(name), about["metadata"])
 
 
 def central_truth(sample: Sample) -> dict[str, np.ndarray]:

@@ -184,7 +184,7 @@ def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
     Raises
     ------
     InputError
-        If there is no answer, one is missing or misspelled, or one has a wrong shape.
+        If there is no answer, one is missing, misspelled or there twice, or one has a wrong shape.
     """
     folder = Path(folder)
     there = set()
@@ -224,6 +224,7 @@ def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
 def _answer(path: Path) -> Path:
     """Return the file of an answer, of any of the formats; refuse where there is none."""
     found = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).exists()]
+    refuse_if(len(found) > 1, f"{path}: there are {len(found)} answers: {', '.join(each.name for each in found)}")
     return found[0] if found else require_file(path.with_suffix(".npy"))
 
 

@@ -67,16 +67,21 @@ def fit_layers(
     Raises
     ------
     InputError
-        If an input is out of range, captures and positions are not as many, or the variant has no derivatives.
+        If an input is out of range, captures and positions are not as many, a capture has other channels than the
+        planes, or the variant has no derivatives.
     """
     refuse_if(
         not captures or len(captures) != len(to_world),
         f"captures and {argument('to_world')}: {len(captures)} and {len(to_world)}: give one position for each capture",
     )
     chosen = [require_choice("model", model or capture.model, MODELS) for capture in captures]
+    channels = start.radiance.shape[-1]
+    for number, capture in enumerate(captures):
+        found = capture.image.shape[2] if capture.image.ndim == 3 else 1
+        refuse_if(found != channels, f"captures: number {number} has {found} channels, the planes have {channels}")
     rounds, rate = require_count("rounds", rounds), require_number("rate", rate, positive=True)
     spp, seed = require_count("spp", spp), require_count("seed", seed, minimum=0)
-    sensors = [mi.load_dict(capture.camera.to_sensor(pose)) for capture, pose in zip(captures, to_world, strict=True)]
+    sensors = [_sensor(capture, pose) for capture, pose in zip(captures, to_world, strict=True)]
     scene = start.scene(sensors[0])
     planes = scene.integrator()
     integrators = [_through(planes, capture, kind) for capture, kind in zip(captures, chosen, strict=True)]
@@ -101,8 +106,16 @@ def fit_layers(
                 optimizer[name] = mi.TensorXf(np.clip(np.array(value), 0, most))
         if progress:
             progress(done + 1, total**0.5)
-    found = np.stack([np.array(value) for value in optimizer.values()])
-    return replace(start, radiance=found[..., :-1], opacity=found[..., -1])
+    texels = np.stack([np.array(value) for value in optimizer.values()])
+    return replace(start, radiance=texels[..., :-1], opacity=texels[..., -1])
+
+
+def _sensor(capture: Capture, to_world: Any) -> Any:
+    """Return the sensor of a capture, whose film has the same channels."""
+    described = capture.camera.to_sensor(to_world)
+    if capture.image.ndim == 3 and capture.image.shape[2] == 3:
+        described["film"]["pixel_format"] = "rgb"
+    return mi.load_dict(described)
 
 
 def _through(planes: Any, capture: Capture, model: str) -> Any:

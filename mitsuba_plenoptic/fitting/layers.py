@@ -56,11 +56,12 @@ class Layers:
     def __post_init__(self) -> None:
         count = len(self.depths)
         refuse_if(not count or len(self.widths) != count, "depths and widths: give one of each for every plane")
-        refuse_if(sorted(set(self.depths)) != list(self.depths), f"depths = {list(self.depths)}: they must increase")
-        for width in self.widths:
+        for depth, width in zip(self.depths, self.widths, strict=True):
+            require_number("depth", depth)
             require_number("width", width, positive=True)
+        refuse_if(sorted(set(self.depths)) != list(self.depths), f"depths = {list(self.depths)}: they must increase")
         radiance, opacity = (np.asarray(array, np.float32) for array in (self.radiance, self.opacity))
-        if opacity.ndim != 3 or len(opacity) != count or radiance.shape[:3] != opacity.shape:
+        if opacity.ndim != 3 or len(opacity) != count or radiance.ndim > 4 or radiance.shape[:3] != opacity.shape:
             raise InputError(
                 f"radiance of shape {radiance.shape} and opacity of shape {opacity.shape}: they must "
                 f"have {count} planes of the same texels"

@@ -10,6 +10,7 @@ import shutil
 import mitsuba as mi
 import numpy as np
 import pytest
+import scipy.ndimage
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
@@ -20,9 +21,12 @@ from mitsuba_plenoptic.benchmark import (
     TASKS,
     Benchmark,
     Size,
+    baselines,
     benchmark_recipe,
     export_hci,
     make_benchmark,
+    network,
+    run_baseline,
     score,
     table,
 )
@@ -268,6 +272,13 @@ def test_interpolated_pictures_lie_on_the_finer_bins():
     np.testing.assert_allclose(found[8:-8, 8:-8], expected[8:-8, 8:-8], atol=5e-3)
 
 
+def test_answers_that_are_there_twice_are_refused(made, perfect):
+    path = perfect / "mirror/square/ray/depth.npy"
+    path.with_suffix(".nc").write_bytes(path.read_bytes())
+    with pytest.raises(InputError, match=r"ray/depth: there are 2 answers: depth\.npy, depth\.nc$"):
+        score(made, perfect)
+
+
 def test_the_command_runs_scores_and_exports(made, tmp_path, capsys):
     for name in ("plain", "ray"):
         assert main(["benchmark", "run", name, str(made.folder), "-o", str(tmp_path / name), "--capture", "ray"]) == 0
@@ -290,6 +301,44 @@ def test_the_command_runs_scores_and_exports(made, tmp_path, capsys):
     assert main(["benchmark", "make", "-o", str(tmp_path / "new"), "--scene", "mirrors"]) == 2
     assert "scenes = 'mirrors': it must be one of" in capsys.readouterr().err
     assert main(["benchmark", "export", str(made.folder), "-o", str(tmp_path / "hci")]) == 0
+
+
+def test_costs_are_least_at_the_depth_of_a_plane():
+    """Of a light field made by the formula of the disparity, behind two cameras."""
+    for camera in (mp.PlenopticCamera(detector_width=1.536, resolution=(288, 288)),
+                   mp.PlenopticCamera(detector_width=1.536, resolution=(288, 288), focus_distance=250.0)):  # fmt: skip
+        image = mp.Capture(np.ones(camera.shape), camera)
+        lf = mp.lightfield.decode(image)
+        across = np.arange(lf.sizes["s"])
+        for depth in (network.DEPTHS[4], network.DEPTHS[18]):
+            shift = mp.lightfield.disparity(lf, depth)
+            for v, u in np.ndindex(lf.shape[:2]):
+                down, right = (across - shift * (index - lf.sizes["u"] // 2) for index in (v, u))
+                lf.values[v, u] = 1 + 0.3 * np.sin(0.9 * down)[:, None] + 0.3 * np.sin(1.1 * right)
+            seen = network.costs(lf, camera)[:, 4:-4, 4:-4]
+            assert network.DEPTHS[np.argmin(seen[:-1].mean(axis=(1, 2)))] == depth
+            assert np.abs(np.median(network.depths(network.costs(lf, camera))) / depth - 1) < 0.02
+
+
+def test_convolutions_are_those_of_scipy():
+    rng = np.random.default_rng(0)
+    seen, kernel = rng.normal(size=(2, 7, 6)), rng.normal(size=(1, 2, 3, 3))
+    expected = sum(
+        scipy.ndimage.correlate(one, each, mode="nearest") for one, each in zip(seen, kernel[0], strict=True)
+    )
+    np.testing.assert_allclose(network._convolved(seen, kernel)[0], expected)
+
+
+def test_white_captures_are_those_of_the_benchmark(made, monkeypatch):
+    """Refocused once for each camera and model, and not those of another benchmark."""
+    asked = []
+    monkeypatch.setattr(baselines, "_images", lambda capture, **options: asked.append(capture) or np.ones((3, 8, 8)))
+    for _ in range(2):
+        run_baseline("coherent", made, made.folder.parent / "answers", ["wave", "wave_dim"])
+    # Two captures by each of two cameras, and a white one for each camera.
+    assert len(asked) == 2 * (4 + 2)
+    whites = [made.white(index, "wave").image for index in made.entries()]
+    assert sum(any(np.array_equal(each.image, white) for white in whites) for each in asked) == 4
 
 
 def test_waves_are_divided_by_the_white_capture(made):

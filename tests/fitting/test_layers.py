@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.fitting import Layers, fit_layers
 
 CAMERA = PlenopticCamera(
@@ -108,12 +108,33 @@ def test_fits_find_the_radiance_of_a_plane():
     assert found.opacity.max() <= 1
 
 
+def test_fits_in_colour_from_captures_by_rays():
+    mi.set_variant("llvm_ad_rgb")
+    radiance = np.array([[[[0.8, 0.2, 0.4], [0.1, 0.3, 0.7]]]])
+    truth = Layers([240.0], [0.15], radiance, np.ones((1, 1, 2)))
+    sensor = CAMERA.to_sensor()
+    sensor["film"]["pixel_format"] = "rgb"
+    captures = [render_capture(truth.scene(sensor), model="ray", spp=16)]
+    assert captures[0].image.shape == (*CAMERA.shape, 3)
+    start = Layers(truth.depths, truth.widths, np.full((1, 1, 2, 3), 0.5), np.ones((1, 1, 2)))
+    found = fit_layers(captures, [mi.ScalarTransform4f()], start, rounds=20, rate=0.1, spp=8)
+    assert np.abs(found.radiance * found.opacity[..., None] - radiance).max() < 0.1
+    # What is the same in all channels would be fitted to a grey capture without a word.
+    grey = Capture(captures[0].image[..., 0], CAMERA)
+    with pytest.raises(InputError, match=r"^captures: number 1 has 1 channels, the planes have 3$"):
+        fit_layers([captures[0], grey], [mi.ScalarTransform4f()] * 2, start)
+
+
 def test_mistakes():
     grey = np.full((2, 4, 4), 0.5)
     with pytest.raises(InputError, match=r"^depths = \[2, 1\]: they must increase$"):
         Layers([2, 1], [1, 1], grey, grey)
     with pytest.raises(InputError, match=r"^radiance of shape \(2, 4, 4\) and opacity of shape \(1, 4, 4\): "):
         Layers([1, 2], [1, 1], grey, grey[:1])
+    with pytest.raises(InputError, match=r"^radiance of shape \(2, 4, 4, 1, 1\) and opacity of shape"):
+        Layers([1, 2], [1, 1], grey[..., None, None], grey)
+    with pytest.raises(InputError, match=r"^depth = nan: "):
+        Layers([1, float("nan")], [1, 1], grey, grey)
     with pytest.raises(InputError, match=r"^opacity: it must be from 0 to 1$"):
         Layers([1, 2], [1, 1], grey, 3 * grey)
     with pytest.raises(InputError, match=r"^captures and to_world: 0 and 1: "):

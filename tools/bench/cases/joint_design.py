@@ -2,16 +2,22 @@
 
 Two points at one depth and random places shine before the middle of the array. A network of one convolution by lens and
 two dense layers finds the depth from the raw pixels of one capture, with photon and read noise. Gradients by the
-camera's parameters are those of wave captures. Afterwards the network is trained alone, from the start and in the same
-way, for the paper's camera and for the trained one. Both are judged on other points with other noise, in captures as in
-training and in captures by the full field, which shares no point spreads or patches with them. Each seed has points,
-noise and networks of its own.
+camera's parameters are those of wave captures. One camera is trained with all parameters and one with the paper's
+opening, so that the gain of a larger opening, which collects more light, is separate from that of the lenses' distances
+and the wavefront; for the same reason the paper's camera is judged with the opening of the trained one, too.
+
+For each of these cameras a network is then trained alone, from the start and in the same way. All are judged on other
+points with other noise, in captures as in training and in captures by the full field, which shares no point spreads or
+patches with them. Each seed has points, noise and networks of its own. Cameras and errors are stored for each seed: a
+run that was stopped resumes.
 """
 
 from __future__ import annotations
 
 import importlib
+import json
 import math
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,11 +53,14 @@ RATE, NETWORK_RATE, BATCH, NOISES = 0.05, 2e-3, 16, 4
 @case(
     "joint-design",
     "Depth from single wave captures: the paper's camera with a network, and a camera trained together with one",
-    {"camera": "{what}", "RMS error (mm)": "{error}", "by full fields": "{full}", "single seeds": "{each}"},
+    {
+        "camera": "{what}", "radius of the opening (mm)": "{radius}", "RMS error (mm)": "{error}",
+        "by full fields": "{full}", "single seeds": "{each}",
+    },
     page="docs/howto/inverse_problems.md",
     quick={"seeds": 1, "steps": 2, "captures": 32, "judged": 16, "full": 2, "epochs": 2},
     needs=("torch",),
-)
+)  # fmt: skip
 def joint_design(
     output: Path,
     *,
@@ -59,30 +68,52 @@ def joint_design(
     steps: int = 60,
     captures: int = 600,
     judged: int = 200,
-    full: int = 16,
+    full: int = 6,
     epochs: int = 60,
 ) -> Iterator[Row]:
     """Train cameras, and judge them with networks trained alone; the cameras are saved as files."""
-    cameras: dict[str, list[PlenopticCamera]] = {"the paper's": [], "trained with a network": []}
-    found: dict[str, list[tuple[float, float]]] = {what: [] for what in cameras}
+    settings = captures, judged, full, epochs
+    cameras: dict[str, list[PlenopticCamera]] = {}
+    found: dict[str, list[tuple[float, float]]] = {}
     for seed in range(seeds):
-        paper = PlenopticCamera(detector_width=0.064 * LENSES, resolution=(LENSES * PIXELS, LENSES * PIXELS))
-        trained = train_camera(paper, seed, steps)
-        output.mkdir(parents=True, exist_ok=True)
-        file = output / f"camera_{seed}.json"
-        file.write_text(trained.to_json())
-        require_renders(PlenopticCamera.from_json(file.read_text()))
-        for what, camera in zip(cameras, (paper, trained), strict=True):
-            cameras[what].append(camera)
-            found[what].append(errors(camera, seed, captures, judged, full, epochs))
-    yield {"what": "the middle depth for all", "error": f"{guess():.2f}", "full": "", "each": ""}
+        for what, camera in cameras_of(seed, steps, output).items():
+            cameras.setdefault(what, []).append(camera)
+            stored = output / f"errors_{seed}_{_word(what)}.json"
+            asked = {"camera": json.loads(camera.to_json()), "seed": seed, "settings": list(settings)}
+            known = json.loads(stored.read_text()) if stored.exists() else {}
+            if {name: known.get(name) for name in asked} != asked:
+                known = asked | {"errors": errors(camera, seed, *settings)}
+                stored.write_text(json.dumps(known))
+            found.setdefault(what, []).append(tuple(known["errors"]))
+    yield {"what": "the middle depth for all", "radius": "", "error": f"{guess():.2f}", "full": "", "each": ""}
     for what, values in found.items():
         plain, checked = ([each[kind] for each in values] for kind in (0, 1))
-        numbers = [camera.to_dict() for camera in cameras[what]]
+        radii = [camera.aperture_radius for camera in cameras[what]]
         yield {
-            "what": what, "error": spread(plain), "full": spread(checked), "values": values, "cameras": numbers,
+            "what": what, "error": spread(plain), "full": spread(checked), "values": values,
+            "radius": f"{min(radii):.1f}" + (f" to {max(radii):.1f}" if max(radii) > min(radii) else ""),
+            "cameras": [camera.to_dict() for camera in cameras[what]],
             "each": ", ".join(f"{value:.2f}" for value in plain),
         }  # fmt: skip
+
+
+def cameras_of(seed: int, steps: int, folder: Path) -> dict[str, PlenopticCamera]:
+    """Return the cameras that are compared, of which the trained ones are read from their files if they are there."""
+    paper = PlenopticCamera(detector_width=0.064 * LENSES, resolution=(LENSES * PIXELS, LENSES * PIXELS))
+    trained = {}
+    for what, opening in (("trained, the paper's opening", False), ("trained", True)):
+        file = folder / f"camera_{seed}_{steps}_{_word(what)}.json"
+        if not file.exists():
+            file.write_text(train_camera(paper, seed, steps, opening).to_json())
+        trained[what] = PlenopticCamera.from_json(file.read_text())
+        require_renders(trained[what])
+    wider = paper.replace(aperture_radius=trained["trained"].aperture_radius)
+    return {"the paper's": paper, "the paper's, the trained opening": wider, **trained}
+
+
+def _word(what: str) -> str:
+    """Return a name for files."""
+    return re.sub(r"\W+", "_", what)
 
 
 def spread(values: list[float]) -> str:
@@ -131,20 +162,23 @@ def seen(images: Any, radius: Any, generator: Any) -> Any:
     return (recorded.clamp(min=0) + READ_NOISE**2).sqrt()[:, None] - READ_NOISE
 
 
-def parameters(theta: Any) -> dict[str, Any]:
-    """Return the camera's parameters from numbers of order one; all 0 is the paper's camera."""
+def parameters(theta: Any, opening: bool) -> dict[str, Any]:
+    """Return the camera's parameters from numbers of order one; all 0 is the paper's camera.
+
+    The opening changes with them or not.
+    """
     torch: Any = importlib.import_module("torch")
     return {
         "focal_length": 80.0 * (1 + 0.01 * theta[0]),
         "mla_distance": 120.0 * (1 + 0.01 * theta[1]),
         "mla_focal_length": 0.512 * (0.1 * theta[2]).exp(),
         "detector_distance": 0.512 * (0.1 * theta[3]).exp(),
-        "aperture_radius": LARGEST * torch.sigmoid(math.log(2) + 0.5 * theta[4]),
+        "aperture_radius": LARGEST * torch.sigmoid(math.log(2) + 0.5 * opening * theta[4]),
         "wavefront": torch.cat([torch.zeros(3), 0.3 * theta[5:]]),
     }
 
 
-def train_camera(paper: PlenopticCamera, seed: int, steps: int) -> PlenopticCamera:
+def train_camera(paper: PlenopticCamera, seed: int, steps: int, opening: bool) -> PlenopticCamera:
     """Train the camera's parameters together with a network."""
     torch: Any = importlib.import_module("torch")
     bridge: Any = importlib.import_module("mitsuba_plenoptic.torch")
@@ -154,7 +188,7 @@ def train_camera(paper: PlenopticCamera, seed: int, steps: int) -> PlenopticCame
     optimizer = torch.optim.Adam(groups)
     for _ in range(steps):
         position, weights, depth = points(rng, BATCH)
-        values = parameters(theta)
+        values = parameters(theta, opening)
 
         def make(camera: PlenopticCamera, position: np.ndarray = position) -> CaptureOperator:
             return CaptureOperator(camera, position, wavelength=WAVELENGTH, accuracy=ACCURACY)
@@ -167,7 +201,7 @@ def train_camera(paper: PlenopticCamera, seed: int, steps: int) -> PlenopticCame
             (model(pixels) - torch.from_numpy(depth).repeat(NOISES)).square().mean().backward()
         optimizer.step()
     with torch.no_grad():
-        return paper.replace(**{name: value.tolist() for name, value in parameters(theta).items()})
+        return paper.replace(**{name: value.tolist() for name, value in parameters(theta, opening).items()})
 
 
 def some(camera: PlenopticCamera, rng: np.random.Generator, count: int, method: str = "patch") -> tuple[Any, Any]:
