@@ -215,6 +215,16 @@ class CameraParameters:
         scale=one,
         known_to=Captures.ALL,
     )
+    mla_absorption: Parameter[float, float] = Parameter(
+        default=0.0,
+        check=partial(require_number, minimum=0),
+        words=(
+            "Absorption coefficient, in 1/mm, of the medium between the microlenses and the detector, the same at all "
+            "wavelengths: a path L in it transmits the fraction :math:`e^{-\\alpha L}` of the light, so that oblique "
+            "light loses more. Decoding and reconstructions assume a clear medium."
+        ),
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
     mla_shape: Parameter[MicrolensShape | str | Path | dict[str, Any] | None, MicrolensShape | None] = Parameter(
         default=None,
         check=lambda _, value: known_shape(value),

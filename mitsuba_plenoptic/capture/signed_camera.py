@@ -48,7 +48,7 @@ _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distan
 
 _REFUSED = (
     *("main_lens", "wavefront", "distortion", "glass", "mla_glass"),
-    *("mla_shape", "mla_jitter", "mla_tilt", "mla_cra", "pixel_response"),
+    *("mla_absorption", "mla_shape", "mla_jitter", "mla_tilt", "mla_cra", "pixel_response"),
 )
 """Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
 
@@ -84,7 +84,7 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
         )
         for other in _REFUSED:
             value = getattr(camera, other)
-            if any(value) if isinstance(value, tuple) else value is not None:
+            if any(value) if isinstance(value, tuple) else value not in (None, 0.0):
                 raise InputError(f"{name}: captures by signed rays have no derivative by it with {other}; leave it out")
         refuse_if(
             by_points,

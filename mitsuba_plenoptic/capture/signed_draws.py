@@ -221,11 +221,11 @@ class Draws:
         (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
         return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
 
-    def incidence(self, drawn: Drawn) -> Any:
-        """Return the angles of incidence on the detector, in the medium; points outside a lens have its nearest's."""
+    def crossed(self, drawn: Drawn) -> Pair:
+        """Return how far light moves aside in the medium, and its depth; points outside a lens have its nearest's."""
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
-        return dr.atan(aside / (self._camera.detector_distance + drawn.height))
+        return aside, self._camera.detector_distance + drawn.height
 
     def _diffracted(self, cell: Any, sample: Any, seed: Any) -> Pair:
         """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
-from ..optics.rays import angular_response
+from ..optics.rays import angular_response, transmittance
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
@@ -285,8 +285,13 @@ class SignedRaySum:
         return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
 
     def _answer(self, drawn: Drawn) -> Any:
-        """Return the angular response of the pixels for the directions of rays."""
-        return 1 if self._response is None else self._response(self._draws.incidence(drawn))
+        """Return the pixels' response to rays by their paths behind the lenses."""
+        absorption = self._camera.mla_absorption
+        if self._response is None and not absorption:
+            return 1
+        aside, depth = self._draws.crossed(drawn)
+        response = 1 if self._response is None else self._response(dr.atan(aside / depth))
+        return response * transmittance(absorption, aside, depth)
 
     def _known(self, radiance: list[Any], seen: Any, count: int) -> tuple[list[Pair], Any]:
         """Return, for each value of the radiance, the means over the rays of even and over those of odd indices.

@@ -86,6 +86,7 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
         aperture_radius=camera.aperture_radius / _STOPPED,
         mla_shape=None,
         mla_medium=1.0,
+        mla_absorption=0.0,
         mla_focal_length=z,
         detector_distance=z,
         mla_pitch=pitch,

@@ -257,14 +257,17 @@ def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
 
 def _mean_response(camera: PlenopticCamera) -> float:
     """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
-    if not camera.pixel_response:
+    if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
     s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
     across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
-    angle = np.degrees(np.arctan(across / camera.detector_distance))
-    return float(np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2]).mean())
+    response = np.exp(-camera.mla_absorption * np.hypot(across, camera.detector_distance))
+    if camera.pixel_response:
+        angle = np.degrees(np.arctan(across / camera.detector_distance))
+        response *= np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])
+    return float(response.mean())
 
 
 class _Fractions:

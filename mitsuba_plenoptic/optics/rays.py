@@ -93,6 +93,11 @@ _ANGLES = 1025
 """Angles in the table."""
 
 
+def transmittance(absorption: float, aside: Any, depth: Any) -> Any:
+    """Return the fraction of light that an absorbing medium transmits, by the law of Beer and Lambert."""
+    return dr.exp(-absorption * dr.hypot(aside, depth))
+
+
 def angular_response(pairs: tuple[float, ...]) -> Callable[[Any], Any] | None:
     """Return the function from angles of incidence, in radians, to responses; None if all are 1."""
     if not pairs:

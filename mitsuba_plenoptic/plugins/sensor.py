@@ -18,7 +18,7 @@ from ..errors import InputError, refuse_if
 from ..lenses.base import Pair, Traced
 from ..lenses.common import main_lens
 from ..lenses.real_lens import RealLens
-from ..optics.rays import angular_response
+from ..optics.rays import angular_response, transmittance
 from .camera_rays import CameraRays
 from .photodiodes import PhotodiodeTable
 from .properties import film_numbers, read_camera
@@ -242,10 +242,13 @@ def make_class() -> type:
             passage, _ = self._rays.pass_array((px, py), lens_sample, self._candidates)
             point, slope, open_ = self._rays.trace((px, py), passage, light)
             open_ &= active
-            if self._response is not None:
+            if self._response is not None or self.mla_absorption:
                 mx, my = passage.point
-                angle = dr.atan(dr.hypot(mx - px, my - py) / self.detector_distance)
-                weight = weight * self._response(angle)
+                aside = dr.hypot(mx - px, my - py)
+                if self._response is not None:
+                    weight = weight * self._response(dr.atan(aside / self.detector_distance))
+                if self.mla_absorption:
+                    weight = weight * transmittance(self.mla_absorption, aside, self.detector_distance)
             ray = self._towards((point, slope, open_), time, wavelengths)
             to_world = self.world_transform()
             if differential:

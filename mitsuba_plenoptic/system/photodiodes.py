@@ -328,6 +328,8 @@ class PhotodiodeResponses:
         camera, k = self.camera, 2 * math.pi / in_millimetres(self.wavelength)
         pixel, z, index = camera.pixel_size, camera.detector_distance, camera.mla_medium
         order, amplitude = self._orders
+        # Of the complex wave number in the medium; its imaginary part, which absorbs, is small.
+        square = (index * k) ** 2 + 1j * index * k * camera.mla_absorption
         far = self.across + 3
         # Index x, y of a lens give its pixels' displacement.
         shift = [
@@ -347,7 +349,7 @@ class PhotodiodeResponses:
         kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
         for number, each in enumerate(ky):
-            kz = np.sqrt((index * k) ** 2 - each[:, None] ** 2 - kx[:, None, :] ** 2 + 0j)
+            kz = np.sqrt(square - each[:, None] ** 2 - kx[:, None, :] ** 2)
             part = np.exp(1j * z * kz) @ waves_x  # (x, order along y, point along x)
             field = np.matmul(waves_y.T, part)
             field *= np.exp(1j * k * (sy[number] * py[None, :, None] + sx[:, None, None] * px))

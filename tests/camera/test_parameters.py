@@ -77,6 +77,7 @@ OTHER = {
     "mla_aperture": "circle",
     "mla_fill": 0.83,
     "mla_medium": 1.5,
+    "mla_absorption": 0.3,
     "mla_shape": {"form": "conic", "curvature_radius": 0.25, "conic": -0.5, "coefficients": [3.0], "glass": 1.6},
     "mla_figure_error": (1e-5, 0.02),
     "detector_distance": 0.49,
