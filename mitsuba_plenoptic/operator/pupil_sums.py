@@ -37,7 +37,7 @@ from .nonuniform import PlaneWaves
 _LAYER = 2.0
 """Largest range of the defocus of a layer's points at the pupil's edge, in waves."""
 
-_TOLERANCE = 2e-6
+_TOLERANCE = 5e-6
 """Error of the separated field, relative to its modulus: about that of single precision."""
 
 _NODES = range(6, 49, 2)
