@@ -27,6 +27,7 @@ from .runtime import llvm
 llvm.choose()
 
 from . import design as design
+from . import laser as laser
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture.render import estimate_capture, render_capture

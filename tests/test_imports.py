@@ -13,7 +13,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 FLOORS = (
     "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
     "io.files", "microlens", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
-    "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
+    "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
     "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation",
     "array_functions", "torch", "jax", "report", "dataset",
     "benchmark", "cli", "__main__",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
+from ..lenses.base import PointLight
 from ..lenses.exit_pupil import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
@@ -21,7 +22,7 @@ from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, fft2, pack, resting_drjit, rows_and_columns
 from ..system.microlenses import diffraction, scattering
 from ..system.optical_system import OpticalSystem
-from ..system.sampling import bundle_footprint, check_memory, fast_length, footprint
+from ..system.sampling import Footprint, bundle_footprint, check_memory, fast_length, footprint
 from .pupil_weights import PupilWeights
 
 _WINDOW_MARGIN = 1.2
@@ -71,16 +72,29 @@ def field_grids(
     growth: float,
 ) -> FieldGrids:
     """Choose the grids of one scene point's field, with the parameters of `full_field`."""
-    camera, wavelength, lens = system.camera, system.wavelength, system.waves_of_one(position)
-    p, lam = camera.pixel_size, in_millimetres(wavelength)
-    radius = lens.pupil_radius
+    lens = system.waves_of_one(position)
     if isinstance(lens, ExitPupil):
         positions, cosines = lens.bundle
         image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil_distance)
     else:
         image = footprint(system.lens, position[None])
-    place, half_width = image.centre[0], image.half_width[0]
-    steepest = float((np.abs(image.cosine[0]) + image.half_cosine[0]).max())
+    what = f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})"
+    return grids_around(system, lens, image, position[None], what, refinement, growth)
+
+
+def grids_around(
+    system: OpticalSystem,
+    lens: PointLight,
+    image: Footprint,
+    positions: NDArray[np.float64],
+    what: str,
+    refinement: float = 1.0,
+    growth: float = 1.0,
+) -> FieldGrids:
+    """Choose grids that hold the fields of all scene points (n, 3) with these footprints; `what` names the work."""
+    camera, wavelength = system.camera, system.wavelength
+    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
+    steepest = float((np.abs(image.cosine) + image.half_cosine).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
@@ -92,16 +106,16 @@ def field_grids(
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window between pupil and MLA, which is square and aligned with the pixels.
-    low = np.minimum(place - half_width, start)
-    high = np.maximum(place + half_width, start + np.array(pixels) * p)
+    low = np.minimum((image.centre - image.half_width).min(0), start)
+    high = np.maximum((image.centre + image.half_width).max(0), start + np.array(pixels) * p)
     if camera.lens_data.converges:
         low, high = np.minimum(-radius, low), np.maximum(radius, high)
         diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
     else:
         # The number of samples of the stop is that of waves of the steepest direction across the window. Softening its
         # edge over one sample reduces the light that the edge diffracts far from the point's image.
-        blur = _WINDOW_PER_BLUR * float(half_width.max()) * (not camera.lens_data.images_stop)
-        diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(position[2]), blur)
+        blur = _WINDOW_PER_BLUR * float(image.half_width.max()) * (not camera.lens_data.images_stop)
+        diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(positions[:, 2]), blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
     wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
@@ -112,7 +126,7 @@ def field_grids(
         # at the pupil, during propagation to the MLA, or with the doubled grid of the detector
         8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
         + 32.0 * BLOCK * wide,
-        f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})",
+        what,
     )
     return FieldGrids(
         pitch=pitch,

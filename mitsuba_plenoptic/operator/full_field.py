@@ -81,17 +81,17 @@ def full_field(
     """
     grids = grids or field_grids(system, position, refinement, growth)
     _, mla = _arrival(system, position, grids, pupil_weights)
-    spectrum = _detector_spectrum(system, grids, mla.samples, microlenses)
+    spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
-    return backend().to_host(_pixel_integrals(system.camera, spectrum, grids))
+    return backend().to_host(pixel_integrals(system.camera, spectrum, grids))
 
 
 def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
     """Propagate one scene point's field, as `full_field` does, and return it at every plane."""
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, mla = _arrival(system, position, grids)
-    spectrum = _detector_spectrum(system, grids, mla.samples.copy(), microlenses)
+    spectrum = detector_spectrum(system, grids, mla.samples.copy(), microlenses)
     with resting_drjit():
         detector = fft2(spectrum, inverse=True)
     planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
@@ -111,20 +111,25 @@ def _arrival(
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil)
 
 
-def _detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
+def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
         before = _passed_power(system, grids, samples)
-        if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
-            samples *= _irregular(system, grids)
-        else:
-            _apply(system.microlenses.factors(grids.bend), grids, samples)
+        pass_microlenses(system, grids, samples)
         if before > 0:
             guards.check(guards.MICROLENS, 1 - power(samples) / before)
     camera = system.camera
     with resting_drjit():
         spectrum = fft2(samples)
     return advance(spectrum, grids.pitch, camera.detector_distance, camera.medium_wavelength(system.wavelength))
+
+
+def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
+    """Multiply a field just before the array by the transmission of the microlenses, in its own memory."""
+    if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
+        samples *= _irregular(system, grids)
+    else:
+        _apply(system.microlenses.factors(grids.bend), grids, samples)
 
 
 def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:
@@ -183,7 +188,7 @@ def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
         yield block, x, y
 
 
-def _pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
+def pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
     """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
     arrays = backend().arrays
     height, width = camera.shape
@@ -229,11 +234,12 @@ class _FullField:
     def prepare(self) -> Callable[[], Part]:
         """Compute the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
-        part = Part(_pixels(self.system.camera), self.factors[:, None, None] * psf)
+        part = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
 
 
-def _pixels(camera: PlenopticCamera) -> Box:
+def recorded_pixels(camera: PlenopticCamera) -> Box:
+    """Return the recorded pixels as a box of the detector's."""
     return Box(*camera.crop_offset, *camera.crop_size)
 
 
@@ -261,7 +267,7 @@ class FullFieldPlan:
     @property
     def box(self) -> Box:
         """The recorded pixels."""
-        return _pixels(self._camera)
+        return recorded_pixels(self._camera)
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
         """Return for every point the image weighted by its point spread; see `PatchPlan.gather`."""

@@ -1,0 +1,6 @@
+"""Laser light: captures of coherent and partially coherent points, and how coherent the light of a source is."""
+
+from .modes import mode_count as mode_count
+from .realisations import coherent_capture as coherent_capture
+
+__all__ = ["coherent_capture", "mode_count"]

@@ -1,0 +1,228 @@
+r"""The field on the pupil of many scene points with complex amplitudes, layer by layer of distance.
+
+At the point P of the pupil, the field of the point X is the amplitude of X times
+
+.. math:: B(P, X) \, e^{2 \pi i p(P, X)}, \qquad
+    p(P, X) = p(P, X_0) + (s - s_0) \cdot P / \lambda + r(P, X)
+
+with the path p in waves as in `lenses`, that to the pupil's centre being 0. :math:`X_0` is the middle of a layer, and
+s are the direction cosines at the pupil's centre. The first term is common to the layer. The second is a plane wave,
+and sums of plane waves are non-uniform Fourier transforms. What is left, r, is small and smooth: the defocus within the
+layer, and the non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a
+few products of a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and
+a singular value decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier
+integral operators", 2009, use the same separation). The cost is one transform for each of these products, whatever the
+count of points, and no step is paraxial.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..lenses.thin import ThinLens
+from ..optics.waves import in_millimetres, phasor, soft_edge
+from ..runtime.backend import array_module
+from ..runtime.fft import Field, as_field, pack, rows_and_columns
+from ..system.optical_system import OpticalSystem
+from .arrival import blocks
+from .nonuniform import PlaneWaves
+
+_LAYER = 2.0
+"""Largest range of the defocus of a layer's points at the pupil's edge, in waves."""
+
+_TOLERANCE = 5e-6
+"""Error of the separated field, relative to its modulus: about that of single precision."""
+
+_NODES = range(6, 49, 2)
+"""Numbers of Chebyshev nodes across the pupil that are tried, one after another."""
+
+_TRIED = 64
+"""Points of a layer for which the interpolation is tried, and positions on the pupil."""
+
+_BASIS = 2048
+"""Largest number of points of a layer from which its products are found."""
+
+_TOGETHER = 2**14
+"""Number of points whose factors are computed together."""
+
+_RINGS, _SPOKES = 8, 24
+"""Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
+
+
+class PupilGrid:
+    """The square of a wide grid's samples that contains the pupil; `count` x `count`."""
+
+    def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float) -> None:
+        self.pitch = pitch
+        self.count = 2 * math.ceil(lens.pupil_radius / pitch) + 3
+        middle = [round(-start / pitch) for start in origin]
+        self.middle = np.array([start + index * pitch for start, index in zip(origin, middle, strict=True)])
+        left, top = (index - self.count // 2 for index in middle)
+        self.rows, self.columns = slice(top, top + self.count), slice(left, left + self.count)
+
+    def along(self, axis: int) -> NDArray[np.float64]:
+        """Return the coordinates of the samples along an axis (0: x, 1: y)."""
+        return np.asarray(self.middle[axis] + (np.arange(self.count) - self.count // 2) * self.pitch)
+
+
+class Layer:
+    """Points of similar distance, (n, 3), with unit power each through the pupil, on the samples of a grid."""
+
+    def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
+        self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
+        vergence = 1 / points[:, 2]
+        distance = 1 / ((vergence.min() + vergence.max()) / 2)
+        tilt = points[:, :2] * vergence[:, None]
+        self._middle = np.append((tilt.min(0) + tilt.max(0)) / 2 * distance, distance)
+        frequencies = self._cosines(points) - self._cosines(self._middle[None])
+        frequencies /= in_millimetres(self._wavelength)
+        self._waves = PlaneWaves(frequencies * grid.pitch, grid.count)
+        nodes = self._nodes(points, frequencies)
+        self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
+        x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
+        some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
+        factors = self._remainder(x, y, points[some], frequencies[some])
+        basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
+        tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
+        self.rank = max(1, int(np.count_nonzero(tail > _TOLERANCE)))
+        basis = basis[:, : self.rank]
+        self._on_pupil = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
+        shift = np.exp(2j * math.pi * (frequencies @ grid.middle))
+        self._of_points = np.empty((self.rank, len(points)), np.complex64)
+        for first in range(0, len(points), _TOGETHER):
+            part = slice(first, first + _TOGETHER)
+            self._of_points[:, part] = basis.conj().T @ self._remainder(x, y, points[part], frequencies[part])
+        self._of_points *= shift
+
+    def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
+        """Add the field of points with these amplitudes (n,) to samples of the grid."""
+        common = self._common()
+        for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
+            for rows, waves in self._waves.forward(amplitudes * of_points):
+                waves *= self._values(on_pupil, rows)
+                waves *= common[rows]
+                field[rows] += waves
+
+    def adjoint(self, field: Field) -> NDArray[np.complex64]:
+        """Return for each point the inner product of its field with samples of the grid."""
+        given = self._common().conj() * field
+        total = np.zeros(self._of_points.shape[1], np.complex64)
+        for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
+
+            def products(on_pupil: Field = on_pupil) -> Iterator[tuple[slice, Field]]:
+                for rows in blocks(self._grid.count):
+                    yield rows, given[rows] * self._values(on_pupil, rows).conj()
+
+            total += of_points.conj() * self._waves.adjoint(products())
+        return total
+
+    @property
+    def _half(self) -> float:
+        """Half the side of the square between whose nodes the fields are interpolated."""
+        return self._grid.pitch * (self._grid.count // 2 + 1)
+
+    def _common(self) -> Field:
+        """Return the field of the middle of the layer on the samples, with modulus 1 in the pupil."""
+        types, grid = array_module(), self._grid
+        row, column = rows_and_columns(types, grid.count, grid.count)
+        x, y = (
+            (types.Float64(index) - grid.count // 2) * dr.opaque(types.Float64, grid.pitch)
+            + dr.opaque(types.Float64, float(start))
+            for index, start in zip((column, row), grid.middle, strict=True)
+        )
+        point = tuple(dr.opaque(types.Float64, float(value)) for value in self._middle)
+        cover = types.Float(soft_edge(self._lens.inside((x, y)) / grid.pitch))
+        light = phasor(self._lens.path((x, y), (point[0], point[1], point[2]), self._wavelength)) * cover
+        return as_field(pack(light), (grid.count, grid.count))
+
+    def _values(self, on_pupil: Field, rows: slice) -> Field:
+        """Return a function of P, given at the nodes, at rows of the samples."""
+        along_x, along_y = self._interpolation
+        return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
+
+    def _cosines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
+
+    def _nodes(self, points: NDArray[np.float64], frequencies: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return as many Chebyshev nodes between -1 and 1 as the layer needs."""
+        some = _extremes(points)
+        radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
+        # A sunflower's pattern covers the pupil evenly.
+        angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        exact = self._remainder(
+            x * self._lens.pupil_radius, y * self._lens.pupil_radius, points[some], frequencies[some]
+        )
+        scale = self._lens.pupil_radius / self._half
+        for count in _NODES:
+            nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
+            given = [part.ravel() * self._half for part in np.meshgrid(nodes, nodes)]
+            factors = self._remainder(given[0], given[1], points[some], frequencies[some])
+            across, down = (_interpolation(nodes, place * scale, np.float64) for place in (x, y))
+            found = np.einsum("pj,pi,jin->pn", down, across, factors.reshape(count, count, -1), optimize=True)
+            if np.all(np.abs(found - exact) <= _TOLERANCE * np.abs(exact).max(0)):
+                return nodes
+        x, y, g = self._middle
+        raise InputError(
+            f"points about ({x:g}, {y:g}, {g:g}): the wavefronts of their field differ too much across the pupil to be "
+            "computed together; use a smaller field or aperture_radius"
+        )
+
+    def _remainder(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], frequencies: NDArray[Any]
+    ) -> NDArray[np.complex128]:
+        """Return B exp(2 pi i r) at m positions on the pupil for n points, (m, n)."""
+        pupil, (X, Y, g) = (x[:, None], y[:, None]), points.T
+        a, b, c = self._middle
+        waves = self._lens.path(pupil, (X, Y, g), self._wavelength)
+        waves = waves - self._lens.path(pupil, (a, b, c), self._wavelength) - np.stack([x, y], 1) @ frequencies.T
+        amplitude = self._lens.amplitude(pupil, (X, Y, g)) / np.sqrt(passed_power(self._lens, points))
+        return np.asarray(amplitude * np.exp(2j * math.pi * waves))
+
+
+def layers(
+    system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid
+) -> Iterator[tuple[NDArray[np.int64], Layer]]:
+    """Yield layers of points (n, 3) by distance, each with the indices of its points."""
+    defocus = lens.pupil_radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
+    order = np.argsort(defocus, kind="stable")
+    span = defocus[order] - defocus[order[0]]
+    count = max(1, math.ceil(span[-1] / _LAYER))
+    which = np.minimum(span * (count / max(span[-1], 1e-300)), count - 1).astype(int)
+    for part in np.split(order, np.flatnonzero(np.diff(which)) + 1):
+        yield part, Layer(system, lens, points[part], grid)
+
+
+def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the integral (n,) over the pupil of the squared amplitude of each point's light."""
+    nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
+    radius = lens.pupil_radius * np.sqrt((nodes + 1) / 2)
+    angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
+    x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
+    amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
+    area = math.pi * lens.pupil_radius**2
+    return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
+
+
+def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the indices of some points, with those on the edges of the layer along all of its diagonals."""
+    tilt = points[:, :2] / points[:, 2:]
+    directions = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
+    values = np.column_stack([tilt, 1 / points[:, 2]])
+    along = ((values - values.mean(0)) / np.maximum(np.ptp(values, axis=0), 1e-300)) @ directions.T
+    some = np.linspace(0, len(points) - 1, min(len(points), _TRIED)).astype(np.int64)
+    return np.unique(np.concatenate([along.argmin(0), along.argmax(0), some]))
+
+
+def _interpolation(nodes: NDArray[np.float64], at: NDArray[np.float64], kind: type = np.float32) -> NDArray[Any]:
+    """Return the matrix of polynomial interpolation from Chebyshev nodes to positions between -1 and 1."""
+    degree = len(nodes) - 1
+    chebyshev = np.polynomial.chebyshev.chebvander
+    return np.asarray(chebyshev(at, degree) @ np.linalg.inv(chebyshev(nodes, degree)), kind)
