@@ -27,6 +27,7 @@ from .runtime import llvm
 llvm.choose()
 
 from . import design as design
+from . import far_sources as far_sources
 from . import plugins as plugins
 from .camera import PlenopticCamera
 from .capture.render import estimate_capture, render_capture
@@ -47,6 +48,7 @@ from .operator.stored import StoredOperator
 from .operator.volumes import volume_points
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
+from .phase_screen import PhaseScreen, frozen_flow
 from .plugins.other_camera import with_camera
 from .prescription import Prescription
 from .runtime.batches import Cluster
@@ -89,6 +91,7 @@ __all__ = [
     "Job",
     "LensSystem",
     "Objective",
+    "PhaseScreen",
     "PhysicsError",
     "PhysicsWarning",
     "PlenopticCamera",
@@ -108,6 +111,7 @@ __all__ = [
     "expose",
     "fit",
     "focus_by_group",
+    "frozen_flow",
     "ground_truth",
     "half_disparity",
     "load_scene",
