@@ -27,6 +27,7 @@ from .runtime import llvm
 llvm.choose()
 
 from . import design as design
+from . import far_sources as far_sources
 from . import laser as laser
 from . import plugins as plugins
 from .camera import PlenopticCamera
@@ -48,6 +49,7 @@ from .operator.stored import StoredOperator
 from .operator.volumes import volume_points
 from .optics.guards import PhysicsError, PhysicsWarning
 from .optics.spectrum import Spectrum
+from .phase_screen import PhaseScreen, frozen_flow
 from .plugins.other_camera import with_camera
 from .prescription import Prescription
 from .runtime.batches import Cluster
@@ -90,6 +92,7 @@ __all__ = [
     "Job",
     "LensSystem",
     "Objective",
+    "PhaseScreen",
     "PhysicsError",
     "PhysicsWarning",
     "PlenopticCamera",
@@ -109,6 +112,7 @@ __all__ = [
     "expose",
     "fit",
     "focus_by_group",
+    "frozen_flow",
     "ground_truth",
     "half_disparity",
     "load_scene",

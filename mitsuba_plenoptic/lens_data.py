@@ -216,5 +216,9 @@ def require_alone(camera: Any) -> None:
     """Refuse what a real main lens brings itself."""
     for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
         refuse_if(any(values), f"{name} = {values}: a main_lens brings its own; leave it out")
+    refuse_if(
+        camera.phase_screen is not None,
+        f"phase_screen = {camera.phase_screen}: behind a main_lens there is none; leave it out",
+    )
     if camera.glass is not None:
         raise InputError(f"glass = {short_repr(camera.glass.to_plain())}: a main_lens brings its own; leave it out")

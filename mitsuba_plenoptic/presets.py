@@ -38,6 +38,20 @@
     focal length of 2.433 mm, pixels of 4.55 um (6.5 um behind a relay of 35/50). Ours: square lenses with one on the
     axis, and 2048 x 2048 pixels.
 
+``telescope``
+    A plenoptic wavefront sensor: an array in the focus of a telescope, whose lenses have the telescope's f-number, so
+    that their images of its pupil touch: the rule of Clare and Lane 2005, "Wave-front sensing from subdivision of the
+    focal plane with a lenslet array", and of Rodríguez-Ramos et al. 2012, "Concepts, laboratory, and telescope test
+    results of the plenoptic camera as a wavefront sensor". The corner of four lenses is on the axis, as the tip of a
+    pyramid sensor is. Ours: a pupil of 10 mm, as on an optical bench or behind the relay of a larger telescope, f/50,
+    8 x 8 lenses of 0.32 mm, which are as wide as ten times the diffraction width (wavelength times f-number) of 633 nm,
+    and 32 x 32 pixels of 10 um below each.
+
+``shack_hartmann``
+    A Shack-Hartmann wavefront sensor: the same telescope, whose pupil a collimator of 160 mm images onto an array of
+    the same lenses, so that ten of them are across the pupil's image of 3.2 mm; 12 x 12 are before the detector. Ours:
+    all numbers.
+
 ``full_frame_dual``
     Like a full-frame camera with dual pixels, the Canon EOS 5D Mark IV before a 50 mm f/1.8 lens. Published by Canon: a
     sensor of 36 x 24 mm with 6720 x 4480 lenses 5.36 um apart, two photodiodes below each.
@@ -101,6 +115,13 @@ _RAYTRIX: dict[str, Any] = {
     "resolution": (4080, 3068),
 }
 
+_WAVEFRONT_SENSOR: dict[str, Any] = {
+    "focal_length": 500.0,
+    "aperture_radius": 5.0,
+    "mla_focal_length": 16.0,
+    "mla_pitch": 0.32,
+}
+
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "lytro": {
@@ -143,6 +164,13 @@ PRESETS: dict[str, dict[str, Any]] = {
         "mla_offset": (0.0625, 0.0625),
         "detector_width": 9.3184,
         "resolution": (2048, 2048),
+    },
+    "telescope": _WAVEFRONT_SENSOR | {"mla_distance": 500.0, "detector_width": 2.56, "resolution": (256, 256)},
+    "shack_hartmann": _WAVEFRONT_SENSOR
+    | {
+        "main_lens": {"collimator_focal_length": 160.0},
+        "detector_width": 3.84,
+        "resolution": (384, 384),
     },
     "full_frame_dual": _on_chip(0.00268, (13440, 8960), 50.0, 1.8, 2000.0, 0.008),
     "phone_quad": _on_chip(0.00122, (8064, 6048), 6.86, 1.78, 1000.0, 0.0045),

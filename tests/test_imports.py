@@ -11,11 +11,12 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it. Of io, the modules that read lens files serve the camera, too.
 FLOORS = (
-    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
-    "io.files", "microlens", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
+    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "collimator", "presets",
+    "io.files", "microlens", "phase_screen", "far_sources", "io.lens_designs", "io.zemax_file", "io.codev_file",
+    "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
     "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation",
-    "array_functions", "torch", "jax", "report", "dataset",
+    "array_functions", "torch", "jax", "hcipy", "report", "dataset",
     "benchmark", "cli", "__main__",
 )  # fmt: skip
 

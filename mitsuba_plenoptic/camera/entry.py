@@ -26,6 +26,7 @@ class Form(Enum):
     RESPONSE = "PhotodiodeResponse, str, path or dict", "|string|"
     GLASS = "Glass, str, float or dict", "|string| or |float|"
     SHAPE = "MicrolensShape, path or dict", "|string|"
+    SCREEN = "PhaseScreen, path or dict", "|string|"
 
 
 class Captures(Flag):

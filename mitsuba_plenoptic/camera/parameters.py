@@ -33,6 +33,7 @@ from ..errors import (
 from ..lattice import APERTURES, LATTICES
 from ..lens_data import LensData
 from ..microlens.base import MicrolensShape, known_shape
+from ..phase_screen import PhaseScreen, known_screen
 from ..prescription import Glass
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .given_lens import known_glass, known_lens
@@ -325,6 +326,19 @@ class CameraParameters:
         unseen=1,
         room=36,
     )
+    phase_screen: Parameter[PhaseScreen | str | Path | dict[str, Any] | None, PhaseScreen | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_screen(value),
+        words=(
+            "Sampled path that light gains over the pupil of the main lens, in addition to `wavefront`: a turbulent "
+            "atmosphere or a measured aberration; see `PhaseScreen`, in Python also as itself, or as a JSON file, its "
+            "text or a dictionary of its parameters. For rays, which its slope deflects, and for waves of points by "
+            "method ``full_field``."
+        ),
+        form=Form.SCREEN,
+        otherwise="none",
+        shortest=lambda screen: screen and screen.to_plain(),
+    )
     mla_jitter: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0, 0.0),
         check=partial(require_numbers, count=2, minimum=0.0),
@@ -414,7 +428,9 @@ class CameraParameters:
             "or the text of a JSON file; in Python also a `Prescription`, or what `Prescription.from_plain` takes. Or "
             "a microscope's `Objective`, as such a file or text with ``magnification`` and ``numerical_aperture``, or "
             "in Python as itself: the origin of the camera frame is then its native object plane, `focal_length` and "
-            "`aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the array."
+            "`aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the array. Or a "
+            "telescope with a `Collimator`, as text or in Python as a dictionary with ``collimator_focal_length``: the "
+            "array is then in the image of the pupil, which gives `mla_distance`."
         ),
         form=Form.LENS,
         otherwise="a thin lens",

@@ -24,7 +24,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..lattice import LATTICES
-from ..lens_data import THIN, image_distance
+from ..lens_data import SINGLE, THIN, image_distance
 from ..microlens.base import focal_length_of, require_cover
 from ..presets import PRESETS
 from ..runtime.notebook import Displayed
@@ -116,11 +116,16 @@ def require_whole(camera: CameraGeometry) -> None:
     camera.lens_data.require_fit(camera)
     if camera.mla_shape is not None:
         require_cover(camera.mla_shape, camera.lattice)
+    if camera.phase_screen is not None and camera.phase_screen.reach < camera.aperture_radius * (1 - SINGLE):
+        raise InputError(
+            f"phase_screen = {camera.phase_screen}: it covers pupils of a radius up to {camera.phase_screen.reach:.6g} "
+            f"mm; the aperture_radius is {camera.aperture_radius:g}"
+        )
     if camera.photodiode_response is not None:
         require_pixel_pairs(camera)
         refuse_if(
             camera.mla_absorption > 0,
-            f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one of them out",
+            f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one out",
         )
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
@@ -145,12 +150,12 @@ def require_known_to(
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
 
 
-def require_ideal(camera: CameraGeometry, *, irregular: bool = False) -> None:
+def require_ideal(camera: CameraGeometry, *, in_full: bool = False) -> None:
     """Refuse a camera with features that the wave model of points does not support.
 
-    Among these are irregular arrays, except where fields are computed in full.
+    Among these are irregular arrays and phase screens, except where fields are computed in full.
     """
-    besides = ("mla_jitter", "mla_figure_error") if irregular else ()
+    besides = ("mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
@@ -218,7 +223,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Parameters
         ----------
         name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water", \
-            "full_frame_dual", "phone_quad", "phone_quad_bayer"}
+            "telescope", "shack_hartmann", "full_frame_dual", "phone_quad", "phone_quad_bayer"}
             The camera.
 
         Raises

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..camera import PlenopticCamera
+from ..collimator import Collimator
 from .focus import best_distances, best_images, focus_type, lenses_across
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 from .microscope import microscope_warnings
@@ -18,6 +19,8 @@ _DUAL = 0.01
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
     """Return warnings about a design, one sentence each."""
+    if isinstance(camera.main_lens, Collimator):
+        return []
     if not camera.lens_data.converges:
         return microscope_warnings(camera, wavelength)
     found = []

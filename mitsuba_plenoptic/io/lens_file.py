@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from ..collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
 from ..errors import NO_RECORD, InputError, refusing
 from ..lens_data import LensData, known_kind
 from ..objective import Objective  # noqa: F401 (a kind of plain data that files may hold)

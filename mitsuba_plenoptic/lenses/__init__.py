@@ -1,6 +1,7 @@
-"""Main lenses: thin, telecentric, and real ones, each as rays and as waves pass it."""
+"""Main lenses: thin, telecentric, collimated, and real ones, each as rays and as waves pass it."""
 
 # Importing a lens's file registers what it builds.
+from . import collimated as collimated
 from . import real_lens as real_lens
 from . import telecentric as telecentric
 from . import thin as thin

@@ -193,6 +193,15 @@ class TelecentricLens(UniformLens):
         return x * scale, y * scale
 
     @property
+    def stop_scale(self) -> float:
+        """Coordinate on the stop over that of its image on the array, in the Fourier arrangement."""
+        return -self.pupil_distance / self.objective.last_focal_length
+
+    def power_through(self, point: NDArray[np.float64]) -> float:
+        """Return `passed_power`, the same for all scene points."""
+        return self.passed_power
+
+    @property
     def passed_power(self) -> float:
         r"""Integral of the squared amplitude over the stop: :math:`2 \pi f^2 n^2 (1 - \cos\alpha)`."""
         lens = self.objective
@@ -237,9 +246,8 @@ class TelecentricLens(UniformLens):
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the array of the light from a scene point through a point of the stop."""
         if self.objective.images_stop:
-            growth = -self.objective.last_focal_length / self.pupil_distance
             # Adding 0 broadcasts the result to the shape of the points.
-            return pupil[0] * growth + 0 * point[0], pupil[1] * growth + 0 * point[0]
+            return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]
         return self._image(pupil, point)
 
     def _image(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:

@@ -21,6 +21,7 @@ from ..errors import WAVEFRONT_UNIT
 from ..lens_data import vergence
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
+from ..phase_screen import PhaseScreen
 from ..runtime.backend import sqrt
 from .base import Pair, Traced
 from .common import FinitePupil, LensNumbers, UniformLens, builds
@@ -55,7 +56,7 @@ def zernike(j: int) -> NDArray[np.float64]:
 
 
 class Wavefront:
-    """A sum of Zernike polynomials."""
+    """A sum of Zernike polynomials, and a phase screen where one is given."""
 
     def __init__(
         self,
@@ -63,8 +64,9 @@ class Wavefront:
         coefficients: Any,
         # Radius of the pupil, in millimetres.
         radius: Any,
+        screen: PhaseScreen | None = None,
     ) -> None:
-        self._radius = radius
+        self._radius, self._screen = radius, screen
         size = max((len(zernike(j)) for j in range(1, len(coefficients) + 1)), default=0)
         self._terms: list[list[Any]] = [[0.0] * (size - a) for a in range(size)]
         for j, coefficient in enumerate(coefficients, 1):
@@ -75,7 +77,8 @@ class Wavefront:
     def path(self, x: Any, y: Any) -> Any:
         """Return the path difference at a point of the pupil, in millimetres."""
         u, v = x / self._radius, y / self._radius
-        return _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
+        path = _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
+        return path if self._screen is None else path + self._screen.path(x, y)
 
     def slope(self, x: Any, y: Any) -> Pair:
         """Return the derivatives of `path` along x and y, which are the changes of direction."""
@@ -83,7 +86,11 @@ class Wavefront:
         scale = in_millimetres(WAVEFRONT_UNIT) / self._radius
         along_x = _sum([_sum([a * term for term in row], v) for a, row in enumerate(self._terms)][1:], u)
         along_y = _sum([_sum([b * term for b, term in enumerate(row)][1:], v) for row in self._terms], u)
-        return along_x * scale, along_y * scale
+        along_x, along_y = along_x * scale, along_y * scale
+        if self._screen is None:
+            return along_x, along_y
+        own = self._screen.slopes(x, y)
+        return along_x + own[0], along_y + own[1]
 
 
 def _sum(terms: list[Any], x: Any) -> Any:
@@ -115,6 +122,8 @@ class ThinLens(UniformLens, FinitePupil):
         by the parabolic phase element that the wave model always uses.
     aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
+    screen : PhaseScreen, optional
+        A path that light gains in addition.
     """
 
     focal_length: Any
@@ -122,16 +131,17 @@ class ThinLens(UniformLens, FinitePupil):
     pupil_distance: Any
     model: str = "ideal"
     aberrations: Any = ()
+    screen: PhaseScreen | None = None
     _wavefront: Wavefront = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         # Computed at once: a value first computed while Dr.Jit suspends gradients would never carry any.
-        object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil_radius))
+        object.__setattr__(self, "_wavefront", Wavefront(self.aberrations, self.pupil_radius, self.screen))
 
     @property
     def is_round(self) -> bool:
         """True for a lens without aberrations."""
-        return len(self.aberrations) == 0
+        return len(self.aberrations) == 0 and self.screen is None
 
     @property
     def refraction(self) -> Any:
@@ -297,7 +307,10 @@ class DistortedLens(ThinLens):
 @builds(type(None))
 def thin_lens(numbers: LensNumbers) -> ThinLens:
     """Return the main lens of a camera without an objective or prescription."""
-    own = (numbers.focal_length, numbers.aperture_radius, numbers.mla_distance, numbers.model, numbers.wavefront)
+    own = (
+        *(numbers.focal_length, numbers.aperture_radius, numbers.mla_distance, numbers.model, numbers.wavefront),
+        numbers.camera.phase_screen,
+    )
     if any(numbers.camera.distortion):
         return DistortedLens(*own, numbers.camera.distortion)
     return ThinLens(*own)

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import NO_ARRAY, InputError, refuse_if, refusing, short_repr
+from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, short_repr
 from ..io.files import require_file
 from ..runtime.backend import module_of
 
@@ -19,14 +19,11 @@ _LEAST, _MOST = 4, 1024
 
 
 def known_samples(name: str, value: Any) -> NDArray[np.float64]:
-    """Return samples (rows, columns) from an array, nested lists, or a file: NPY, or an image of one channel."""
-    if isinstance(value, (str, Path)):
-        value = _read(require_file(Path(value)))
-    with refusing(f"{name} = {short_repr(value)}: it must be rows of numbers", *NO_ARRAY):
-        # Single precision is enough for a path, and its decimals are short in files.
-        samples = np.asarray(value, np.float32)
+    """Return samples (rows, columns) as `read_samples` does, of a limited count and with decimals that are short."""
+    # Single precision is enough for a path, and its decimals are short in files.
+    samples = read_samples(name, value).astype(np.float32)
     refuse_if(
-        samples.ndim != 2 or not all(_LEAST <= size <= _MOST for size in samples.shape),
+        not all(_LEAST <= size <= _MOST for size in samples.shape),
         f"{name} of shape {samples.shape}: it must be {_LEAST} to {_MOST} rows of as many columns",
     )
     refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
@@ -35,17 +32,33 @@ def known_samples(name: str, value: Any) -> NDArray[np.float64]:
     return held
 
 
+def read_samples(name: str, value: Any) -> NDArray[np.float64]:
+    """Return samples (rows, columns) from an array, nested lists, or a file: NPY, FITS, or an image of one channel."""
+    if isinstance(value, (str, Path)):
+        value = _read(require_file(Path(value)))
+    with refusing(f"{name} = {short_repr(value)}: it must be rows of numbers", *NO_ARRAY):
+        samples = np.asarray(value, np.float64)
+    refuse_if(samples.ndim != 2, f"{name} of shape {samples.shape}: it must be rows of as many columns")
+    refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
+    return samples
+
+
 def _read(path: Path) -> Any:
-    if path.suffix.lower() == ".npy":
+    ending = path.suffix.lower()
+    if ending == ".npy":
         with refusing(f"{path}: it is no NPY file of numbers", OSError, *NO_ARRAY):
             return np.load(path, allow_pickle=False)
-    if path.suffix.lower() == ".exr":
+    if ending == ".exr":
         import mitsuba as mi
 
         with refusing(f"{path}: it cannot be read as an image", RuntimeError):
             image = np.array(mi.Bitmap(str(path)))
         return image if image.ndim == 2 else image[..., 0]
-    raise InputError(f"{path}: it must be an .npy or .exr file")
+    if ending in (".fits", ".fit"):
+        fits = require_module("astropy.io.fits", f"{path}: FITS needs a package: pip install 'mitsuba-plenoptic[ao]'")
+        with refusing(f"{path}: it is no FITS file with an image", OSError, *NO_ARRAY):
+            return fits.getdata(path)
+    raise InputError(f"{path}: it must be an .npy, .exr or .fits file")
 
 
 class SampledGrid:

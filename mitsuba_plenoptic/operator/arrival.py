@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.base import PointLight
+from ..lenses.collimated import CollimatedLens
 from ..lenses.exit_pupil import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
@@ -111,10 +112,13 @@ def grids_around(
     if camera.lens_data.converges:
         low, high = np.minimum(-radius, low), np.maximum(radius, high)
         diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
+    elif camera.lens_data.images_stop:
+        # The field is sampled in the image of the stop itself.
+        diffracted = 0.0
     else:
         # The number of samples of the stop is that of waves of the steepest direction across the window. Softening its
         # edge over one sample reduces the light that the edge diffracts far from the point's image.
-        blur = _WINDOW_PER_BLUR * float(image.half_width.max()) * (not camera.lens_data.images_stop)
+        blur = _WINDOW_PER_BLUR * float(image.half_width.max())
         diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(positions[:, 2]), blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
     wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
@@ -159,11 +163,24 @@ class SampledField:
         return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
 
 
+def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
+    """Return a field on a grid of another pitch, of either sign, as its samples determine it by their band limit."""
+    arrays = backend().arrays
+    # Along y, then along x.
+    matrices = []
+    for start, first, size, count in zip(origin[::-1], field.origin[::-1], shape, field.samples.shape, strict=True):
+        at, given = start + pitch * np.arange(size), first + field.pitch * np.arange(count)
+        matrices.append(arrays.asarray(np.sinc((at[:, None] - given) / field.pitch).astype(np.float32)))
+    rows, columns = matrices
+    return arrays.ascontiguousarray(rows @ arrays.asarray(field.samples.astype(np.complex64)) @ columns.T)
+
+
 def pupil_field(
     system: OpticalSystem,
     position: NDArray[np.float64],
     grids: FieldGrids,
     weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
 ) -> SampledField:
     """Return the field of a scene point behind the exit pupil, with the parameters of `full_field`."""
     types = backend().types
@@ -175,6 +192,10 @@ def pupil_field(
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
+    if incident is not None:
+        turned = as_field(pack(phasor(lens.path(pupil, point, system.wavelength))), (count, count))
+        entering = interpolated(incident, grids.wide_origin, pitch, (count, count)) / np.float32(incident.power**0.5)
+        return SampledField(entering * turned, grids.wide_origin, pitch)
     # The edge is softened over one sample to make it round; the normalisation is that of the hard edge.
     cover = types.Float(soft_edge(lens.inside(pupil) / step))
     bright = types.Float(lens.amplitude(pupil, point))
@@ -250,22 +271,10 @@ def telecentric_arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> tuple[SampledField, SampledField]:
-    """Return the field on the stop, and that on the array just before the microlenses, for a scene point (3,).
+    """Return the field on the stop, and that in the native image just before the microlenses, for a scene point (3,).
 
     Both have the power 1, except for light that misses the detector's window.
     """
-    if lens.objective.images_stop:
-        return _at_stop_image(lens, position, wavelength, grids, weights)
-    return _at_native_image(lens, position, wavelength, grids, weights)
-
-
-def _at_native_image(
-    lens: TelecentricLens,
-    position: NDArray[np.float64],
-    wavelength: float,
-    grids: FieldGrids,
-    weights: PupilWeights | None,
-) -> tuple[SampledField, SampledField]:
     types, count = backend().types, grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
     step = in_millimetres(wavelength) / (count * pitch)
@@ -292,34 +301,42 @@ def _at_native_image(
     return SampledField(stop, (-half * reach, -half * reach), reach), mla
 
 
-def _at_stop_image(
-    lens: TelecentricLens,
+def stop_image_arrival(
+    lens: TelecentricLens | CollimatedLens,
     position: NDArray[np.float64],
     wavelength: float,
     grids: FieldGrids,
-    weights: PupilWeights | None,
+    weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
 ) -> tuple[SampledField, SampledField]:
+    """Return the fields of `telecentric_arrival` for an array in the image of the stop."""
     types, (columns, rows) = backend().types, grids.count
-    growth = -lens.pupil_distance / lens.objective.last_focal_length
+    scale = lens.stop_scale
     origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     row, column = rows_and_columns(types, rows, columns)
     pupil = tuple(
-        (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * growth
+        (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * scale
         for sample, start in zip((column, row), origin, strict=True)
     )
-    sample = grids.pitch * abs(growth)
-    field = as_field(pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))
-    mla = SampledField(field * np.float32(abs(growth)), (origin[0], origin[1]), grids.pitch)
+    sample = grids.pitch * abs(scale)
+    if incident is None:
+        field = as_field(pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))
+    else:
+        point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
+        turned = as_field(pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
+        first, pitch = (origin[0] * scale, origin[1] * scale), grids.pitch * scale
+        field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
+    mla = SampledField(field * np.float32(abs(scale)), (origin[0], origin[1]), grids.pitch)
     stop = SampledField(
         field[::-1, ::-1],
-        (origin[0] * growth - (columns - 1) * sample, origin[1] * growth - (rows - 1) * sample),
+        (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample),
         sample,
     )
     return stop, mla
 
 
 def _stop_field(
-    lens: TelecentricLens,
+    lens: TelecentricLens | CollimatedLens,
     position: NDArray[np.float64],
     wavelength: float,
     pupil: tuple[Any, Any],
@@ -331,7 +348,7 @@ def _stop_field(
     point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     cover = types.Float(soft_edge(lens.inside(pupil) / sample))
     amplitude = types.Float(lens.amplitude(pupil, point))
-    power = lens.passed_power
+    power = lens.power_through(position)
     if weights is not None:
         count = dr.width(pupil[0])
         passed, relative = weights.at(dr.zeros(types.UInt32, count), *pupil, lens.pupil_radius, sample)

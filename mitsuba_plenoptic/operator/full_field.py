@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..lenses.collimated import CollimatedLens
 from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
@@ -46,6 +47,7 @@ from .arrival import (
     field_grids,
     interpolate,
     pupil_field,
+    stop_image_arrival,
     telecentric_arrival,
 )
 from .patch_plan import Cost
@@ -73,14 +75,16 @@ def full_field(
     refinement: float = 1.0,
     growth: float = 1.0,
     grids: FieldGrids | None = None,
+    incident: SampledField | None = None,
 ) -> NDArray[np.float32]:
     """Integrate one scene point's intensity over the recorded pixels.
 
     `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
-    `grids` may be those of a camera that hardly differs, so that differences are free of the grids'.
+    `grids` may be those of a camera that hardly differs, so that differences are free of the grids'. `incident` is a
+    field on the pupil of a thin lens or a collimator that replaces a far point's light, with its own aperture.
     """
     grids = grids or field_grids(system, position, refinement, growth)
-    _, mla = _arrival(system, position, grids, pupil_weights)
+    _, mla = _arrival(system, position, grids, pupil_weights, incident)
     spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
@@ -103,11 +107,15 @@ def _arrival(
     position: NDArray[np.float64],
     grids: FieldGrids,
     weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
 ) -> tuple[SampledField, SampledField]:
     """Return the field behind the pupil, and that before the MLA."""
-    if isinstance(system.lens, TelecentricLens):
-        return telecentric_arrival(system.lens, position, system.wavelength, grids, weights)
-    pupil = pupil_field(system, position, grids, weights)
+    lens = system.lens
+    if isinstance(lens, (TelecentricLens, CollimatedLens)) and system.camera.lens_data.images_stop:
+        return stop_image_arrival(lens, position, system.wavelength, grids, weights, incident)
+    if isinstance(lens, TelecentricLens):
+        return telecentric_arrival(lens, position, system.wavelength, grids, weights)
+    pupil = pupil_field(system, position, grids, weights, incident)
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil)
 
 

@@ -107,7 +107,7 @@ class CaptureOperator:
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
-        require_ideal(camera, irregular=method == "full_field")
+        require_ideal(camera, in_full=method == "full_field")
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
@@ -116,7 +116,7 @@ class CaptureOperator:
         require_choice("method", method, METHODS)
         refuse_if(
             method == "patch" and camera.lens_data.images_stop,
-            "method = patch: arrangement = fourier lights all of the stop's image; use full_field",
+            "method = patch: light covers all of the stop's image, in which the array stands; use full_field",
         )
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))

@@ -46,6 +46,7 @@ from ..optics.spectrum import (
     interpolated,
     read_responses,
 )
+from ..phase_screen import known_screen
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
@@ -86,8 +87,8 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
         camera = PlenopticCamera(**given, **film_numbers(film))
     refuse_if(
         camera.lens_data.images_stop,
-        f"{plugin}: main_lens: arrangement = fourier: no stop bounds its micro-images for rays; use "
-        "CaptureOperator with method full_field",
+        f"{plugin}: main_lens = {camera.lens_data.label}: the array is in the image of the stop, so that no stop "
+        "bounds its micro-images for rays; use CaptureOperator with method full_field",
     )
     return camera
 
@@ -148,6 +149,14 @@ def _read_shape(props: Any, name: str) -> Any:
     return known_shape(source, lambda path: str(mi.file_resolver().resolve(path)))
 
 
+def _read_screen(props: Any, name: str) -> Any:
+    """Read a phase screen, given as a JSON file or its text."""
+    source = _plain(props[name])
+    if not isinstance(source, str):
+        raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
+    return known_screen(source, lambda path: str(mi.file_resolver().resolve(path)))
+
+
 def _read_response(props: Any, name: str) -> Any:
     """Read a response of photodiodes, given as a file or the text of a JSON object."""
     source = _plain(props[name])
@@ -163,6 +172,7 @@ _READERS = {
     Form.LENS: _read_main_lens,
     Form.GLASS: _read_glass,
     Form.SHAPE: _read_shape,
+    Form.SCREEN: _read_screen,
     Form.RESPONSE: _read_response,
 }
 """Readers for the forms of parameters that scene files write differently from Python."""

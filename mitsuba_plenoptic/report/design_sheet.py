@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from .. import design
 from ..camera import PlenopticCamera
+from ..collimator import Collimator
 from ..errors import InputError
 from ..lens_data import image_distance
 from ..objective import Objective
@@ -34,8 +35,11 @@ _Line = tuple[str, str, str, str]
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
-    if camera.objective is not None:
-        seen = _microscope_groups(camera, camera.objective, wavelength)
+    if camera.objective is not None or isinstance(camera.main_lens, Collimator):
+        if camera.objective is not None:
+            seen = _microscope_groups(camera, camera.objective, wavelength)
+        else:
+            seen = {"Telescope": _telescope(camera, wavelength)}
         common = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
         return [Row(group, *line) for group, lines in (seen | common).items() for line in lines]
     groups = {
@@ -75,9 +79,16 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))
+    return rows + _aberrations(camera)
+
+
+def _aberrations(camera: PlenopticCamera) -> list[_Line]:
+    rows = []
     if any(camera.wavefront):
         strength = math.sqrt(sum(part**2 for part in camera.wavefront[3:]))
         rows.append(("aberrations", _four(strength), "waves", "root mean square at 633 nm, without tilt"))
+    if (screen := camera.phase_screen) is not None:
+        rows.append(("phase screen", _four(float(screen.waves.std())), "waves", "root mean square of its samples"))
     return rows
 
 
@@ -314,6 +325,27 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
 def _four(value: float) -> str:
     """Four digits, without an exponent for the sizes that cameras have."""
     return f"{value:.4g}"
+
+
+def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
+    """Return the lines about a telescope with a collimator and what its Shack-Hartmann sensor sees."""
+    image = camera.blur_diameter(math.inf)
+    # Angles before the telescope are smaller by the magnification of the pupil than those at the array.
+    to_sky = math.degrees(image / camera.aperture_diameter / camera.reduced_distance) * 3600
+    rows = [
+        ("kind of camera", "Shack-Hartmann sensor", "", "array in the image of the pupil"),
+        ("focal length", _four(camera.focal_length), "mm", ""),
+        ("diameter", _four(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
+        ("image of the pupil", _four(image), "mm", ""),
+        ("lenses across it", _four(image / camera.mla_pitch), "", ""),
+        ("field of a lens", _four(camera.mla_pitch * to_sky), "arcsec", "within which a star moves in its cell"),
+        ("pixel on the sky", _four(camera.pixel_size * to_sky), "arcsec", ""),
+    ]
+    if wavelength is not None:
+        spot = 1e-6 * wavelength * camera.reduced_distance / camera.lattice.aperture_width
+        note = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero, at {wavelength:g} nm"
+        rows.append(("spot of a microlens", _four(1e3 * spot), "um", note))
+    return rows + _aberrations(camera)
 
 
 def _microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[_Line]]:

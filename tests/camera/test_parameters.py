@@ -60,6 +60,7 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert (f" * - {name}\n" in rows) == (name not in ("resolution", "crop_offset", "crop_size"))
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
+        known |= {"PhaseScreen", "Collimator"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
@@ -88,6 +89,7 @@ OTHER = {
     "lens_model": "parabolic",
     "distortion": (1e-4, -1e-6, 1e-9, 2e-5, -3e-5),
     "wavefront": (0.0, 0.1, -0.2),
+    "phase_screen": {"waves": np.outer(range(5), range(6)).tolist(), "width": 12.5},
     "mla_jitter": (0.0011, 0.023),
     "mla_seed": 4294967295,
     "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),

@@ -184,13 +184,13 @@ def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
 
 def test_what_does_not_know_objectives_says_so():
     points = [(0.0, 0.0, 0.0)]
-    with pytest.raises(InputError, match="method = patch: arrangement = fourier"):
+    with pytest.raises(InputError, match="method = patch: light covers all of the stop's image"):
         CaptureOperator(fourier_camera(), points, wavelength=WAVELENGTH)
     with pytest.raises(InputError, match="derivatives of wave captures are found for thin main lenses"):
         CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH).gradient([1.0], np.ones((135, 135)))
     with pytest.raises(InputError, match=r"position = \(0, 0, -10\): .* g more than -10: before the objective"):
         CaptureOperator(camera_with(AIR), [(0.0, 0.0, -10.0)], wavelength=WAVELENGTH)
-    with pytest.raises(Exception, match="arrangement = fourier: no stop bounds its micro-images"):
+    with pytest.raises(Exception, match="no stop bounds its micro-images"):
         mi.load_dict(fourier_camera().to_sensor())
 
 

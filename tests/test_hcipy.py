@@ -1,0 +1,114 @@
+"""Cameras as optical elements of HCIPy, against its own microlens arrays on the same wavefronts."""
+
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.far_sources import star
+
+hcipy = pytest.importorskip("hcipy")
+
+from mitsuba_plenoptic.hcipy import CameraOptics, phase_screen  # noqa: E402
+
+WAVELENGTH = 633e-9
+TERMS = [0, 0.2, -0.1, 0.1, -0.15, 0.05, 0.08, -0.06, 0.1, 0.04]
+FINER = 3
+"""HCIPy's samples along an axis in a pixel."""
+
+
+def wavefront(grid, diameter, terms=TERMS):
+    """An aberrated wavefront in a round aperture, with the power 1."""
+    aperture = hcipy.evaluate_supersampled(hcipy.make_circular_aperture(diameter), grid, 8)
+    modes = hcipy.make_zernike_basis(len(terms), diameter, grid)
+    phase = 2 * np.pi * sum(term * mode for term, mode in zip(terms, modes, strict=True))
+    made = hcipy.Wavefront(hcipy.Field(aperture * np.exp(1j * phase), grid), WAVELENGTH)
+    made.total_power = 1
+    return made
+
+
+def binned(samples, pixels):
+    return samples.reshape(pixels, FINER, pixels, FINER).sum((1, 3))
+
+
+def spots(image, lenses):
+    """Centroids in pixels of the lenses' cells that have most of a lens's light."""
+    size = image.shape[0] // lenses
+    cells, index = image.reshape(lenses, size, lenses, size), np.arange(size)
+    power = cells.sum((1, 3))
+    found = np.stack([np.einsum("arbs,s->ab", cells, index), np.einsum("arbs,r->ab", cells, index)]) / power
+    return found[:, power > 0.9 * np.median(power[power > 0.3 * power.max()])]
+
+
+def relative(one, other):
+    return np.linalg.norm(one - other) / np.linalg.norm(other)
+
+
+def test_a_shack_hartmann_sensor_equals_that_of_hcipy():
+    # HCIPy places the centre of a lens on the axis; the pupil's image of 1.6 mm has five lenses across.
+    width, beam, magnification = 1.76e-3, 1.6e-3, 0.32
+    camera = PlenopticCamera.preset("shack_hartmann").replace(
+        aperture_radius=2.5, mla_offset=(0.16, 0.16), detector_width=1.76, resolution=(176, 176)
+    )
+    grid = hcipy.make_pupil_grid(176 * FINER, width)
+    given = wavefront(grid, beam)
+    optics = hcipy.SquareShackHartmannWavefrontSensorOptics(grid, 50, 5, beam)
+    theirs = binned(optics.forward(given).power.shaped, 176)
+    # The collimator images the pupil upside down.
+    pupil = hcipy.make_pupil_grid(grid.dims, width / magnification)
+    entering = hcipy.Wavefront(hcipy.Field(given.electric_field.shaped[::-1, ::-1].ravel(), pupil), WAVELENGTH)
+    entering.total_power = 1
+    ours = CameraOptics(camera).forward(entering)
+    assert ours.grid.x.min() == pytest.approx(-0.875e-3) and ours.sum() == pytest.approx(0.997, abs=3e-3)
+    assert relative(ours.shaped, theirs) < 0.01
+    # The detector's 5.5 cells across: those of the inner five lenses.
+    ours, theirs = (spots(image[8:168, 8:168], 5) for image in (ours.shaped, theirs))
+    assert ours.shape[1] >= 9 and np.abs(ours - theirs).max() < 0.01
+
+
+def test_an_array_in_the_focus_equals_that_of_hcipy():
+    camera = PlenopticCamera.preset("telescope").replace(detector_width=1.28, resolution=(128, 128))
+    pupil, focus = hcipy.make_pupil_grid(128, 10.24e-3), hcipy.make_pupil_grid(128 * FINER, 1.28e-3)
+    given = wavefront(pupil, 10e-3)
+    field = hcipy.FraunhoferPropagator(pupil, focus, focal_length=0.5).forward(given)
+    # Fraunhofer's integral leaves the curvature of the focal plane's field out.
+    field.electric_field *= np.exp(1j * np.pi * (focus.x**2 + focus.y**2) / (WAVELENGTH * 0.5))
+    centres = (np.arange(6) - 2.5) * 0.32e-3
+    array = hcipy.MicroLensArray(focus, hcipy.CartesianGrid(hcipy.SeparatedCoords((centres, centres))), 16e-3)
+    # Oversampling its transfer function, as it does by default, would lose 0.6 % of the light.
+    behind = hcipy.FresnelPropagator(focus, 16e-3, num_oversampling=1).forward(array.forward(field))
+    ours = CameraOptics(camera).forward(given).shaped
+    assert relative(ours, binned(behind.power.shaped, 128)) < 0.01
+
+
+@pytest.mark.parametrize("preset", ["telescope", "shack_hartmann"])
+def test_screens_of_atmospheres_and_wavefronts_behind_them_agree(preset):
+    grid = hcipy.make_pupil_grid(160, 10.24e-3)
+    layer = hcipy.InfiniteAtmosphericLayer(
+        grid, hcipy.Cn_squared_from_fried_parameter(3e-3, WAVELENGTH), L0=10, seed=1, use_interpolation=True
+    )
+    camera = PlenopticCamera.preset(preset).replace(resolution=(128, 128))
+    behind = CameraOptics(camera).forward(layer.forward(wavefront(grid, 10e-3, [0])))
+    screen = phase_screen(layer.phase_for(WAVELENGTH), WAVELENGTH)
+    points, weights = star()
+    operator = mp.CaptureOperator(
+        camera.replace(phase_screen=screen), points, wavelength=WAVELENGTH * 1e9, method="full_field"
+    )
+    # The aperture's edge is sampled by 64 um once, and exact once.
+    assert relative(behind.shaped, operator.forward(weights)) < 0.02
+
+
+def test_bad_wavefronts_are_refused():
+    optics, grid = CameraOptics(PlenopticCamera.preset("telescope")), hcipy.make_pupil_grid(16, 0.01)
+    with pytest.raises(InputError, match="wavefront of the power 0"):
+        optics.forward(hcipy.Wavefront(grid.zeros() + 0j, WAVELENGTH))
+    with pytest.raises(InputError, match="it must be scalar"):
+        optics.forward(hcipy.Wavefront(grid.ones() + 0j, WAVELENGTH, input_stokes_vector=(1, 0, 0, 0)))
+    with pytest.raises(InputError, match=r"^field: its steps are"):
+        phase_screen(hcipy.make_pupil_grid([16, 16], [0.01, 0.02]).zeros(), WAVELENGTH)
+    with pytest.raises(InputError, match=r"^phase: its grid's centre is"):
+        phase_screen(grid.shifted((0.01, 0)).zeros(), WAVELENGTH)
+    with pytest.raises(InputError, match="of HCIPy, on a regular Cartesian grid"):
+        phase_screen(np.zeros((16, 16)), WAVELENGTH)
+    with pytest.raises(InputError, match="wavefronts are taken by thin main lenses"):
+        CameraOptics(PlenopticCamera.preset("lfm"))
