@@ -31,6 +31,8 @@ from PIL import Image, ImageChops, ImageOps
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.errors import require_choice
 from mitsuba_plenoptic.fitting import View
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.operator.units import brightness_of
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.framing import Canvas
@@ -408,26 +410,35 @@ def dual_pixel() -> Image.Image:
 def fitting() -> Image.Image:
     """Fit an array's pitch and offset to a capture with noise of known points."""
     random = np.random.default_rng(4)
-    nominal = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128))
-    truth = nominal.replace(mla_pitch=0.0641, mla_offset=(0.001, -0.0008))
-    points = np.column_stack([random.uniform(-0.2, 0.2, (24, 2)), random.uniform(225, 255, 24)])
-    weights = np.full(24, 1e-5)
+    half: dict[str, Any] = {
+        "focal_length": 40,
+        "aperture_radius": 2.5,
+        "mla_distance": 60,
+        "detector_distance": 0.512,
+    }
+    truth = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128), **half)
+    nominal = truth.replace(mla_pitch=0.0642, mla_offset=(0.0012, -0.001))
+    points = np.column_stack([random.uniform(-0.2, 0.2, (8, 2)), random.uniform(112, 128, 8)])
+    photons = 2000
 
     def model(camera: mp.PlenopticCamera) -> np.ndarray:
-        return np.asarray(mp.CaptureOperator(camera, points, wavelength=633).forward(weights))
+        operator = mp.CaptureOperator(camera, points, wavelength=633, accuracy=0.03)
+        return np.asarray(brightness_of(camera, main_lens(camera)) * operator.forward(np.ones(len(points))))
 
-    photons = 2000
-    exact = model(truth)
+    brightest = model(truth).max()
+    exact = model(truth) / brightest
     seen = random.poisson(photons * exact.clip(0)) / photons
-    found = mp.fit(nominal, View(seen, points, weights), ["mla_pitch", "mla_offset"], photons=photons)
+    view = View(seen, points, np.full(len(points), 1 / brightest))
+    names = ["mla_pitch", "mla_offset"]
+    found = mp.fit(nominal, view, names, wavelength=633, photons=photons, accuracy=0.03)
     deviation = np.sqrt(exact.clip(0) / photons + 1 / photons**2)
 
     def residual(camera: mp.PlenopticCamera) -> np.ndarray:
-        part = np.clip((model(camera) - seen) / deviation / 10 + 0.5, 0, 1)
+        part = np.clip((model(camera) / brightest - seen) / deviation / 10 + 0.5, 0, 1)
         return (255 * matplotlib.colormaps["RdBu_r"](part)[..., :3]).astype(np.uint8)
 
     pitch, (x, y) = 1e3 * found.camera.mla_pitch, (1e3 * value for value in found.camera.mla_offset)
-    print(f"fitting: pitch {pitch:.3f} um, offset ({x:.3f}, {y:.3f}) um; true: 64.1, (1, -0.8)")
+    print(f"fitting: pitch {pitch:.3f} um, offset ({x:.3f}, {y:.3f}) um; true: 64, (0, 0)")
     return sheet(
         [
             [
