@@ -30,6 +30,10 @@ from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.errors import require_choice
+from mitsuba_plenoptic.fitting import View
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.operator.units import brightness_of
+from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.framing import Canvas
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
@@ -377,6 +381,108 @@ def preview() -> Image.Image:
         path = Path(folder) / "preview.png"
         draw_preview(path, [("", preview_of(scene, mp.PlenopticCamera()))])
         return narrowed(Image.open(path).convert("RGB"))
+
+
+@picture
+def dual_pixel() -> Image.Image:
+    """Show the pictures of both photodiodes of a telephone's camera, overlaid, and the disparity."""
+    camera = mp.PlenopticCamera.preset("phone_quad")
+    nearer = 1 / (1 / camera.focal_length - 1 / 262)
+    camera = camera.replace(mla_distance=nearer, resolution=(600, 480), detector_width=0.732)
+    scene = mp.with_camera(mp.load_scene("still_life", variant="llvm_ad_rgb"), camera)
+    halves = mp.dual_pixel(mp.render_capture(scene, model="ray", spp=160))
+    left, right = halves[0].values
+    white = Brightness().white([left + right])
+    grey = [to_bytes(half.mean(-1) * 2, white) for half in (left, right)]
+    disparity = mp.match_halves(halves, window=21, search=12).values
+    shown = matplotlib.colormaps["viridis"](np.clip((disparity + 8) / 12, 0, 1))
+    shown[np.isnan(disparity)] = 0.5, 0.5, 0.5, 1
+    panels = {
+        "Left photodiodes": to_bytes(2 * left, white),
+        "Right photodiodes": to_bytes(2 * right, white),
+        "Left red, right cyan": np.dstack([grey[0], grey[1], grey[1]]),
+        "Disparity: blue -8, yellow 4 lenses": (255 * shown[..., :3]).astype(np.uint8),
+    }
+    return sheet([list(panels.items())[:2], list(panels.items())[2:]])
+
+
+@picture
+def fitting() -> Image.Image:
+    """Fit an array's pitch and offset to a capture with noise of known points."""
+    random = np.random.default_rng(4)
+    half: dict[str, Any] = {
+        "focal_length": 40,
+        "aperture_radius": 2.5,
+        "mla_distance": 60,
+        "detector_distance": 0.512,
+    }
+    truth = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128), **half)
+    nominal = truth.replace(mla_pitch=0.0642, mla_offset=(0.0012, -0.001))
+    points = np.column_stack([random.uniform(-0.2, 0.2, (8, 2)), random.uniform(112, 128, 8)])
+    photons = 2000
+
+    def model(camera: mp.PlenopticCamera) -> np.ndarray:
+        operator = mp.CaptureOperator(camera, points, wavelength=633, accuracy=0.03)
+        return np.asarray(brightness_of(camera, main_lens(camera)) * operator.forward(np.ones(len(points))))
+
+    brightest = model(truth).max()
+    exact = model(truth) / brightest
+    seen = random.poisson(photons * exact.clip(0)) / photons
+    view = View(seen, points, np.full(len(points), 1 / brightest))
+    names = ["mla_pitch", "mla_offset"]
+    found = mp.fit(nominal, view, names, wavelength=633, photons=photons, accuracy=0.03)
+    deviation = np.sqrt(exact.clip(0) / photons + 1 / photons**2)
+
+    def residual(camera: mp.PlenopticCamera) -> np.ndarray:
+        part = np.clip((model(camera) / brightest - seen) / deviation / 10 + 0.5, 0, 1)
+        return (255 * matplotlib.colormaps["RdBu_r"](part)[..., :3]).astype(np.uint8)
+
+    pitch, (x, y) = 1e3 * found.camera.mla_pitch, (1e3 * value for value in found.camera.mla_offset)
+    print(f"fitting: pitch {pitch:.3f} um, offset ({x:.3f}, {y:.3f}) um; true: 64, (0, 0)")
+    return sheet(
+        [
+            [
+                ("Capture with noise, 4 x 4 lenses", to_bytes(np.sqrt(seen / seen.max()), 1.0)),
+                ("Nominal camera less capture", residual(nominal)),
+                ("Fitted camera less capture", residual(found.camera)),
+            ]
+        ]
+    )
+
+
+@picture
+def designing() -> Image.Image:
+    """Vary one aberration, and show what points at two depths look like without it and with the best of it."""
+    names: dict[str, Any] = {}
+    exec(page_code((ROOT / "docs" / "designing.md").read_text()), names)
+    camera, figure = names["camera"], names["figure"]
+    best = maximise(figure, camera, {"wavefront.11": (-1, 1)}).camera
+    waves = np.linspace(-0.7, 0.7, 29)
+    curve = [1e3 * np.mean(figure.deviations(camera.replace(wavefront=(0.0,) * 10 + (wave,)))) for wave in waves]
+    canvas = Canvas(WIDTH, 2.75, DPI)
+    axes = canvas.axes(0.55, 0.26, 2.9, 2.0)
+    axes.set_frame_on(True)
+    axes.plot(waves, curve, color="#1b1f24")
+    chosen = best.wavefront[10]
+    axes.plot([chosen], [1e3 * np.mean(figure.deviations(best))], "o", color="#ffb000", label="found")
+    axes.set_xticks([-0.5, 0, 0.5])
+    axes.set_yticks(axes.yaxis.get_major_locator().tick_values(0, max(curve)))
+    axes.set_ylim(0, 1.05 * max(curve))
+    axes.tick_params(labelsize=8)
+    axes.set_xlabel("spherical aberration in waves", size=8)
+    axes.set_title("Deviation of depth in micrometres", size=9, loc="left", pad=3)
+    axes.legend(fontsize=8)
+    side = 1.17
+    for row, (name, one) in enumerate({"without": camera.replace(wavefront=()), "found": best}.items()):
+        for column, depth in enumerate((116.0, 118.0, 122.0)):
+            spread = np.asarray(mp.point_spread_function(one, (0.02, 0.01, depth), wavelength=633))
+            part = canvas.axes(3.75 + column * (side + 0.08), 0.26 + row * (side + 0.08), side, side)
+            part.imshow(np.sqrt(spread[40:90, 36:86]), cmap="gray", interpolation="none")
+            if row == 0:
+                part.set_title(f"{depth:g} mm", size=9, loc="left", pad=3)
+            if column == 0:
+                part.set_ylabel(name, size=8)
+    return drawn(canvas)
 
 
 @picture

@@ -45,6 +45,17 @@ def test_the_models_and_one_camera():
     assert captures["letters-wave"].metadata["parameters"] == make_examples.LETTERS
 
 
+def test_files_that_another_version_made_are_read(tmp_path):
+    capture = mp.example("letters-ray")
+    older = capture.metadata["software"] | {"mitsuba-plenoptic": "0.2.0"}
+    path = tmp_path / "raw.exr"
+    mp.write_capture(path, dataclasses.replace(capture, metadata=capture.metadata | {"software": older}))
+    again = mp.read_capture(path)
+    assert again.metadata["software"]["mitsuba-plenoptic"] == "0.2.0"
+    assert again.camera == capture.camera and np.array_equal(again.image, capture.image)
+    np.testing.assert_array_equal(mp.decode(again), mp.decode(capture))
+
+
 def test_the_white_scene_has_the_closed_form():
     """A wall of radiance 1 fills the image of the pupil, of radius R f / b, behind each lens."""
     white = mp.example("white")
