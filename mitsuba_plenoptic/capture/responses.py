@@ -1,16 +1,16 @@
-r"""Wave captures of scenes by the responses of photodiodes under lenses of a few wavelengths.
+"""Wave captures of scenes by the responses of photodiodes under lenses of a few wavelengths.
 
-For each lens, rays are drawn through uniformly distributed points of the pupil to points x of a window around the lens.
-The points x are drawn from the nodes of the table of responses W (`system.photodiodes`) about in proportion to their
-magnitude, and a few of them from the light beyond the window. All photodiodes under the lens add the radiance of each
-ray with their own signed weights. As in `signed_rays`, the mean radiance of independent rays of the same lens is
-subtracted, and its light, whose response is known, is added as a whole. A pixel is a sum over the rays of its own lens,
-without convolutions.
+From the cell of each lens rays are drawn to the pupil, evenly over both. A ray contributes to the photodiodes of all
+lenses around, with the signed response W of each (`system.response_tables`): the sum over the lenses of the near window
+is complete, and lenses of the far window are drawn at random. So each photodiode sums over the rays of many lenses, and
+rays are traced once. As in `signed_rays`, the mean radiance of independent rays around the lens is subtracted, and its
+light, whose response is known, is added as a whole.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,116 +28,181 @@ from ..lenses.base import Pair
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
-from ..system.photodiodes import PhotodiodeResponses, lens_range
+from ..system.photodiodes import NEAR, lens_range
+from ..system.response_tables import PhotodiodeResponses, Window
 from .noise import Mended
 from .scene_light import SceneLight, require_finite
 from .signed_capture import SignedCapture
 from .signed_colours import FINE, Node, mixed
-from .signed_draws import chances_of, tent
+from .signed_draws import chances_of
 
-_LANES = 2**22
+_LANES = 2**23
 """Approximate count of rays that are traced at once."""
 
-_RAY_BYTES = 150
+_RAY_BYTES = 120
 """Approximate bytes of a ray."""
 
-_FAR = 0.08
-"""Fraction of the rays that are drawn from the light beyond the window."""
+_LEAST_RAYS = 8
+"""Rays of a lens that are traced at once at the least, if it has as many."""
+
+_DRAWN = 8
+"""Lenses of the far window that each ray of a lens draws."""
+
+_QUANTILES = 2**14
+"""Count of equally probable entries of the table from which these lenses are drawn."""
 
 _LEAST = 0.05
-"""Part of the mean magnitude of the table that is added to the density of points."""
+"""Part of the mean response that is added to the density of these lenses."""
 
-_TURNS = tuple(int(step * 2**32) for step in 1.2207440846057596 ** -np.arange(1.0, 4.0))
-"""Steps, in units of 2^-32, of an additive sequence that fills three dimensions evenly."""
+_TURNS = tuple(int(step * 2**32) for step in 1.1673039782614187 ** -np.arange(1.0, 5.0))
+"""Steps, in units of 2^-32, of an additive sequence that fills four dimensions evenly."""
 
-_PROBES, _TIMED = 2**8, 2**12
-"""Count of lenses whose light identifies a capture, and of lenses that are timed for an estimate."""
+_PROBES, _TIMED = 2**8, 2**6
+"""Count of lenses whose light identifies a capture, and the sides in lenses of a block that is timed."""
 
 
 class Aimed(NamedTuple):
     """Rays that are drawn for lenses."""
 
     pupil: Pair
-    # Points on the array, relative to the centre of the lens, and in the camera frame.
-    point: Pair
+    # Points on the array in the camera frame.
     place: Pair
     open: Any
-    # Node of the table of each ray, counted over zones; sample of the window; whether the point is beyond the window.
-    node: Any
-    sample: Any
-    is_far: Any
-    # Reciprocal of the density of the point.
-    weight: Any
-    # Random numbers by which shorter wavelengths choose a sample of their windows.
-    chance: Pair
+    # Indices of the samples of the near and far tables of each wavelength, in the first cell of their windows.
+    near: list[Any]
+    far: list[Any]
+
+
+class Rays(NamedTuple):
+    """The light of the rays of lenses."""
+
+    # Light for each image of a channel at a wavelength.
+    lights: list[Any]
+    # Indices as in `Aimed`; rays that do not pass the pupil have those of a node without response.
+    near: list[Any]
+    far: list[Any]
+    # Sums of the light, and counts of the rays that passed, of the two halves of the rays of each lens.
+    sums: list[Any]
+    counts: Any
+
+
+class Grid(NamedTuple):
+    """A rectangle of lenses."""
+
+    # Lattice indices of the first lens.
+    left: int
+    top: int
+    columns: int
+    rows: int
+
+    def within(self, margin: int) -> Grid:
+        """Return the rectangle with a margin around it."""
+        return Grid(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
+
+    def lenses(self) -> tuple[Pair, Any]:
+        """Return the lattice indices of the lenses, row by row, and a number of each that no other lens has."""
+        lens = dr.arange(mi.UInt32, self.rows * self.columns)
+        row = lens // dr.opaque(mi.UInt32, self.columns)
+        x = mi.Int(lens - row * self.columns) + dr.opaque(mi.Int, self.left)
+        y = mi.Int(row) + dr.opaque(mi.Int, self.top)
+        return (x, y), (mi.UInt32(y + 2**15) << 16) | mi.UInt32(x + 2**15)
 
 
 class Tables:
-    """The tables of all nodes on the device of the active variant, and the distribution from which points are drawn."""
+    """The tables of all wavelengths on the device of the active variant."""
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
-        # The longest wavelength has the largest window.
-        self.longest = longest = max(plans, key=lambda plan: plan.wavelength)
-        self.camera, self.plans, self.count = camera, plans, longest.count
-        index, table, _ = longest.table
-        self._width, self._nodes = len(index), table.shape[1]
-        self._index = mi.Int(index.ravel())
+        self.camera, self.plans, self.count = camera, plans, plans[0].count
         self._packets = -(-(self.count**2) // 4)
-        self._tables = [self._packed(plan.table[1]) for plan in plans]
-        self._means = [[mi.Float(column) for column in plan.table[2].T] for plan in plans]
-        # The integral of each node, by which light beyond the window is distributed to the photodiodes.
-        self._wholes = [
-            self._packed(plan.table[1].sum(2, keepdims=True) * ((plan.window / plan.samples) ** 2 / (1 - plan.tail)))
-            for plan in plans
-        ]
-        density = np.sqrt((table**2).mean(-1))
-        density += _LEAST * density.mean(-1, keepdims=True)
-        # Nodes of other zones, which have no light in this one, are drawn near the pupil's rim.
-        density[~density.any(-1)] = 1
-        upto = np.cumsum(density, axis=-1, dtype=np.float64)
-        self._upto = mi.Float((upto / upto[..., -1:]).astype(np.float32).ravel())
+        self._index = [mi.Int(plan.table.index.ravel()) for plan in plans]
+        self._near, self._far = (
+            [self._packed(table) for table in part] for part in zip(*(p.table[1:3] for p in plans), strict=True)
+        )
+        self._means = [[mi.Float(column) for column in plan.table.means.T] for plan in plans]
+        self._width = max(plan.far.lenses for plan in plans)
+        density = np.zeros((self._width, self._width))
+        for plan in plans:
+            start = plan.far.first + self._width // 2
+            square = np.mean([np.square(zone, dtype=np.float32).mean((0, -1)) for zone in plan.table.far], axis=0)
+            cell = square[:-1, :-1].reshape(plan.far.lenses, plan.far.samples, plan.far.lenses, -1).mean((1, 3))
+            density[start : start + len(cell), start : start + len(cell)] += np.sqrt(cell)
+        density += _LEAST * density.mean()
+        low = self._width // 2 - NEAR // 2
+        density[low : low + NEAR, low : low + NEAR] = 0
+        counts = np.ceil(_QUANTILES * density.ravel() / density.sum()).astype(int)
+        self._drawn = mi.UInt32(np.repeat(np.arange(len(counts)), counts).astype(np.uint32))
+        self._weights = mi.Float(np.repeat(counts.sum() / np.maximum(counts, 1), counts).astype(np.float32))
 
-    def _packed(self, table: NDArray[np.float32]) -> Any:
-        """Return a table (..., photodiodes) as a flat array in packets of four photodiodes."""
-        return mi.Float(np.pad(table, [(0, 0)] * 3 + [(0, 4 * self._packets - self.count**2)]).ravel())
+    @property
+    def margin(self) -> int:
+        """Lenses around a lens whose rays it receives."""
+        return self._width // 2
 
-    def draw(self, index: Pair, lens: Any, sample: Any, seed: Any) -> Aimed:
-        """Return rays of lenses with the given lattice indices; those of even and of odd samples are independent."""
-        plan, system = self.longest, self.longest.system
-        half, number = sample & 1, sample >> 1
+    def _packed(self, table: NDArray[np.float16]) -> Any:
+        """Return a table (zones, nodes, y, x, photodiodes) in packets of four, and a node without response."""
+        flat = table.reshape(-1, *table.shape[2:])
+        flat = np.pad(flat, [(0, 1), (0, 0), (0, 0), (0, 4 * self._packets - self.count**2)])
+        return mi.UInt32(np.ascontiguousarray(flat).view(np.uint32).ravel())
+
+    def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
+        """Return rays of lenses with the given lattice indices; those of both halves are independent."""
+        system = self.plans[0].system
         # Integers keep the sequence exact for any count of samples.
-        words = [mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] for axis in range(3)]
+        words = [mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] for axis in range(4)]
         random = [mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)]
-        one, other = (chances_of(lens, seed ^ (sample << 4) ^ word) for word in (12, 13))
+        chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)
         slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
         chief = [-system.lens.slope_to(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
-        column, row = (
-            mi.Int(dr.floor((t * cosine - c * middle) / plan.step + plan.across + chance))
-            for t, c, chance in zip(slope, chief, one[:2], strict=True)
-        )
-        within = (dr.minimum(column, row) >= 0) & (dr.maximum(column, row) < self._width)
-        node = dr.gather(mi.Int, self._index, mi.UInt(row * self._width + column), within)
         inner = RayPupil(system).inner(tuple(pupil), centre)
-        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= plan.camera.pupil_radius**2
-        is_open &= within & (node >= 0)
-        node = mi.UInt(dr.maximum(node, 0)) + self._zone(index, one[2:]) * self._nodes
-        is_far = random[2] < _FAR
-        place, density = self._sample(node, dr.maximum(random[2] - _FAR, 0) / (1 - _FAR))
-        step = plan.window / plan.samples
-        tents = [tent(part) for part in other[:2]]
-        down = place // plan.samples
-        near = [
-            (mi.Float(each) - plan.samples // 2 + t) * step
-            for each, t in zip((place - down * plan.samples, down), tents, strict=True)
-        ]
-        far, thin = self._beyond(random[2] * (1 / _FAR), other[:2])
-        point = tuple(dr.select(is_far, a, b) for a, b in zip(far, near, strict=True))
-        weight = dr.select(is_far, thin / _FAR, step * step / (density * (1 - _FAR)))
-        position = tuple(c + x for c, x in zip(centre, point, strict=True))
-        return Aimed(tuple(pupil), point, position, is_open, node, place, is_far, weight, other[2:])
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
+        zone, near, far = self._zone(index, chances[0][:2]), [], []
+        for plan, table in zip(self.plans, self._index, strict=True):
+            n = 2 * plan.across + 1
+            column, row = (
+                mi.Int(dr.floor((t * cosine - c * middle) / plan.step + plan.across + chance))
+                for t, c, chance in zip(slope, chief, chances[0][2:], strict=True)
+            )
+            within = (dr.minimum(column, row) >= 0) & (dr.maximum(column, row) < n)
+            node = dr.gather(mi.Int, table, mi.UInt(row * n + column), within)
+            is_open &= within & (node >= 0)
+            nodes = plan.table.near.shape[1]
+            node = dr.select(is_open, mi.UInt(node) + zone * nodes, len(plan.zones) * nodes)
+            for window, chance, indices in ((plan.near, chances[1][:2], near), (plan.far, chances[1][2:], far)):
+                x, y = (
+                    mi.UInt(dr.floor(r * window.samples + part)) for r, part in zip(random[2:], chance, strict=True)
+                )
+                indices.append((node * window.across + y) * window.across + x)
+        place = tuple(c + (r - 0.5) * self.camera.mla_pitch for c, r in zip(centre, random[2:], strict=True))
+        return Aimed(tuple(pupil), place, is_open, near, far)
+
+    def drawn(self, random: Any) -> tuple[Pair, Any]:
+        """Draw lenses of the far window; return their places relative to a lens, and reciprocal probabilities."""
+        index = mi.UInt32(dr.minimum(random * len(self._drawn), len(self._drawn) - 1))
+        cell = dr.gather(mi.UInt32, self._drawn, index)
+        row = cell // self._width
+        half = self._width // 2
+        return (mi.Int(cell - row * self._width) - half, mi.Int(row) - half), dr.gather(mi.Float, self._weights, index)
+
+    def near_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
+        """Return the responses of the photodiodes of a lens to rays from a lens of the near window."""
+        return self._values(self._near[number], self.plans[number].near, first, cell, True)
+
+    def far_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
+        """Return the responses of the photodiodes of a lens to rays from a lens of the far window."""
+        window = self.plans[number].far
+        low, high = dr.minimum(*cell) - window.first, dr.maximum(*cell) - window.first
+        return self._values(self._far[number], window, first, cell, (low >= 0) & (high < window.lenses))
+
+    def _values(self, table: Any, window: Window, first: Any, cell: Pair, active: Any) -> list[Any]:
+        x, y = (mi.UInt32((each - window.first) * window.samples) for each in cell)
+        index, result = first + y * window.across + x, []
+        for packet in range(self._packets):
+            words = dr.gather(mi.Vector2u, table, index * self._packets + packet, active)
+            result += [_from_half(part) for word in words for part in (word << 16, word)]
+        return result[: self.count**2]
 
     def zone_means(self, number: int, index: Pair) -> list[Any]:
         """Return the mean responses of the photodiodes of lenses, interpolated between zones."""
@@ -154,34 +219,9 @@ class Tables:
             for mean in self._means[number]
         ]
 
-    def values(self, number: int, aimed: Aimed, active: Any) -> list[Any]:
-        """Return the responses of the photodiodes to rays at one of the wavelengths."""
-        plan, longest = self.plans[number], self.longest
-        if plan is longest:
-            is_far, place = aimed.is_far, aimed.sample
-        else:
-            half = plan.window / 2
-            is_far = dr.maximum(dr.abs(aimed.point[0]), dr.abs(aimed.point[1])) > half
-            x, y = (
-                mi.Int(dr.floor(x * (plan.samples / plan.window) + plan.samples // 2 + chance))
-                for x, chance in zip(aimed.point, aimed.chance, strict=True)
-            )
-            x, y = (dr.select(each >= plan.samples, each - plan.samples, dr.maximum(each, 0)) for each in (x, y))
-            place = mi.UInt(y * plan.samples + x)
-        square = dr.square(aimed.point[0]) + dr.square(aimed.point[1])
-        density = plan.tail_density * dr.rsqrt(square) / square
-        result = []
-        for packet in range(self._packets):
-            near = (aimed.node * plan.samples**2 + place) * self._packets + packet
-            own = dr.gather(mi.Vector4f, self._tables[number], near, active & ~is_far)
-            far = aimed.node * self._packets + packet
-            own += dr.gather(mi.Vector4f, self._wholes[number], far, active & is_far) * density
-            result += list(own)
-        return result[: self.count**2]
-
     def _along(self, axis: int, index: Any) -> Any:
         """Return positions among the zones along an axis."""
-        zones = self.longest.zones.y if axis else self.longest.zones.x
+        zones = self.plans[0].zones.y if axis else self.plans[0].zones.x
         if len(zones) == 1:
             return mi.Float(0)
         scale = (len(zones) - 1) / (zones[-1] - zones[0])
@@ -189,33 +229,19 @@ class Tables:
 
     def _zone(self, index: Pair, chance: Pair) -> Any:
         """Return one of the zones around lenses, at random."""
-        zones = self.longest.zones
+        zones = self.plans[0].zones
         x, y = (
             mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
             for axis, (each, part, count) in enumerate(zip(index, chance, (len(zones.x), len(zones.y)), strict=True))
         )
         return y * len(zones.x) + x
 
-    def _sample(self, node: Any, random: Any) -> tuple[Any, Any]:
-        """Draw a sample of the window of a node; return also its probability."""
-        size = self.longest.samples**2
-        first = node * size
-        place = dr.binary_search(0, size - 1, lambda index: dr.gather(mi.Float, self._upto, first + index) <= random)
-        upper = dr.gather(mi.Float, self._upto, first + place)
-        lower = dr.gather(mi.Float, self._upto, first + dr.maximum(place, 1) - 1, place > 0)
-        return place, dr.maximum(upper - lower, 1e-9)
 
-    def _beyond(self, first: Any, chance: Pair) -> tuple[Pair, Any]:
-        """Draw points beyond the window with the density of the light there; return the reciprocal of the density."""
-        plan = self.longest
-        sine = (2 * first - 1) * math.sqrt(0.5)
-        cosine = dr.sqrt(1 - sine * sine)
-        radius = plan.window / 2 / (cosine * dr.maximum(chance[0], 1e-4))
-        x, y = radius * cosine, radius * sine
-        turn = mi.UInt(chance[1] * 4)
-        x, y = dr.select((turn & 1) == 0, x, -y), dr.select((turn & 1) == 0, y, x)
-        x, y = (dr.select(turn < 2, each, -each) for each in (x, y))
-        return (x, y), radius * radius * radius * (plan.tail / plan.tail_density)
+def _from_half(word: Any) -> Any:
+    """Return the half-precision numbers in the upper 16 bits of words."""
+    bits = ((word & 0x7FFF0000) >> 3) | (word & 0x80000000)
+    # The exponents of half precision are biased by 15, and those of single precision by 127.
+    return dr.reinterpret_array(mi.Float, bits) * 2.0**112
 
 
 @dataclass(frozen=True)
@@ -259,20 +285,27 @@ class ResponseSum:
         for number, node in enumerate(nodes):
             pupil = RayPupil(node.plan.system)
             self._pupils.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
-        self.channels = max(channel for node in nodes for channel in node.channels) + 1
+        # The images: the wavelength and the channel of each.
+        self._images = [
+            (n, channel) for _, numbers in self._pupils.values() for n in numbers for channel in nodes[n].channels
+        ]
+        self.channels = max(channel for _, channel in self._images) + 1
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         self._columns, self._rows = (lens_range(camera, across, axis) for axis in (0, 1))
-        plan, lens = self._tables.longest, self._tables.longest.system.lens
+        plan = nodes[0].plan
+        lens = plan.system.lens
         # A pixel is the mean over its area and the lens's aperture of the radiance of all rays by way of the pupil.
         scale = camera.detector_distance / (camera.mla_medium * plan.camera.pupil_distance)
-        self._scale = (
-            scale**2 * math.pi * float(lens.reach) ** 2 / (camera.pixel_size * camera.mla_fill * camera.mla_pitch) ** 2
-        )
-        # Two halves of the rays of a lens correct each other.
-        self._rays = 2 * max(1, round(spp * across**2 * self._scale * camera.pixel_size**2 / 2))
-        lenses = self._columns[1] - self._columns[0]
-        height = max(1, _LANES // (self._rays * lenses))
+        self._scale = (scale / (camera.pixel_size * camera.mla_fill)) ** 2 * math.pi * float(lens.reach) ** 2
+        # Of the rays of a ray capture, those that pass the pupil. Two halves of them correct each other.
+        rays = max(1, spp * across**2 * self._scale * (camera.pixel_size / camera.mla_pitch) ** 2 / 2)
+        lenses, margin = self._columns[1] - self._columns[0], self._tables.margin
+        row = lenses + 2 * margin
+        at_once = max(_LEAST_RAYS, _LANES // (row * (self._rows[1] - self._rows[0] + 2 * margin))) / 2
+        self._rounds = max(1, round(rays / at_once))
+        self._rays = 2 * max(1, round(rays / self._rounds))
+        height = max(2 * margin, _LANES // (row * self._rays) - 2 * margin)
         self._blocks = list(range(*self._rows, height))
         self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
 
@@ -280,22 +313,16 @@ class ResponseSum:
         """Trace the rays of the blocks from index `first`, and yield their pixels."""
         size, columns = self._across, self._columns[1] - self._columns[0]
         for number in range(first, len(self._blocks)):
-            top = self._blocks[number]
-            rows = self.items[number] // columns
-            lens = dr.arange(mi.UInt32, int(self.items[number]))
-            row = lens // columns
-            index = mi.Int(lens - row * columns) + self._columns[0], mi.Int(row) + int(top)
-            seed = int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
+            top, rows = self._blocks[number], int(self.items[number]) // columns
+            seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
             with busy_drjit():
-                sums = self._trace(index, lens, seed)
+                sums = self._captured(Grid(self._columns[0], top, columns, rows), seeds)
             pixels = np.stack([np.stack([value.numpy() for value in diodes], -1) for diodes in sums])
             pixels = pixels.reshape(-1, rows, columns, size, size).swapaxes(2, 3)
             camera = self._camera
             left, up = (
                 low * size + count // 2 - crop
-                for low, count, crop in zip(
-                    (self._columns[0], int(top)), camera.resolution, camera.crop_offset, strict=True
-                )
+                for low, count, crop in zip((self._columns[0], top), camera.resolution, camera.crop_offset, strict=True)
             )
             box = Box(left, up, int(columns * size), int(rows * size))
             yield LensRows(box, np.ascontiguousarray(pixels.reshape(-1, rows * size, columns * size), np.float32))
@@ -305,82 +332,151 @@ class ResponseSum:
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     def probe(self) -> NDArray[np.float32]:
-        """Return the pixels of some lenses, which identify a scene and its camera."""
-        return np.stack([value.numpy() for diodes in self._some(_PROBES, 0) for value in diodes])
+        """Return the light of the rays of some lenses, which identifies a scene and its camera."""
+        columns, every = self._columns[1] - self._columns[0], int(self.items.sum())
+        lens = np.linspace(0, every - 1, min(_PROBES, every)).astype(int)
+        index = mi.Int(lens % columns + self._columns[0]), mi.Int(lens // columns + self._rows[0])
+        rays = self._traced(index, mi.UInt32(lens), 0)
+        return np.stack([light.numpy() for light in rays.sums])
 
     def cost(self) -> tuple[float, float]:
         """Estimate from some of the lenses the time in seconds and the bytes that the sum takes."""
         seconds = []
+        (left, right), (top, bottom) = self._columns, self._rows
+        columns, rows = min(_TIMED, right - left), min(_TIMED, bottom - top)
+        grid = Grid((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
         for seed in range(3):
             start = time.perf_counter()
             with busy_drjit():
-                dr.eval(self._some(_TIMED, seed))
+                dr.eval(self._captured(grid, [seed]))
                 dr.sync_thread()
-            seconds.append((time.perf_counter() - start) / min(_TIMED, self.items.sum()))
+            around = grid.within(self._tables.margin)
+            seconds.append((time.perf_counter() - start) / (around.columns * around.rows))
         tables = sum(2 * node.plan.nbytes for node in self._nodes)
         # The first run compiles the kernels, and is left out.
-        return min(seconds[1:]) * float(self.items.sum()), tables + _RAY_BYTES * _LANES
+        return min(seconds[1:]) * self._rounds * float(self.items.sum()), tables + _RAY_BYTES * _LANES
 
-    def _some(self, count: int, seed: int) -> list[list[Any]]:
-        """Return the pixels of `count` lenses, evenly spaced over all."""
-        every = int(self.items.sum())
-        lens = mi.UInt32(np.linspace(0, every - 1, min(count, every)).astype(np.uint32))
-        columns = self._columns[1] - self._columns[0]
-        row = lens // columns
-        return self._trace((mi.Int(lens - row * columns) + self._columns[0], mi.Int(row) + self._rows[0]), lens, seed)
-
-    def _trace(self, index: Pair, lens: Any, seed: int) -> list[list[Any]]:
-        """Trace the rays of lenses; return for each channel the values of the photodiodes of each lens."""
-        tables, rays = self._tables, self._rays
+    def _traced(self, index: Pair, lens: Any, seed: int) -> Rays:
+        """Trace the rays of lenses with the given lattice indices and numbers."""
+        rays = self._rays
         dr.eval(index, lens)
         lane = dr.arange(mi.UInt32, dr.width(lens) * rays)
         count = dr.opaque(mi.UInt32, rays)
         own = lane // count
         # The two halves of the rays of a lens follow each other.
         turn = lane - own * count
-        later = turn >= count // 2
-        sample = dr.select(later, 2 * turn - count + 1, 2 * turn)
+        half = dr.select(turn >= count // 2, mi.UInt32(1), 0)
         each = tuple(dr.gather(mi.Int, part, own) for part in index)
         word = dr.gather(mi.UInt32, lens, own)
-        key = dr.opaque(mi.UInt32, seed & ~15)
-        aimed = tables.draw(each, word, sample, key)
-        result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
+        key = dr.opaque(mi.UInt32, seed & ~31)
+        aimed = self._tables.draw(each, word, half, turn - half * (count // 2), key)
+        lights, counted = [], mi.Float(0)
         for pupil, numbers in self._pupils.values():
             start, slope = pupil.trace(aimed.place, aimed.pupil, 0.0)
             seen = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
             radiance = self._light(start, slope, seen, seed)
             counted = dr.select(seen, mi.Float(1), 0)
             require_finite(radiance, counted)
-            counts = dr.block_sum(counted, rays // 2)
-            means = [dr.select(counts > 0, dr.block_sum(light, rays // 2) / counts, 0) for light in radiance]
-            dr.eval(means)
-            other = own * 2 + dr.select(later, mi.UInt32(0), 1)
-            held = [dr.gather(mi.Float, mean, other) for mean in means]
-            whole = [dr.block_sum(mean, 2) / 2 for mean in means]
             for number in numbers:
                 used, weights = self._nodes[number].mixture()
-                responses = tables.values(number, aimed, seen)
-                known = tables.zone_means(number, index)
-                for channel, row in zip(self._nodes[number].channels, weights, strict=True):
-                    change = mixed(row, [radiance[i] - held[i] for i in used]) * aimed.weight
-                    parts = [
-                        dr.block_sum(dr.select(seen, change * value, 0), rays) * (self._scale / rays)
-                        for value in responses
-                    ]
-                    mean = mixed(row, [whole[i] for i in used])
-                    share = dr.block_sum(counted, rays) / rays
-                    result[channel] = [
-                        old + part + mean * each * share * self._scale
-                        for old, part, each in zip(result[channel], parts, known, strict=True)
-                    ]
+                lights += [dr.select(seen, mixed(row, [radiance[i] for i in used]), 0) for row in weights]
+        dr.eval(lights, counted, aimed.near, aimed.far)
+        sums, counts = [dr.block_sum(light, rays // 2) for light in lights], dr.block_sum(counted, rays // 2)
+        dr.eval(sums, counts)
+        return Rays(lights, aimed.near, aimed.far, sums, counts)
+
+    def _captured(self, grid: Grid, seeds: Sequence[int]) -> list[list[Any]]:
+        """Return the values of the photodiodes of each lens for each channel, means of a capture for each seed."""
+        result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
+        for seed in seeds:
+            around = grid.within(self._tables.margin)
+            rays = self._traced(*around.lenses(), seed)
+            for (_, channel), values in zip(self._images, self._gathered(grid, rays, seed), strict=True):
+                parts = zip(result[channel], values, strict=True)
+                result[channel] = [old + value * (self._scale / len(seeds)) for old, value in parts]
+            dr.eval(result)
+        return result
+
+    def _gathered(self, grid: Grid, rays: Rays, seed: int) -> list[list[Any]]:
+        """Return the values of the photodiodes of each lens for each image, from the rays of all lenses around."""
+        tables, count, size = self._tables, self._rays, self._across**2
+        around = grid.within(tables.margin)
+        lens, (index, word) = dr.arange(mi.UInt32, grid.rows * grid.columns), grid.lenses()
+        line = dr.opaque(mi.UInt32, around.columns)
+
+        def at(lens: Any, cell: Pair) -> Any:
+            """Return the indices of lenses in the surrounding grid, displaced by cells."""
+            row = lens // dr.opaque(mi.UInt32, grid.columns)
+            x, y = lens - row * grid.columns + tables.margin, row + tables.margin
+            return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
+
+        # Means of the light of the lens and its eight neighbours, in each half of the rays.
+        cells = list(itertools.product((-1, 0, 1), repeat=2))
+        counts, sums = (
+            [
+                [
+                    sum((dr.gather(mi.Float, part, at(lens, cell) * 2 + half) for cell in cells), mi.Float(0))
+                    for half in (0, 1)
+                ]
+                for part in parts
+            ]
+            for parts in ([rays.counts], rays.sums)
+        )
+        means = [
+            [dr.select(number > 0, light / number, 0) for light, number in zip(each, counts[0], strict=True)]
+            for each in sums
+        ]
+        dr.eval(means, counts)
+        lane = dr.arange(mi.UInt32, grid.rows * grid.columns * count)
+        own = lane // dr.opaque(mi.UInt32, count)
+        turn = lane - own * dr.opaque(mi.UInt32, count)
+        word = dr.gather(mi.UInt32, word, own)
+        later = turn >= dr.opaque(mi.UInt32, count // 2)
+        held = [dr.select(later, *(dr.gather(mi.Float, half, own) for half in each)) for each in means]
+
+        def added(totals: list[Any], cell: Pair, values_of: Any, first: list[Any], weight: Any) -> list[Any]:
+            """Add the light of a ray of each lane from the lens displaced by a cell."""
+            other, made = at(own, cell) * dr.opaque(mi.UInt32, count) + turn, []
+            responses: dict[int, list[Any]] = {}
+            for image, (number, _) in enumerate(self._images):
+                if number not in responses:
+                    responses[number] = values_of(number, dr.gather(mi.UInt32, first[number], other), cell)
+                change = (dr.gather(mi.Float, rays.lights[image], other) - held[image]) * weight
+                made += [value * change for value in responses[number]]
+            return [total + part for total, part in zip(totals, made, strict=True)]
+
+        def near(k: Any, *totals: Any) -> tuple[Any, ...]:
+            row = mi.Int(k) // NEAR
+            cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
+            return k + 1, *added(list(totals), cell, tables.near_values, rays.near, 1.0)
+
+        key = dr.opaque(mi.UInt32, seed & ~31)
+
+        def far(k: Any, *totals: Any) -> tuple[Any, ...]:
+            random = mi.sample_tea_float32(word, key ^ ((turn * _DRAWN + k) << 5) ^ 27)
+            cell, weight = tables.drawn((mi.Float(k) + random) * (1 / _DRAWN))
+            return k + 1, *added(list(totals), cell, tables.far_values, rays.far, weight * (1 / _DRAWN))
+
+        totals = [mi.Float(0)] * (size * len(self._images))
+        for body, end in ((near, NEAR**2), (far, _DRAWN)):
+            state = (mi.UInt32(0), *totals)
+            _, *totals = dr.while_loop(state, lambda k, *_, end=end: k < end, body, label="photodiodes")
+        sums_of = [dr.block_sum(total, count) / count for total in totals]
+        part = (counts[0][0] + counts[0][1]) / (len(cells) * count)
+        result = []
+        for image, (number, _) in enumerate(self._images):
+            mean = (means[image][0] + means[image][1]) / 2 * part
+            known = tables.zone_means(number, index)
+            own_sums = sums_of[image * size : (image + 1) * size]
+            result.append([value + mean * whole for value, whole in zip(own_sums, known, strict=True)])
         dr.eval(result)
         return result
 
 
 @functools.lru_cache(maxsize=4)
-def _plan(camera: PlenopticCamera, wavelength: float, shortest: float, fine: bool) -> PhotodiodeResponses:
+def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhotodiodeResponses:
     """Return the responses of a camera, which are cached for further captures."""
-    return PhotodiodeResponses(camera, wavelength, shortest, fine)
+    return PhotodiodeResponses(camera, wavelength, fine=fine)
 
 
 @dataclass(frozen=True)
@@ -393,9 +489,8 @@ class ResponseCapture(SignedCapture):
     def nodes(self) -> list[Node]:
         """Return the nodes, the wavelengths of the tables."""
         found = self.colours.shared(self.camera, self.accuracy)
-        shortest = min(place for place, _, _ in found)
         nodes = [
-            Node(_plan(self.camera.at_wavelength(place), place, shortest, self.accuracy < FINE), channels, weights)
+            Node(_plan(self.camera.at_wavelength(place), place, self.accuracy < FINE), channels, weights)
             for place, channels, weights in found
         ]
         nodes[0].plan.require_memory(len(nodes))

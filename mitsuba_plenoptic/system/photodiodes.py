@@ -13,20 +13,17 @@ incoherent light has the radiance L(s, x) along rays, so that the photodiode rec
           O_s(\sigma)\, R_j(s + \sigma/2, s - \sigma/2)\, e^{-i k \sigma \cdot x}\, d^2\sigma,
 
 where :math:`O_s` is 1 if the pupil passes both directions. The function W is real and signed, and its integral over x
-is :math:`R_j(s, s)`. It is tabulated over a window of x around the lens, and interpolated linearly in s and x.
+is :math:`R_j(s, s)`. This module computes the :math:`U_s`, and `response_tables` tabulates W.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 
 import mitsuba as mi
 import numpy as np
-import scipy.fft
-import scipy.linalg
-import scipy.sparse
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -34,13 +31,12 @@ from ..errors import InputError, refuse_if, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .optical_system import OpticalSystem, RayPupil
-from .sampling import fast_length
 
-_SPREADS, _LEAST_WINDOW = (14.0, 20.0), 5.0
-"""Width of the window in diffraction widths of the pupil, at usual and fine accuracy, and in lenses at the least."""
+NEAR = 5
+"""Lenses across the window of the near table."""
 
-_OVERSAMPLING = 1.4
-"""Samples across the window over those that the highest frequency requires."""
+_STEPS = (14.0, 20.0)
+"""Least steps of direction cosines from the middle to the edge of the pupil, at usual and fine accuracy."""
 
 _POINTS = 16
 """Gauss-Legendre nodes of a photodiode along each axis."""
@@ -48,17 +44,11 @@ _POINTS = 16
 _NEGLIGIBLE = 1e-5
 """Energy of a mode of a photodiode, relative to its strongest, below which the mode is left out."""
 
-_FINE, _SUBSAMPLES = 4096, 4
-"""Samples of a lens for its orders along an axis; samples of the pupil per step of the table."""
+_FINE = 4096
+"""Samples of a lens for its orders along an axis."""
 
 _STEP = 0.03
 """Largest difference of direction cosines between zones of the detector."""
-
-_MOST_MEMORY = 2**30
-"""Bytes of the tables of a camera."""
-
-_RIDGE = 1e-3
-"""Relative weight by which table nodes that the pupil hardly covers are held."""
 
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
@@ -128,14 +118,14 @@ class Zones:
 
 
 @dataclass(frozen=True)
-class PhotodiodeResponses:
-    """The responses of the photodiodes of one lens, one per pixel under it, at one wavelength in all zones."""
+class PlaneWaves:
+    """The light of plane waves in the photodiodes of one lens, one per pixel under it, at one wavelength."""
 
     camera: PlenopticCamera
-    # Wavelength in nanometres, and the shortest one of the capture, which has the smallest windows.
+    # In nanometres.
     wavelength: float
-    shortest: float
-    # Whether the tables have larger windows.
+    _: KW_ONLY
+    # Whether direction cosines have smaller steps.
     fine: bool = False
 
     by_points = False
@@ -161,94 +151,31 @@ class PhotodiodeResponses:
         return float(self.system.lens.reach) / math.hypot(self.camera.pupil_distance, self.system.lens.reach)
 
     @property
-    def _spreads(self) -> float:
-        """Width of the window in diffraction widths, the same at all wavelengths."""
-        width = in_millimetres(self.shortest) / (2 * self.reach)
-        return max(_SPREADS[self.fine], _LEAST_WINDOW * self.camera.mla_pitch / width)
+    def width(self) -> float:
+        """Width of the diffraction at the pupil on the array in lenses, lambda N / D2."""
+        return in_millimetres(self.wavelength) / (2 * self.reach * self.camera.mla_pitch)
 
     @property
-    def window(self) -> float:
-        """Width of the window."""
-        return self._spreads * in_millimetres(self.wavelength) / (2 * self.reach)
+    def stride(self) -> int:
+        """Steps of the direction cosines between the directions of neighbouring pairs of the near table."""
+        return max(1, round(_STEPS[self.fine] * self.width / NEAR))
 
     @property
     def step(self) -> float:
-        """Step of the table's direction cosines: half of that of the differences of pairs."""
-        return self.reach / self._spreads
+        """Step of the table's direction cosines."""
+        return in_millimetres(self.wavelength) / (2 * NEAR * self.stride * self.camera.mla_pitch)
 
     @property
     def across(self) -> int:
         """Nodes of the table from its middle to its edge in direction cosines."""
-        return math.ceil(self._spreads) + 1
-
-    @property
-    def _pairs(self) -> int:
-        """Differences of pairs from zero to the largest."""
-        return math.floor(self._spreads) + 1
-
-    @property
-    def samples(self) -> int:
-        """Samples across the window."""
-        return fast_length(math.ceil(_OVERSAMPLING * (2 * self._pairs + 1)))
-
-    @property
-    def tail(self) -> float:
-        """Fraction of the light that the pupil diffracts beyond the window: see `tail_density`."""
-        width = in_millimetres(self.wavelength) / (2 * self.reach)
-        return width / self.window * 16 * math.sqrt(0.5) / math.pi**3
-
-    @property
-    def tail_density(self) -> float:
-        """Density of this light times the third power of the distance.
-
-        This is the Airy pattern's mean over its rings (Born and Wolf, section 8.5.2).
-        """
-        return in_millimetres(self.wavelength) / (2 * self.reach) / math.pi**3
-
-    @property
-    def nbytes(self) -> float:
-        """Approximate bytes of the tables."""
-        return 4.0 * len(self.zones) * math.pi * self.across**2 * self.samples**2 * (self.count**2 + 1)
-
-    def require_memory(self, wavelengths: int) -> None:
-        """Refuse tables that are too large."""
-        memory = wavelengths * self.nbytes
-        refuse_if(
-            memory > _MOST_MEMORY,
-            f"mla_pitch = {self.camera.mla_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
-            f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)",
-        )
-
-    @cached_property
-    def table(self) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-        """The table of W, less the light beyond the window, which is evenly spread over it.
-
-        Returns the index of each node of the square grid of direction cosines (n, n), rows along y, -1 where it is not
-        used; the table (zones, nodes, samples * samples, photodiodes) and the mean over the pupil of its integral and
-        that of the light beyond the window (zones, photodiodes). Coordinates x are relative to the lens.
-        """
-        used = np.zeros((2 * self.across + 1,) * 2, bool)
-        overlaps = [self._overlap(x, y) for y in self.zones.y for x in self.zones.x]
-        for mass, _ in overlaps:
-            used |= mass > 0
-        index = np.where(used, np.cumsum(used).reshape(used.shape) - 1, -1).astype(np.int32)
-        table = np.empty((len(self.zones), used.sum(), self.samples**2, self.count**2), np.float32)
-        means = np.empty((len(self.zones), self.count**2), np.float32)
-        for number, (mass, overlap) in enumerate(overlaps):
-            y, x = divmod(number, len(self.zones.x))
-            for diode in range(self.count**2):
-                values = self._response(self.zones.x[x], self.zones.y[y], diode, overlap, used)
-                whole = values.sum(1) * (self.window / self.samples) ** 2
-                table[number, :, :, diode] = values - self.tail / self.window**2 * whole[:, None]
-                means[number, diode] = whole @ mass[used] / mass.sum()
-        return index, table, means
+        return math.ceil(self.reach / self.step) + 1
 
     def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
         """Return the light of plane waves in the photodiodes of a lens (photodiodes, n, n), rows along y.
 
         The direction cosines lie `step` apart around that of the chief ray; light of density 1 is its area in mm^2.
         """
-        every = [self._modes(x, y, diode) for diode in range(self.count**2)]
+        every = [self.modes(x, y, diode) for diode in range(self.count**2)]
         return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])
 
     @cached_property
@@ -273,7 +200,7 @@ class PhotodiodeResponses:
         slope = [-float(self.system.lens.slope_to(0.0, place)) for place in self._place(x, y)]
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
-    def _is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which pairs of direction cosines `along` the axes, from the chief ray's, pass the pupil to a lens."""
         chief, place = self._chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
@@ -285,45 +212,7 @@ class PhotodiodeResponses:
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
 
     @single_threaded_blas()
-    def _overlap(self, x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Return the part of the pupil around each node (n, n), and coefficients of O for each (n, n, pairs, pairs).
-
-        The coefficients are the projection of O on functions that are linear between nodes.
-        """
-        n, pairs = 2 * self.across + 1, self._pairs
-        far = (self.across + pairs) * _SUBSAMPLES
-        along = (np.arange(-far, far) + 0.5) / _SUBSAMPLES
-        is_open = self._is_open(x, y, along * self.step)
-        low = far - self.across * _SUBSAMPLES
-        rows, columns = np.nonzero(is_open[low : 2 * far - low, low : 2 * far - low])
-        rows, columns = rows + low, columns + low
-        sides = [np.floor(along[each]).astype(int) for each in (rows, columns)]
-        parts = [along[each] - side for each, side in zip((rows, columns), sides, strict=True)]
-        count = np.arange(len(rows))
-        hats = scipy.sparse.csr_matrix((len(rows), n * n))
-        for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            node = (sides[0] + dy + self.across) * n + sides[1] + dx + self.across
-            value = np.abs(1 - dy - parts[0]) * np.abs(1 - dx - parts[1])
-            hats += scipy.sparse.csr_matrix((value, (count, node)), hats.shape)
-        mass = np.asarray(hats.sum(0)).ravel()
-        used = np.flatnonzero(mass > 0)
-        hats = hats[:, used]
-        gram = (hats.T @ hats).toarray()
-        gram[np.diag_indices_from(gram)] += _RIDGE * mass[used]
-        factor = scipy.linalg.cho_factor(gram)
-        lags = np.arange(-pairs, pairs + 1) * _SUBSAMPLES
-        overlap = np.zeros((n * n, len(lags), len(lags)), np.float32)
-        for number, lag in enumerate(lags):
-            up, down = (is_open[rows + side * lag] for side in (1, -1))
-            each = np.arange(len(rows))
-            both = [up[each, columns + across] & down[each, columns - across] for across in lags]
-            moments = hats.T @ np.stack(both, 1).astype(np.float32)
-            # The ridge holds coefficients to their local means, so that energy is conserved.
-            overlap[used, number] = scipy.linalg.cho_solve(factor, (1 + _RIDGE) * moments)
-        return mass.reshape(n, n), overlap.reshape(n, n, len(lags), len(lags))
-
-    @single_threaded_blas()
-    def _modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:
+    def modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:
         """Return functions of the direction cosines (modes, n, n) whose products sum to the response to pairs."""
         camera, k = self.camera, 2 * math.pi / in_millimetres(self.wavelength)
         pixel, z, index = camera.pixel_size, camera.detector_distance, camera.mla_medium
@@ -359,37 +248,3 @@ class PhotodiodeResponses:
         energy, vectors = np.linalg.eigh(flat.conj().T @ flat)
         modes = flat @ vectors[:, energy > _NEGLIGIBLE * energy[-1]]
         return np.ascontiguousarray(modes.T.reshape(-1, len(sy), len(sx)))
-
-    def _response(
-        self, x: float, y: float, diode: int, overlap: NDArray[np.float32], used: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
-        """Return W of a photodiode at the used nodes: (nodes, samples * samples)."""
-        modes, inner = self._modes(x, y, diode), self.across + 1
-        far, lags = self.across + 3, range(-self._pairs, self._pairs + 1)
-        pairs = np.zeros((2 * inner + 1, 2 * inner + 1, len(lags), len(lags)), np.complex64)
-        for a, up in enumerate(lags):
-            for b, right in enumerate(lags):
-                if (up, right) < (0, 0):
-                    continue
-                rows, columns = min(inner, far - abs(up)), min(inner, far - abs(right))
-                one, other = (
-                    modes[
-                        :,
-                        far + side * up - rows : far + side * up + rows + 1,
-                        far + side * right - columns : far + side * right + columns + 1,
-                    ]
-                    for side in (1, -1)
-                )
-                value = np.einsum("ryx,ryx->yx", one, other.conj())
-                at = slice(inner - rows, inner + rows + 1), slice(inner - columns, inner + columns + 1)
-                pairs[(*at, a, b)] = value
-                pairs[(*at, -1 - a, -1 - b)] = value.conj()
-        # Sharpened against the damping by linear interpolation in s, and below by that in x.
-        pairs = pairs[1:-1] - (pairs[2:] - 2 * pairs[1:-1] + pairs[:-2]) / 12
-        pairs = pairs[:, 1:-1] - (pairs[:, 2:] - 2 * pairs[:, 1:-1] + pairs[:, :-2]) / 12
-        lag = np.array(lags)
-        gain = (np.sinc(lag / self.samples) ** -2).astype(np.float32)
-        pairs *= overlap * (gain[:, None] * gain / np.float32(self.window**2))
-        wide = np.zeros((int(used.sum()), self.samples, self.samples), np.complex64)
-        wide[:, (lag % self.samples)[:, None], lag % self.samples] = pairs[used]
-        return scipy.fft.fftshift(scipy.fft.fft2(wide).real, axes=(1, 2)).reshape(len(wide), -1)

@@ -24,7 +24,7 @@ from mitsuba_plenoptic.capture.responses import ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.jobs import SumTask
-from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses
+from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses, Window
 
 from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison
@@ -32,7 +32,7 @@ from ..timing import once, peak_memory
 
 PITCH, MEDIUM, DEPTH = 0.0028, 1.5, 0.004
 
-_RADII = 40
+_RADII = 24
 """Points of the pupil, from its centre to its edge, of the mean of captures."""
 
 _FINER, _DIRECTIONS, _PARTS = 32, 100, 12
@@ -127,45 +127,45 @@ class Wall:
 
     def expected(self, plan: PhotodiodeResponses) -> NDArray[np.float64]:
         """Return the pixels that captures have in the mean over their random numbers."""
-        camera, (index, table, _) = self.camera, plan.table
-        lenses, b, window = round(camera.detector_width / camera.mla_pitch), camera.mla_distance, plan.window
-        step, size = window / plan.samples, plan.count
-        table = table[0].reshape(-1, plan.samples, plan.samples, size**2)
-        wholes = table.sum((1, 2)) * (step**2 / (1 - plan.tail))
-        lens = (np.arange(lenses) + 0.5 - lenses / 2) * camera.mla_pitch
-        node, weight = np.polynomial.legendre.leggauss(8)
+        camera, table = self.camera, plan.table
+        lenses, b, size = round(camera.detector_width / camera.mla_pitch), camera.mla_distance, plan.count
+        near, far = (part[0].astype(np.float32) for part in (table.near, table.far))
+        lens = np.arange(lenses) + 0.5 - lenses / 2
+        edge = plan.near.lenses / 2
         total = np.zeros((lenses, lenses, size**2))
         along = (np.arange(2 * _RADII) + 0.5 - _RADII) / _RADII * camera.aperture_radius
         for Py in along:
             for Px in along:
                 if Px * Px + Py * Py > camera.aperture_radius**2:
                     continue
-                far = math.sqrt(Px * Px + Py * Py + b * b)
-                place = [-P / far / plan.step + plan.across for P in (Py, Px)]
+                distance = math.sqrt(Px * Px + Py * Py + b * b)
+                place = [-P / distance / plan.step + plan.across for P in (Py, Px)]
                 low = [math.floor(each) for each in place]
-                near, whole = 0, 0
+                parts = [0, 0]
                 for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
                     share = abs(1 - dy - place[0] + low[0]) * abs(1 - dx - place[1] + low[1])
-                    which = index[low[0] + dy, low[1] + dx]
+                    which = table.index[low[0] + dy, low[1] + dx]
                     if which >= 0:
-                        near, whole = near + share * table[which], whole + share * wholes[which]
-                # Where the rays through this point of the pupil meet the array.
+                        parts = [old + share * part[which] for old, part in zip(parts, (near, far), strict=True)]
+                # Where the rays through this point of the pupil meet the array, in lenses.
                 ends = [
-                    [(end * b + P * self.distance) / (b + self.distance) - lens for end in (first, last)]
+                    [
+                        (end * b + P * self.distance) / (b + self.distance) / camera.mla_pitch - lens
+                        for end in (first, last)
+                    ]
                     for P, first, last in zip((Px, Py), self.low, self.high, strict=True)
                 ]
-                across, up = (_hats(*each, step, plan.samples, window) for each in ends)
-                total += np.einsum("ay,yxj,bx->abj", up, near, across, optimize=True)
-                x, y = (first[:, None] + (node + 1) / 2 * (last - first)[:, None] for first, last in ends)
-                distance = np.hypot(x[None, :, None, :], y[:, None, :, None])
-                beyond = np.maximum(np.abs(x)[None, :, None, :], np.abs(y)[:, None, :, None]) > window / 2
-                density = np.where(beyond, plan.tail_density / np.maximum(distance, step) ** 3, 0)
-                area = math.prod(float(last[0] - first[0]) for first, last in ends) / 4
-                total += (density @ weight @ weight * area)[..., None] * whole
+                # The far table is used beyond the near one.
+                for window, part, limit, sign in (
+                    (plan.near, parts[0], edge, 1), (plan.far, parts[1], math.inf, 1), (plan.far, parts[1], edge, -1),
+                ):  # fmt: skip
+                    across, up = (_hats(*each, window, limit) for each in ends)
+                    x, y = (np.flatnonzero(each.any(1)) for each in (across, up))
+                    light = np.einsum("ay,yxj,bx->abj", up[y], part, across[x], optimize=True)
+                    total[y[:, None], x] += sign * light
         pixels = total.reshape(lenses, lenses, size, size).transpose(0, 2, 1, 3).reshape(lenses * size, lenses * size)
         cell = (camera.aperture_radius / _RADII) ** 2
-        scale = DEPTH / MEDIUM / (b * camera.pixel_size * camera.mla_pitch)
-        return np.asarray(pixels * cell * scale**2)
+        return np.asarray(pixels * cell * (DEPTH / MEDIUM / (b * camera.pixel_size)) ** 2)
 
     def captured(self, plan: PhotodiodeResponses, spp: int, seed: int) -> NDArray[np.float64]:
         """Return the pixels by responses."""
@@ -175,22 +175,18 @@ class Wall:
         return image[..., 0].astype(float)
 
 
-def _hats(
-    low: NDArray[np.float64], high: NDArray[np.float64], step: float, samples: int, window: float
-) -> NDArray[np.float64]:
-    """Return the integrals between bounds (lenses,) of the functions by which samples are interpolated linearly."""
+def _hats(low: NDArray[np.float64], high: NDArray[np.float64], window: Window, limit: float) -> NDArray[np.float64]:
+    """Return the integrals between bounds (lenses,) of the functions by which samples are interpolated linearly.
+
+    Positions are lenses, within a limit and the window.
+    """
+    place, first, last = window.place, max(-limit, window.place[0]), min(limit, window.place[-1])
 
     def upto(bound: NDArray[np.float64]) -> NDArray[np.float64]:
-        t = np.clip(np.clip(bound, -window / 2, window / 2)[:, None] / step - number, -1, 1)
-        return step * np.where(t < 0, (1 + t) ** 2 / 2, 1 - (1 - t) ** 2 / 2)
+        t = np.clip((np.clip(bound, first, last)[:, None] - place) * window.samples, -1, 1)
+        return np.where(t < 0, (1 + t) ** 2 / 2, 1 - (1 - t) ** 2 / 2) / window.samples
 
-    number = np.arange(-1, samples + 1) - samples // 2
-    values = upto(high) - upto(low)
-    # The window is periodic.
-    result = values[:, 1:-1].copy()
-    result[:, 0] += values[:, -1]
-    result[:, -1] += values[:, 0]
-    return result
+    return upto(high) - upto(low)
 
 
 @case(
@@ -226,7 +222,7 @@ def photodiodes(
                 lenses = 2 * math.ceil(abs(blur) + 1.2 * max(1.0, spread) + max(margin, 3.5 * spread))
                 camera = camera_of(f_number, lenses)
                 wall = Wall(camera, wavelength, blur)
-                plan = PhotodiodeResponses(camera, wavelength, wavelength, fine)
+                plan = PhotodiodeResponses(camera, wavelength, fine=fine)
                 _, planning, _ = once(lambda plan=plan: plan.table)
                 exact, seconds, _ = once(wall.exact)
                 image = wall.expected(plan)
@@ -265,7 +261,7 @@ def photodiode_split(
     """Compare pitches in micrometres and angles in degrees; rays of all these angles meet one side only."""
     for pitch in pitches:
         camera = camera_of(1.2, 4, pitch / 1000, pitch / 1000 * DEPTH / PITCH)
-        plan = PhotodiodeResponses(camera, wavelength, wavelength)
+        plan = PhotodiodeResponses(camera, wavelength)
         light = plan.by_direction(0.0, 0.0)
         # Light that comes from the left goes to the right.
         right, left = light[1] + light[3], light[0] + light[2]
