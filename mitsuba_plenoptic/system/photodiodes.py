@@ -142,8 +142,8 @@ class PhotodiodeResponses:
 
     @cached_property
     def system(self) -> OpticalSystem:
-        """The camera, bound to the wavelength."""
-        return OpticalSystem(self.camera, self.wavelength)
+        """The camera, bound to the wavelength; light up to the array follows the camera's own model of the lens."""
+        return OpticalSystem(self.camera, self.wavelength, self.camera.lens_model)
 
     @cached_property
     def count(self) -> int:
