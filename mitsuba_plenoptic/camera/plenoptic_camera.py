@@ -120,7 +120,7 @@ def require_whole(camera: CameraGeometry) -> None:
         require_pixel_pairs(camera)
         refuse_if(
             camera.mla_absorption > 0,
-            f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one of them out",
+            f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one out",
         )
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))

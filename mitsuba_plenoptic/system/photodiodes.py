@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -33,6 +34,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
+from .lens_kinds import chief_ray_shift
 from .optical_system import OpticalSystem, RayPupil
 from .sampling import fast_length
 
@@ -54,6 +56,9 @@ _FINE, _SUBSAMPLES = 4096, 4
 _STEP = 0.03
 """Largest difference of direction cosines between zones of the detector."""
 
+_ALONG = 9
+"""Lenses along each axis whose positions over their pixels are compared."""
+
 _MOST_MEMORY = 2**30
 """Bytes of the tables of a camera."""
 
@@ -70,7 +75,6 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
         ("mla_tilt", any(camera.mla_tilt), "0"),
         ("mla_jitter", any(camera.mla_jitter), "0"),
-        ("mla_cra", bool(camera.mla_cra), "left out: choose a smaller mla_pitch, which aligns lenses to chief rays"),
         ("mla_shape", camera.mla_shape is not None, "left out: the lenses must be parabolic"),
         ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
         ("main_lens", camera.objective is not None, "no objective"),
@@ -97,9 +101,22 @@ def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int
 
 
 def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float64]:
-    """Return the positions of the first and the last lens's pixels relative to the lens."""
+    """Return the positions of the first and the last lens's pixels relative to the regular position of the lens."""
     index = np.array(lens_range(camera, count, axis)) - [0, 1]
     return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
+
+
+def lens_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return the positions of lenses, aligned to chief rays, by their lattice indices."""
+    centre = camera.lattice.centre(x, y)
+    right, up = chief_ray_shift(camera, *centre)
+    return centre[0] + right, centre[1] + up
+
+
+def _aside(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
+    """Return the positions of the middles of lenses' pixels relative to the lenses, by lattice indices."""
+    width = count * camera.pixel_size
+    return [(index + 0.5) * width - c for index, c in zip((x, y), lens_centre(camera, x, y), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -114,9 +131,10 @@ class Zones:
     def of(cls, camera: PlenopticCamera, count: int) -> Zones:
         """Return the zones of a camera with `count` pixels across a lens."""
         made = []
-        for axis in (0, 1):
-            first, last = lens_range(camera, count, axis)
-            moved = np.ptp(_offsets(camera, count, axis)) * camera.mla_medium / camera.detector_distance
+        ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
+        aside = _aside(camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges)))
+        for axis, (first, last) in enumerate(ranges):
+            moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
             steps = math.ceil(max(moved, turned) / _STEP - 0.2)
             middle = (first + last - 1) / 2
@@ -264,9 +282,7 @@ class PhotodiodeResponses:
 
     def _place(self, x: float, y: float) -> list[float]:
         """Return the position of a lens."""
-        return [
-            (index + 0.5) * self.camera.mla_pitch + o for index, o in zip((x, y), self.camera.mla_offset, strict=True)
-        ]
+        return [float(c) for c in lens_centre(self.camera, x, y)]
 
     def _chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines of the light from the pupil's centre at a lens."""
@@ -332,10 +348,7 @@ class PhotodiodeResponses:
         square = (index * k) ** 2 + 1j * index * k * camera.mla_absorption
         far = self.across + 3
         # Index x, y of a lens give its pixels' displacement.
-        shift = [
-            (each + 0.5) * (self.count * pixel - camera.mla_pitch) - o
-            for each, o in zip((x, y), camera.mla_offset, strict=True)
-        ]
+        shift = _aside(camera, self.count, x, y)
         nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
         row, column = divmod(diode, self.count)
         py, px = (

@@ -7,7 +7,7 @@ from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.responses import Tables
 from mitsuba_plenoptic.system import photodiodes
 from mitsuba_plenoptic.system.phase_space import has_small_lenses
-from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, pixels_per_lens
+from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, Zones, pixels_per_lens
 from tools.bench.cases.photodiodes import Wall, camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
@@ -100,6 +100,36 @@ def test_zones_shift_photodiodes_with_a_pitch_that_is_no_whole_number_of_pixels(
     assert pixels_per_lens(camera) == 2
     assert len(zones) == 16
     assert len(PhotodiodeResponses(even, 550.0, 550.0).zones) == 1
+
+
+def test_lenses_that_a_table_aligns_to_chief_rays_are_those_of_a_smaller_pitch():
+    """The chief ray at the height h moves by c h on its way to the detector, as those of a pitch smaller by this."""
+    camera, height = camera_of(4.0, 400), 0.8
+    moved = 0.002
+    heights = height * np.linspace(0, 1, 9)
+    # By Snell's law at the border of the medium.
+    angles = np.degrees(np.arcsin(camera.mla_medium * np.sin(np.arctan(moved * heights / camera.detector_distance))))
+    table = tuple(np.stack([heights, angles], -1).ravel().tolist())
+    aligned, smaller = camera.replace(mla_cra=table), camera.replace(mla_pitch=camera.mla_pitch * (1 - moved))
+    one, other, plain = (
+        PhotodiodeResponses(each, 550.0, 550.0).by_direction(150.0, -60.0) for each in (aligned, smaller, camera)
+    )
+    assert np.linalg.norm(one - other) < 0.01 * np.linalg.norm(other)
+    assert np.linalg.norm(plain - other) > 0.2 * np.linalg.norm(other)
+    assert len(Zones.of(aligned, 2)) == len(Zones.of(smaller, 2)) > len(Zones.of(camera, 2))
+
+
+@pytest.mark.slow
+def test_aligned_lenses_divide_the_light_of_a_white_wall_evenly_off_the_axis():
+    camera = camera_of(2.0, 2000).replace(crop_offset=(392, 1992), crop_size=(16, 16))
+    wall = facing(200.0, 300.0, **radiating())
+    splits = []
+    for table in ((), (0.0, 0.0, 3.0, float(np.degrees(np.arctan(3 / 50))))):
+        scene = scene_of(camera.replace(mla_cra=table).to_sensor(), wall=wall)
+        image = render_capture(scene, model="wave", wavelength=550.0, spp=16).image
+        splits.append((image[:, 1::2].mean() - image[:, ::2].mean()) / image.mean())
+    assert splits[0] < -0.05
+    assert abs(splits[1]) < 0.1 * abs(splits[0])
 
 
 def test_gaps_between_lenses_leave_the_brightness_of_a_wall():

@@ -22,21 +22,21 @@ from .. import Row, at_most, case
 from ..scenes.light_paths import scene_of
 from ..scenes.textured import relief
 
-FOCAL_LENGTH, FOCUS, PIXEL, HEIGHT, MEDIUM = 6.0, 100.0, 0.0014, 0.004, 1.5
+FOCAL_LENGTH, FOCUS, PIXEL, HEIGHT, MEDIUM = 24.0, 400.0, 0.0014, 0.004, 1.5
 
 WAVELENGTH = 550.0
 
 WINDOW = 21
 """Lenses across the matcher's window."""
 
-BLURS = (-5.0, -3.0, -1.0, 0.0, 1.0, 3.0, 5.0)
+BLURS = (-5.0, -3.0, -1.0, 1.0, 3.0, 5.0)
 """Blur radii in lenses of the planes that calibrate, negative for those nearer than the plane in focus."""
 
 MARGIN = WINDOW // 2 + 6
 """Lenses around a part of the picture whose light does not enter its windows."""
 
-CALIBRATED = 96, 64
-"""Lenses of a camera before the planes."""
+RAMP, STEPS = 4.5, (-4.0, 1.5, 4.5)
+"""Largest blur of the tilted plane of the scene, and blurs of its steps."""
 
 HALF_DISCS = 8 / (3 * math.pi)
 """Disparity over the radius of blur."""
@@ -60,10 +60,33 @@ def inverse_depth(camera: PlenopticCamera, blur: Any) -> Any:
     return 1 / FOCUS - blur * (camera.mla_pitch / (camera.aperture_radius * camera.mla_distance))
 
 
+def planes(x: Any, y: Any) -> Any:
+    """Return the blurs of planes that face the camera, in two rows and three columns of the picture."""
+    return np.array(BLURS)[_column(x) + 3 * (y > 0)]
+
+
+def tilted_and_steps(x: Any, y: Any) -> Any:
+    """Return the blurs of a tilted plane above planes with steps."""
+    return np.where(y > 0, RAMP * x, np.array(STEPS)[_column(x)])
+
+
+def _column(x: Any) -> Any:
+    return np.clip(((x + 1) * 1.5).astype(int), 0, 2)
+
+
+def parts(lenses: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
+    """Yield rows and columns of the lenses of each part of a picture, without margins."""
+    columns, rows = lenses
+    for half in (slice(MARGIN, rows // 2 - MARGIN), slice(rows // 2 + MARGIN, rows - MARGIN)):
+        for low, high in itertools.pairwise(range(0, columns + 1, columns // 3)):
+            yield half, slice(low + MARGIN, high - MARGIN)
+
+
+@functools.cache
 def disparities(
     f_number: float, lenses: tuple[int, ...], depths: Depths, model: str, rays: int, texture: int
 ) -> NDArray[np.float64]:
-    """Return the disparity of each lens; about `rays` rays of each lens pass the pupil."""
+    """Return the disparity of each part of a picture, the median; about `rays` rays of each lens pass the pupil."""
     camera = camera_of(f_number, lenses)
     half = camera.detector_width / 2
 
@@ -75,45 +98,16 @@ def disparities(
     within = math.pi / 4 * (camera.micro_image_diameter / camera.mla_pitch) ** 2
     spp = rays / (4 * within)
     if model == "ray":
-        return match_halves(dual_pixel(render_capture(scene, model=model, spp=math.ceil(spp))), window=WINDOW).values
-    # The noise of wave captures grows with the coherence width.
-    options = {"wavelength": WAVELENGTH, "spp": math.ceil(spp * f_number / 1.8)}
-    pairs = [dual_pixel(render_capture(scene, model=model, seed=seed, **options)) for seed in (0, 1)]
-    mixed = [one.copy(data=np.stack([one.values[:, 0], other.values[:, 1]], 1)) for one, other in (pairs, pairs[::-1])]
-    return np.nanmean([match_halves(pair, window=WINDOW).values for pair in mixed], axis=0)
-
-
-@functools.cache
-def curve(f_number: float, model: str, rays: int, texture: int) -> NDArray[np.float64]:
-    """Return the disparity of planes with the blurs `BLURS`: the median over the picture."""
-    inner = slice(MARGIN, -MARGIN)
-    return np.array(
-        [
-            np.nanmedian(
-                disparities(f_number, CALIBRATED, lambda x, y, r=radius: r + 0 * x, model, rays, texture)[inner, inner]
-            )
-            for radius in BLURS
+        pairs = [dual_pixel(render_capture(scene, model=model, spp=math.ceil(spp)))]
+    else:
+        # The noise of wave captures grows with the coherence width.
+        options = {"wavelength": WAVELENGTH, "spp": math.ceil(spp * (f_number / 1.8) ** 1.5)}
+        made = [dual_pixel(render_capture(scene, model=model, seed=seed, **options)) for seed in (0, 1)]
+        pairs = [
+            one.copy(data=np.stack([one.values[:, 0], other.values[:, 1]], 1)) for one, other in (made, made[::-1])
         ]
-    )
-
-
-RAMP, STEPS = 4.5, (-4.0, 1.5, 4.5)
-"""Largest blur of the tilted plane in the upper half of the picture, and blurs of the steps in the lower half."""
-
-
-def tilted_and_steps(x: Any, y: Any) -> Any:
-    """Return the blur radius of a tilted plane above planes with steps."""
-    step = np.clip(((x + 1) / 2 * len(STEPS)).astype(int), 0, len(STEPS) - 1)
-    return np.where(y > 0, RAMP * x, np.array(STEPS)[step])
-
-
-def parts(lenses: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
-    """Yield the rows and columns of lenses of each step, and of thirds of the tilted plane, without their margins."""
-    columns, rows = lenses
-    edges = np.linspace(0, columns, len(STEPS) + 1).astype(int)
-    for half in (slice(MARGIN, rows // 2 - MARGIN), slice(rows // 2 + MARGIN, rows - MARGIN)):
-        for low, high in itertools.pairwise(edges):
-            yield half, slice(int(low) + MARGIN, int(high) - MARGIN)
+    found = np.nanmean([match_halves(pair, window=WINDOW).values for pair in pairs], axis=0)
+    return np.array([np.nanmedian(found[at]) for at in parts(lenses)])
 
 
 @case(
@@ -132,31 +126,29 @@ def parts(lenses: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
 def depth(
     *,
     f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0),
-    rays: int = 70,
-    lenses: tuple[int, ...] = (180, 130),
+    rays: int = 30,
+    lenses: tuple[int, ...] = (240, 160),
     textures: int = 3,
 ) -> Iterator[Row]:
-    """Compare the disparities of a scene with the curve; ``rays`` rays of each lens pass the pupil."""
+    """Compare the disparities of a scene with the curve; about ``rays`` rays of each lens pass the pupil."""
     x, y = (np.arange(count) * 2 + 1 - count for count in lenses)
     blurs = tilted_and_steps(*np.meshgrid(x / lenses[0], y / lenses[0]))
     for f_number in f_numbers:
         for model in ("ray", "wave"):
-            known = np.mean([curve(f_number, model, rays, texture) for texture in range(textures)], axis=0)
-            expected = np.interp(blurs, BLURS, known)
-            found = [
-                disparities(f_number, lenses, tilted_and_steps, model, rays, textures + number)
-                for number in range(textures)
-            ]
-            pairs = np.array(
-                [[float(np.nanmedian(one[at])) for at in parts(lenses)] for one in (np.mean(found, 0), expected)]
+            own = f_number, lenses
+            known = np.mean([disparities(*own, planes, model, rays, number) for number in range(textures)], 0)
+            found = np.mean(
+                [disparities(*own, tilted_and_steps, model, rays, textures + number) for number in range(textures)], 0
             )
-            slope = float(pairs[0] @ pairs[1] / (pairs[1] @ pairs[1]))
+            curve = np.interp(blurs, BLURS, known)
+            expected = np.array([float(np.median(curve[at])) for at in parts(lenses)])
+            slope = float(found @ expected / (expected @ expected))
             yield {
-                "f_number": f_number, "model": model, "curve": known, "parts": pairs,
+                "f_number": f_number, "model": model, "curve": known, "found": found, "expected": expected,
                 "shown": ", ".join(f"{known[BLURS.index(each)]:.2f}" for each in (-5, -1, 1, 5)),
                 "ratio": float((known[-1] - known[0]) / (BLURS[-1] - BLURS[0]) / HALF_DISCS),
                 "slope": slope, "off": abs(slope - 1),
-                "residual": float(np.sqrt(np.mean((pairs[0] - slope * pairs[1]) ** 2)) / np.abs(known).max()),
+                "residual": float(np.sqrt(np.mean((found - slope * expected) ** 2)) / np.abs(known).max()),
             }  # fmt: skip
 
 
@@ -170,20 +162,24 @@ def depth(
         "of the depth": "{depth:.1%} +- {depth_deviation:.1%}",
     },
     page="docs/numbers.md",
-    quick={"f_numbers": (1.8,), "rays": 20, "textures": 2},
+    quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 2},
 )  # fmt: skip
 def matching(
-    *, f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0), rays: int = 70, textures: int = 3
+    *,
+    f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0),
+    rays: int = 30,
+    lenses: tuple[int, ...] = (240, 160),
+    textures: int = 3,
 ) -> Iterator[Row]:
-    """Read disparities of wave pairs with the mean curve of ray pairs."""
+    """Read disparities of wave pairs with the mean curve of ray pairs; captures are those of the other case."""
     for f_number in f_numbers:
-        camera = camera_of(f_number, CALIBRATED)
+        camera = camera_of(f_number, lenses)
         known, waves = (
-            np.array([curve(f_number, model, rays, texture) for texture in range(textures)])
+            np.array([disparities(f_number, lenses, planes, model, rays, number) for number in range(textures)])
             for model in ("ray", "wave")
         )
         mean = known.mean(0)
-        read = np.interp(waves, mean, BLURS)
+        read = np.array([np.interp(each, mean, BLURS) for each in waves])
         for place in (0, -1):
             blur = BLURS[place]
             depths = inverse_depth(camera, blur) / inverse_depth(camera, read[:, place]) - 1
