@@ -50,8 +50,8 @@ _POINTS = 16
 _NEGLIGIBLE = 1e-5
 """Energy of a mode of a photodiode, relative to its strongest, below which the mode is left out."""
 
-_FINE, _SUBSAMPLES = 4096, 4
-"""Samples of a lens for its orders along an axis; samples of the pupil per step of the table."""
+_FINE, _SUBSAMPLES = 1024, 4
+"""Samples of a lens along an axis for its orders; samples of the pupil per step of the table."""
 
 _STEP = 0.03
 """Largest difference of direction cosines between zones of the detector."""
@@ -75,7 +75,6 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
         ("mla_tilt", any(camera.mla_tilt), "0"),
         ("mla_jitter", any(camera.mla_jitter), "0"),
-        ("mla_shape", camera.mla_shape is not None, "left out: the lenses must be parabolic"),
         ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
         ("main_lens", camera.objective is not None, "no objective"),
         ("resolution", any(size % 2 for size in camera.resolution), "even"),
@@ -271,14 +270,19 @@ class PhotodiodeResponses:
 
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
-        """Orders of the lenses along an axis, and their amplitudes."""
+        """Orders of the lenses along an axis, and the amplitudes (orders along y, orders along x)."""
         camera, wavelength = self.camera, in_millimetres(self.wavelength)
         most = math.ceil(camera.mla_medium * camera.mla_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
         x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.mla_pitch
-        lens = np.exp(-1j * math.pi * camera.mla_medium * x**2 / (wavelength * camera.mla_focal_length))
-        lens *= np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2
-        return order, (lens * np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)).mean(1)
+        waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)
+        waves *= (np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2) / _FINE
+        if camera.mla_shape is None:
+            lens = np.exp(-1j * math.pi * camera.mla_medium * x**2 / (wavelength * camera.mla_focal_length))
+            along = waves @ lens
+            return order, np.outer(along, along)
+        phase = camera.mla_shape.waves(x, x[:, None], self.wavelength)
+        return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
     def _place(self, x: float, y: float) -> list[float]:
         """Return the position of a lens."""
@@ -356,14 +360,12 @@ class PhotodiodeResponses:
             for number, s in ((row, shift[1]), (column, shift[0]))
         )
         sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self._chief(x, y))
-        waves_x, waves_y = (
-            np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) * amplitude[:, None] for p in (px, py)
-        )
+        waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
         kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
         for number, each in enumerate(ky):
             kz = np.sqrt(square - each[:, None] ** 2 - kx[:, None, :] ** 2)
-            part = np.exp(1j * z * kz) @ waves_x  # (x, order along y, point along x)
+            part = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
             field = np.matmul(waves_y.T, part)
             field *= np.exp(1j * k * (sy[number] * py[None, :, None] + sx[:, None, None] * px))
             fields[number] = field.reshape(len(sx), -1)

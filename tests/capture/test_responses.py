@@ -5,6 +5,7 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.responses import Tables
+from mitsuba_plenoptic.microlens import Conic, Sampled
 from mitsuba_plenoptic.system import photodiodes
 from mitsuba_plenoptic.system.phase_space import has_small_lenses
 from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, Zones, pixels_per_lens
@@ -31,6 +32,37 @@ def test_a_table_keeps_the_light_of_each_direction_and_mirrors_it():
         table[0, index[plan.across, plan.across + side], :, column::2].sum() for side, column in ((1, 1), (-1, 0))
     )
     assert right == pytest.approx(left, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["parabola", "sphere", "freeform"])
+def test_shaped_lenses_against_the_fields_of_periodic_samples(name):
+    """A plane wave passes samples of the path of one cell, of which the others are copies, and their FFT."""
+    pitch, n, lam, depth = 0.0028, 1.5, 550e-6, 0.004
+    grid = np.linspace(-0.0015, 0.0015, 41)
+    height = -(grid**2 + grid[:, None] ** 2) / (2 * 0.00133) * (1 + 150 * grid) - 60 * (grid**2 * grid[:, None])
+    shape = {"sphere": Conic(0.0021, glass=1.6), "freeform": Sampled(height, 0.003), "parabola": None}[name]
+    camera = camera_of(4.0, 4).replace(mla_shape=shape, detector_distance=depth)
+    plan = PhotodiodeResponses(camera, 550.0, 550.0)
+    light = plan.by_direction(-0.5, -0.5)
+    middle = light.shape[1] // 2
+    count = 512
+    x = ((np.arange(count) + 0.5) / count - 0.5) * pitch
+    square = x**2 + x[:, None] ** 2
+    path = {
+        "parabola": -square * n / (2 * camera.mla_focal_length),
+        "sphere": 0.6 * (np.sqrt(0.0021**2 - square) - 0.0021),
+        # Bicubic splines reproduce polynomials of the third degree.
+        "freeform": 0.5 * (-square / (2 * 0.00133) * (1 + 150 * x) - 60 * (x**2 * x[:, None])),
+    }[name]
+    for along in (0, 3):
+        s = along * plan.step
+        fx, fy = (np.fft.fftfreq(count, pitch / count) + part / lam for part in (s, 0.0))
+        axial = np.sqrt((n / lam) ** 2 - fx**2 - fy[:, None] ** 2 + 0j)
+        transfer = np.exp(2j * np.pi * depth * axial)
+        field = np.fft.ifft2(np.fft.fft2(np.exp(2j * np.pi * path / lam)) * transfer)
+        energy = np.abs(field) ** 2 * (pitch / count) ** 2
+        pixels = energy.reshape(2, count // 2, 2, count // 2).sum((1, 3)).ravel()
+        assert light[:, middle, middle + along] == pytest.approx(pixels, rel=0.004, abs=0.002 * pitch**2)
 
 
 def test_nodes_that_only_some_zones_use_leave_pixels_finite():
