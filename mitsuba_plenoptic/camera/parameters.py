@@ -288,7 +288,8 @@ class CameraParameters:
         check=partial(require_choice, choices=LENS_MODELS),
         words=(
             "How rays refract. ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic "
-            "phase elements, with the aberrations that belong to them: the geometric twin of the wave capture."
+            "phase elements, with the aberrations that belong to them: the geometric twin of the wave capture. Behind "
+            "lenses of fewer than 20 wavelengths, wave captures follow this choice up to the array."
         ),
         form=Form.WORD,
         takes='{"ideal", "parabolic"}',

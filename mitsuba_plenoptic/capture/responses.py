@@ -28,7 +28,7 @@ from ..lenses.base import Pair
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
-from ..system.photodiodes import NEAR, lens_range
+from ..system.photodiodes import NEAR, lens_centre, lens_range
 from ..system.response_tables import PhotodiodeResponses, Window
 from .noise import Mended
 from .scene_light import SceneLight, require_finite
@@ -152,7 +152,7 @@ class Tables:
         random = [mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)]
         chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
-        centre = self.camera.lattice.centre(*index)
+        centre = lens_centre(self.camera, *index)
         slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
         chief = [-system.lens.slope_to(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))

@@ -124,7 +124,8 @@ def make_class() -> type:
         Behind lenses of less than 20 wavelengths, such as on-chip lenses over two by two photodiodes, captures use the
         responses of photodiodes to rays, computed from non-paraxial fields in the medium `mla_medium`. Only rays that
         pass the pupil are drawn, as many as a ray capture of ``spp`` has of them, and pixels may be negative by noise.
-        Upright square lattices of one pitch and type are supported, in mono and rgb variants, without gradients.
+        Upright square lattices of one pitch and type are supported, in mono and rgb variants, without gradients. A thin
+        main lens refracts there as the sensor's ``lens_model`` states.
 
         All main lenses and arrays of the sensor are supported, except the Fourier arrangement of microscopes, and
         detectors far from the microlenses' focus whose pixels are finer than the pupil's diffraction. With bands and

@@ -32,10 +32,13 @@ class OpticalSystem:
         The camera.
     wavelength : float
         Wavelength in nanometres.
+    lens_model : {"ideal", "parabolic"}
+        How a thin main lens refracts rays; fields of points always pass a parabolic phase element.
     """
 
     camera: PlenopticCamera
     wavelength: float
+    lens_model: str = "parabolic"
 
     @classmethod
     def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
@@ -60,8 +63,8 @@ class OpticalSystem:
 
     @cached_property
     def lens(self) -> MainLens:
-        """The main lens, with rays refracted as in the wave model; see `MainLens` for its methods."""
-        return _wave_lens(self.camera, self.wavelength)
+        """The main lens, for waves and for rays; see `MainLens` for its methods."""
+        return _wave_lens(self.camera, self.wavelength, self.lens_model)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens for wave propagation from scene points (n, 3).
@@ -88,9 +91,9 @@ class OpticalSystem:
 
 
 @functools.lru_cache(maxsize=4)
-def _wave_lens(camera: PlenopticCamera, wavelength: float) -> MainLens:
+def _wave_lens(camera: PlenopticCamera, wavelength: float, lens_model: str) -> MainLens:
     """Return the main lens of a camera for waves; the last few are remembered, with their slow fits."""
-    return main_lens(camera, wavelength, model="parabolic")
+    return main_lens(camera, wavelength, model=lens_model)
 
 
 Pair = tuple[Any, ...]

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -30,6 +31,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
+from .lens_kinds import chief_ray_shift
 from .optical_system import OpticalSystem, RayPupil
 
 NEAR = 5
@@ -44,11 +46,14 @@ _POINTS = 16
 _NEGLIGIBLE = 1e-5
 """Energy of a mode of a photodiode, relative to its strongest, below which the mode is left out."""
 
-_FINE = 4096
-"""Samples of a lens for its orders along an axis."""
+_FINE = 1024
+"""Samples of a lens along an axis for its orders."""
 
 _STEP = 0.03
 """Largest difference of direction cosines between zones of the detector."""
+
+_ALONG = 9
+"""Lenses along each axis whose positions over their pixels are compared."""
 
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
@@ -60,8 +65,6 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
         ("mla_tilt", any(camera.mla_tilt), "0"),
         ("mla_jitter", any(camera.mla_jitter), "0"),
-        ("mla_cra", bool(camera.mla_cra), "left out: choose a smaller mla_pitch, which aligns lenses to chief rays"),
-        ("mla_shape", camera.mla_shape is not None, "left out: the lenses must be parabolic"),
         ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
         ("main_lens", camera.objective is not None, "no objective"),
         ("resolution", any(size % 2 for size in camera.resolution), "even"),
@@ -87,9 +90,22 @@ def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int
 
 
 def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float64]:
-    """Return the positions of the first and the last lens's pixels relative to the lens."""
+    """Return the positions of the first and the last lens's pixels relative to the regular position of the lens."""
     index = np.array(lens_range(camera, count, axis)) - [0, 1]
     return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
+
+
+def lens_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return the positions of lenses, aligned to chief rays, by their lattice indices."""
+    centre = camera.lattice.centre(x, y)
+    right, up = chief_ray_shift(camera, *centre)
+    return centre[0] + right, centre[1] + up
+
+
+def _aside(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
+    """Return the positions of the middles of lenses' pixels relative to the lenses, by lattice indices."""
+    width = count * camera.pixel_size
+    return [(index + 0.5) * width - c for index, c in zip((x, y), lens_centre(camera, x, y), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -104,9 +120,10 @@ class Zones:
     def of(cls, camera: PlenopticCamera, count: int) -> Zones:
         """Return the zones of a camera with `count` pixels across a lens."""
         made = []
-        for axis in (0, 1):
-            first, last = lens_range(camera, count, axis)
-            moved = np.ptp(_offsets(camera, count, axis)) * camera.mla_medium / camera.detector_distance
+        ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
+        aside = _aside(camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges)))
+        for axis, (first, last) in enumerate(ranges):
+            moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
             steps = math.ceil(max(moved, turned) / _STEP - 0.2)
             middle = (first + last - 1) / 2
@@ -132,8 +149,8 @@ class PlaneWaves:
 
     @cached_property
     def system(self) -> OpticalSystem:
-        """The camera, bound to the wavelength."""
-        return OpticalSystem(self.camera, self.wavelength)
+        """The camera, bound to the wavelength; light up to the array follows the camera's own model of the lens."""
+        return OpticalSystem(self.camera, self.wavelength, self.camera.lens_model)
 
     @cached_property
     def count(self) -> int:
@@ -180,20 +197,23 @@ class PlaneWaves:
 
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
-        """Orders of the lenses along an axis, and their amplitudes."""
+        """Orders of the lenses along an axis, and the amplitudes (orders along y, orders along x)."""
         camera, wavelength = self.camera, in_millimetres(self.wavelength)
         most = math.ceil(camera.mla_medium * camera.mla_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
         x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.mla_pitch
-        lens = np.exp(-1j * math.pi * camera.mla_medium * x**2 / (wavelength * camera.mla_focal_length))
-        lens *= np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2
-        return order, (lens * np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)).mean(1)
+        waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)
+        waves *= (np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2) / _FINE
+        if camera.mla_shape is None:
+            lens = np.exp(-1j * math.pi * camera.mla_medium * x**2 / (wavelength * camera.mla_focal_length))
+            along = waves @ lens
+            return order, np.outer(along, along)
+        phase = camera.mla_shape.waves(x, x[:, None], self.wavelength)
+        return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
     def _place(self, x: float, y: float) -> list[float]:
         """Return the position of a lens."""
-        return [
-            (index + 0.5) * self.camera.mla_pitch + o for index, o in zip((x, y), self.camera.mla_offset, strict=True)
-        ]
+        return [float(c) for c in lens_centre(self.camera, x, y)]
 
     def _chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines of the light from the pupil's centre at a lens."""
@@ -221,10 +241,7 @@ class PlaneWaves:
         square = (index * k) ** 2 + 1j * index * k * camera.mla_absorption
         far = self.across + 3
         # Index x, y of a lens give its pixels' displacement.
-        shift = [
-            (each + 0.5) * (self.count * pixel - camera.mla_pitch) - o
-            for each, o in zip((x, y), camera.mla_offset, strict=True)
-        ]
+        shift = _aside(camera, self.count, x, y)
         nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
         row, column = divmod(diode, self.count)
         py, px = (
@@ -232,14 +249,12 @@ class PlaneWaves:
             for number, s in ((row, shift[1]), (column, shift[0]))
         )
         sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self._chief(x, y))
-        waves_x, waves_y = (
-            np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) * amplitude[:, None] for p in (px, py)
-        )
+        waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
         kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
         for number, each in enumerate(ky):
             kz = np.sqrt(square - each[:, None] ** 2 - kx[:, None, :] ** 2)
-            part = np.exp(1j * z * kz) @ waves_x  # (x, order along y, point along x)
+            part = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
             field = np.matmul(waves_y.T, part)
             field *= np.exp(1j * k * (sy[number] * py[None, :, None] + sx[:, None, None] * px))
             fields[number] = field.reshape(len(sx), -1)

@@ -5,9 +5,10 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.responses import Tables
+from mitsuba_plenoptic.microlens import Conic, Sampled
 from mitsuba_plenoptic.system import photodiodes
 from mitsuba_plenoptic.system.phase_space import has_small_lenses
-from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, pixels_per_lens
+from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, Zones, pixels_per_lens
 from tools.bench.cases.photodiodes import Wall, camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
@@ -31,6 +32,37 @@ def test_a_table_keeps_the_light_of_each_direction_and_mirrors_it():
         table[0, index[plan.across, plan.across + side], :, column::2].sum() for side, column in ((1, 1), (-1, 0))
     )
     assert right == pytest.approx(left, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["parabola", "sphere", "freeform"])
+def test_shaped_lenses_against_the_fields_of_periodic_samples(name):
+    """A plane wave passes samples of the path of one cell, of which the others are copies, and their FFT."""
+    pitch, n, lam, depth = 0.0028, 1.5, 550e-6, 0.004
+    grid = np.linspace(-0.0015, 0.0015, 41)
+    height = -(grid**2 + grid[:, None] ** 2) / (2 * 0.00133) * (1 + 150 * grid) - 60 * (grid**2 * grid[:, None])
+    shape = {"sphere": Conic(0.0021, glass=1.6), "freeform": Sampled(height, 0.003), "parabola": None}[name]
+    camera = camera_of(4.0, 4).replace(mla_shape=shape, detector_distance=depth)
+    plan = PhotodiodeResponses(camera, 550.0, 550.0)
+    light = plan.by_direction(-0.5, -0.5)
+    middle = light.shape[1] // 2
+    count = 512
+    x = ((np.arange(count) + 0.5) / count - 0.5) * pitch
+    square = x**2 + x[:, None] ** 2
+    path = {
+        "parabola": -square * n / (2 * camera.mla_focal_length),
+        "sphere": 0.6 * (np.sqrt(0.0021**2 - square) - 0.0021),
+        # Bicubic splines reproduce polynomials of the third degree.
+        "freeform": 0.5 * (-square / (2 * 0.00133) * (1 + 150 * x) - 60 * (x**2 * x[:, None])),
+    }[name]
+    for along in (0, 3):
+        s = along * plan.step
+        fx, fy = (np.fft.fftfreq(count, pitch / count) + part / lam for part in (s, 0.0))
+        axial = np.sqrt((n / lam) ** 2 - fx**2 - fy[:, None] ** 2 + 0j)
+        transfer = np.exp(2j * np.pi * depth * axial)
+        field = np.fft.ifft2(np.fft.fft2(np.exp(2j * np.pi * path / lam)) * transfer)
+        energy = np.abs(field) ** 2 * (pitch / count) ** 2
+        pixels = energy.reshape(2, count // 2, 2, count // 2).sum((1, 3)).ravel()
+        assert light[:, middle, middle + along] == pytest.approx(pixels, rel=0.004, abs=0.002 * pitch**2)
 
 
 def test_nodes_that_only_some_zones_use_leave_pixels_finite():
@@ -100,6 +132,36 @@ def test_zones_shift_photodiodes_with_a_pitch_that_is_no_whole_number_of_pixels(
     assert pixels_per_lens(camera) == 2
     assert len(zones) == 16
     assert len(PhotodiodeResponses(even, 550.0, 550.0).zones) == 1
+
+
+def test_lenses_that_a_table_aligns_to_chief_rays_are_those_of_a_smaller_pitch():
+    """The chief ray at the height h moves by c h on its way to the detector, as those of a pitch smaller by this."""
+    camera, height = camera_of(4.0, 400), 0.8
+    moved = 0.002
+    heights = height * np.linspace(0, 1, 9)
+    # By Snell's law at the border of the medium.
+    angles = np.degrees(np.arcsin(camera.mla_medium * np.sin(np.arctan(moved * heights / camera.detector_distance))))
+    table = tuple(np.stack([heights, angles], -1).ravel().tolist())
+    aligned, smaller = camera.replace(mla_cra=table), camera.replace(mla_pitch=camera.mla_pitch * (1 - moved))
+    one, other, plain = (
+        PhotodiodeResponses(each, 550.0, 550.0).by_direction(150.0, -60.0) for each in (aligned, smaller, camera)
+    )
+    assert np.linalg.norm(one - other) < 0.01 * np.linalg.norm(other)
+    assert np.linalg.norm(plain - other) > 0.2 * np.linalg.norm(other)
+    assert len(Zones.of(aligned, 2)) == len(Zones.of(smaller, 2)) > len(Zones.of(camera, 2))
+
+
+@pytest.mark.slow
+def test_aligned_lenses_divide_the_light_of_a_white_wall_evenly_off_the_axis():
+    camera = camera_of(2.0, 2000).replace(crop_offset=(392, 1992), crop_size=(16, 16))
+    wall = facing(200.0, 300.0, **radiating())
+    splits = []
+    for table in ((), (0.0, 0.0, 3.0, float(np.degrees(np.arctan(3 / 50))))):
+        scene = scene_of(camera.replace(mla_cra=table).to_sensor(), wall=wall)
+        image = render_capture(scene, model="wave", wavelength=550.0, spp=16).image
+        splits.append((image[:, 1::2].mean() - image[:, ::2].mean()) / image.mean())
+    assert splits[0] < -0.05
+    assert abs(splits[1]) < 0.1 * abs(splits[0])
 
 
 def test_gaps_between_lenses_leave_the_brightness_of_a_wall():

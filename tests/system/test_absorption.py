@@ -26,9 +26,7 @@ def variant():
 def test_rays_lose_light_along_their_paths():
     sensors = [mi.load_dict(PlenopticCamera(**STEEP, mla_absorption=each).to_sensor()) for each in (0.0, 15.0)]
     film, lens = np.random.default_rng(1).random((2, 2, 500)).astype(np.float32)
-    (ray, clear), (_, dimmed) = (
-        sensor.sample_ray(0.0, 0.5, mi.Point2f(film), mi.Point2f(lens)) for sensor in sensors
-    )
+    (_, clear), (_, dimmed) = (sensor.sample_ray(0.0, 0.5, mi.Point2f(film), mi.Point2f(lens)) for sensor in sensors)
     clear, dimmed = np.array(clear)[0], np.array(dimmed)[0]
     camera = sensors[0].camera
     # Rays of an ideal main lens start on the pupil, from where they meet the array.

@@ -3,13 +3,13 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_microlens_shapes import SHAPES, WAVELENGTH, propagated
 from wave_cases import HALF, error, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.system.figure_error import FigureError
 from mitsuba_plenoptic.system.lens_kinds import irregularities
+from tools.bench.cases.microlens_shapes import SHAPES, WAVELENGTH, propagated
 
 POINT = np.array([0.03, -0.02, 114.0])
 

@@ -8,57 +8,12 @@ import pytest
 from wave_cases import HALF, error, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, calibrate, reconstruct, render_capture
-from mitsuba_plenoptic.microlens import Conic, PhaseMap, Sampled, ZoneLens
-from mitsuba_plenoptic.operator.full_field import point_fields
+from mitsuba_plenoptic.microlens import Conic, Sampled, ZoneLens
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.prescription.glass import LINE_D
 from mitsuba_plenoptic.runtime.backend import array_module
 from mitsuba_plenoptic.system.microlens_orders import PlaneFactor, axis_orders
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
-
-WAVELENGTH = 550.0
-ACROSS = np.linspace(-0.033, 0.033, 67)
-X, Y = np.meshgrid(ACROSS, ACROSS)
-
-
-def bumpy(x, y):
-    """Return the height of a freeform: a dome with coma and astigmatism."""
-    r2 = x * x + y * y
-    return -(r2 / 0.5) * (1 + 0.8 * x - 0.5 * y) + 0.1 * (x * x - y * y)
-
-
-def metasurface(x, y, wavelength):
-    """Return the phase in waves of a lens that is the same at two wavelengths."""
-    return -(np.sqrt(x * x + y * y + 0.5**2) - 0.5) / (wavelength * 1e-6)
-
-
-SHAPES = {
-    "sphere": Conic(0.25),
-    "asphere": Conic(0.25, -0.5, (30.0, -2e3), {"index": 1.5168, "abbe": 64.2}),
-    "sampled": Sampled(bumpy(X, Y), 0.066),
-    "zones": ZoneLens(0.5, 532.0),
-    "relief": PhaseMap(metasurface(X, Y, 532.0) % 1, 0.066, 532.0, relief=True),
-    "metasurface": PhaseMap([metasurface(X, Y, each) % 1 for each in (500.0, 600.0)], 0.066, (500.0, 600.0)),
-}
-
-
-def path_of(name, x, y, wavelength):
-    """Return the path in millimetres of a shape by its definition."""
-    r2 = x * x + y * y
-    if name == "sphere":
-        return 0.5 * (np.sqrt(0.25**2 - r2) - 0.25)
-    if name == "asphere":
-        glass = Conic(1.0, glass={"index": 1.5168, "abbe": 64.2}).glass
-        sag = (1 - np.sqrt(1 - 0.5 * r2 / 0.25**2)) * 0.25 / 0.5 + 30 * r2**2 - 2e3 * r2**3
-        return -(glass.at(wavelength) - 1) * sag
-    if name == "sampled":
-        return 0.5 * bumpy(x, y)
-    if name == "metasurface":
-        ends = [metasurface(x, y, each) * (wavelength * 1e-6) for each in (500.0, 600.0)]
-        return ends[0] + (ends[1] - ends[0]) * (wavelength - 500) / 100
-    phase = -r2 / (2 * 532e-6 * 0.5) if name == "zones" else metasurface(x, y, 532.0)
-    return (phase - np.floor(phase)) * 532e-6
-
+from tools.bench.cases.microlens_shapes import SHAPES, WAVELENGTH, X, Y, bumpy, path_of, propagated
 
 shapes = pytest.mark.parametrize("name", SHAPES)
 
@@ -109,36 +64,6 @@ def test_slopes_are_those_of_the_phase(name):
     assert np.allclose(np.array(shape.waves(*lanes, WAVELENGTH)), shape.waves(x, y, WAVELENGTH))
     for one, other in zip(shape.slopes(*(mi.Float(values) for values in (x, y))), shape.slopes(x, y), strict=True):
         assert np.allclose(np.array(one), other, atol=1e-5)
-
-
-def propagated(camera, name, position, wavelength, finer=4):
-    """Return the pixels of a point's light, propagated from before the array on a finer grid.
-
-    `name` is that of a shape, or the path as a function of the position on the array.
-    """
-    fields = point_fields(OpticalSystem(camera, wavelength), position)
-    before, (rows, columns) = fields.mla, fields.mla.samples.shape
-    spectrum = np.fft.fftshift(np.fft.fft2(before.samples.astype(complex)))
-    room = [(size * (finer - 1) // 2, size * finer - size - size * (finer - 1) // 2) for size in (rows, columns)]
-    light = np.fft.ifft2(np.fft.ifftshift(np.pad(spectrum, room))) * finer**2
-    pitch, n, lam = before.pitch / finer, camera.mla_medium, wavelength * 1e-6
-    x, y = (before.origin[axis] + np.arange(light.shape[1 - axis]) * pitch for axis in (0, 1))
-    if callable(name):
-        path = name(*np.meshgrid(x, y))
-    else:
-        cx, cy = camera.lattice.centre(*camera.lattice.cell(*np.meshgrid(x, y)))
-        path = path_of(name, *camera.lattice.to_frame(x - cx, y[:, None] - cy), wavelength)
-    light *= np.exp(2j * np.pi * path / lam)
-    fx, fy = (np.fft.fftfreq(size, pitch) for size in light.shape[::-1])
-    axial = np.sqrt(np.maximum((n / lam) ** 2 - fx**2 - fy[:, None] ** 2, 0))
-    light = np.fft.ifft2(np.fft.fft2(light) * np.exp(2j * np.pi * camera.detector_distance * (axial - n / lam)))
-    size = camera.pixel_size
-    spectrum = np.fft.fft2(np.abs(light) ** 2) * np.sinc(fx * size) * np.sinc(fy * size)[:, None] * size**2
-    # At the centres of pixels, a whole number of samples apart.
-    first = [camera.pixel_coordinates(axis)[0] - place[0] for axis, place in ((0, x), (1, y))]
-    spectrum *= np.exp(2j * np.pi * (fx * first[0] + fy[:, None] * first[1]))
-    every = round(size / pitch)
-    return np.fft.ifft2(spectrum).real[: every * camera.shape[0] : every, : every * camera.shape[1] : every]
 
 
 @pytest.mark.parametrize(

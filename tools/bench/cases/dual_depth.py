@@ -7,6 +7,8 @@ one wave capture is common to both pictures, which pulls disparities towards zer
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -20,21 +22,27 @@ from .. import Row, at_most, case
 from ..scenes.light_paths import scene_of
 from ..scenes.textured import relief
 
-FOCAL_LENGTH, FOCUS, PIXEL, HEIGHT, MEDIUM = 6.0, 100.0, 0.0014, 0.004, 1.5
+FOCAL_LENGTH, FOCUS, PIXEL, HEIGHT, MEDIUM = 24.0, 400.0, 0.0014, 0.004, 1.5
 
 WAVELENGTH = 550.0
 
 WINDOW = 21
 """Lenses across the matcher's window."""
 
-MARGIN = WINDOW // 2 + 7
-"""Lenses around a window whose light does not enter it: half of it, and the largest blur's radius."""
-
-BLURS = (-6.0, -4.0, -2.0, 0.0, 2.0, 4.0, 6.0)
+BLURS = (-5.0, -3.0, -1.0, 1.0, 3.0, 5.0)
 """Blur radii in lenses of the planes that calibrate, negative for those nearer than the plane in focus."""
 
+MARGIN = WINDOW // 2 + 6
+"""Lenses around a part of the picture whose light does not enter its windows."""
+
+RAMP, STEPS = 4.5, (-4.0, 1.5, 4.5)
+"""Largest blur of the tilted plane of the scene, and blurs of its steps."""
+
+HALF_DISCS = 8 / (3 * math.pi)
+"""Disparity over the radius of blur."""
+
 Depths = Callable[[Any, Any], Any]
-"""Signed blur radius as a function of positions across the picture, from -1 to 1."""
+"""Signed blur radius as a function of positions across the picture, over half its width."""
 
 
 def camera_of(f_number: float, lenses: tuple[int, ...]) -> PlenopticCamera:
@@ -47,90 +55,137 @@ def camera_of(f_number: float, lenses: tuple[int, ...]) -> PlenopticCamera:
     )  # fmt: skip
 
 
-def disparities(
-    camera: PlenopticCamera, depths: Depths, model: str, rays: int, texture: int
-) -> NDArray[np.float64]:
-    """Return the disparity of each lens, the mean of two pairs; `rays` rays of a lens pass the pupil."""
-
-    def inverse_depth(x: Any, y: Any) -> Any:
-        half = camera.detector_width / 2
-        radius = depths(x / half, y / half)
-        return 1 / FOCUS - radius * camera.mla_pitch / (camera.aperture_radius * camera.mla_distance)
-
-    scene = scene_of(camera.to_sensor(), **relief(camera, inverse_depth, MARGIN, texture))
-    # Of the rays of a pixel, those within the image of the pupil pass it.
-    within = math.pi / 4 * (camera.micro_image_diameter / camera.mla_pitch) ** 2
-    options: dict[str, Any] = {"model": model, "spp": math.ceil(rays / (4 * within))}
-    if model == "wave":
-        options["wavelength"] = WAVELENGTH
-    pairs = [dual_pixel(render_capture(scene, seed=seed, **options)) for seed in (0, 1)]
-    mixed = [one.copy(data=np.stack([one.values[:, 0], other.values[:, 1]], 1)) for one, other in (pairs, pairs[::-1])]
-    return np.nanmean([match_halves(pair, window=WINDOW).values for pair in mixed], axis=0)
+def inverse_depth(camera: PlenopticCamera, blur: Any) -> Any:
+    """Return the reciprocal depth at which points have a signed blur radius in lenses."""
+    return 1 / FOCUS - blur * (camera.mla_pitch / (camera.aperture_radius * camera.mla_distance))
 
 
-def curve(camera: PlenopticCamera, model: str, rays: int, texture: int) -> NDArray[np.float64]:
-    """Return the disparity of planes with the blurs `BLURS`: the mean over the picture."""
-    inner = slice(MARGIN, -MARGIN)
-    return np.array(
-        [
-            np.nanmean(disparities(camera, lambda x, y, r=radius: r + 0 * x, model, rays, texture)[inner, inner])
-            for radius in BLURS
-        ]
-    )
-
-
-RAMP, STEPS = 5.0, (-4.5, 1.5, 5.0)
-"""Largest blur of the tilted plane in the upper half of the picture, and blurs of the steps in the lower half."""
+def planes(x: Any, y: Any) -> Any:
+    """Return the blurs of planes that face the camera, in two rows and three columns of the picture."""
+    return np.array(BLURS)[_column(x) + 3 * (y > 0)]
 
 
 def tilted_and_steps(x: Any, y: Any) -> Any:
-    """Return the blur radius of a tilted plane above planes with steps."""
-    step = np.clip(((x + 1) / 2 * len(STEPS)).astype(int), 0, len(STEPS) - 1)
-    return np.where(y > 0, RAMP * x, np.array(STEPS)[step])
+    """Return the blurs of a tilted plane above planes with steps."""
+    return np.where(y > 0, RAMP * x, np.array(STEPS)[_column(x)])
 
 
-def parts(camera: PlenopticCamera, blurs: NDArray[np.float64]) -> Iterator[tuple[slice, slice]]:
-    """Yield the rows and columns of lenses of each step, and of thirds of the tilted plane, without their margins."""
-    rows, columns = blurs.shape
-    edges = np.linspace(0, columns, len(STEPS) + 1).astype(int)
-    halves = slice(MARGIN, rows // 2 - MARGIN), slice(rows // 2 + MARGIN, rows - MARGIN)
-    for half in halves:
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+def _column(x: Any) -> Any:
+    return np.clip(((x + 1) * 1.5).astype(int), 0, 2)
+
+
+def parts(lenses: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
+    """Yield rows and columns of the lenses of each part of a picture, without margins."""
+    columns, rows = lenses
+    for half in (slice(MARGIN, rows // 2 - MARGIN), slice(rows // 2 + MARGIN, rows - MARGIN)):
+        for low, high in itertools.pairwise(range(0, columns + 1, columns // 3)):
             yield half, slice(low + MARGIN, high - MARGIN)
+
+
+@functools.cache
+def disparities(
+    f_number: float, lenses: tuple[int, ...], depths: Depths, model: str, rays: int, texture: int
+) -> NDArray[np.float64]:
+    """Return the disparity of each part of a picture, the median; about `rays` rays of each lens pass the pupil."""
+    camera = camera_of(f_number, lenses)
+    half = camera.detector_width / 2
+
+    def surface(x: Any, y: Any) -> Any:
+        return inverse_depth(camera, depths(x / half, y / half))
+
+    scene = scene_of(camera.to_sensor(), **relief(camera, surface, MARGIN, texture))
+    # Of the rays of a pixel, those within the image of the pupil pass it.
+    within = math.pi / 4 * (camera.micro_image_diameter / camera.mla_pitch) ** 2
+    spp = rays / (4 * within)
+    if model == "ray":
+        pairs = [dual_pixel(render_capture(scene, model=model, spp=math.ceil(spp)))]
+    else:
+        # The noise of wave captures grows with the coherence width.
+        options = {"wavelength": WAVELENGTH, "spp": math.ceil(spp * (f_number / 1.8) ** 1.5)}
+        made = [dual_pixel(render_capture(scene, model=model, seed=seed, **options)) for seed in (0, 1)]
+        pairs = [
+            one.copy(data=np.stack([one.values[:, 0], other.values[:, 1]], 1)) for one, other in (made, made[::-1])
+        ]
+    found = np.nanmean([match_halves(pair, window=WINDOW).values for pair in pairs], axis=0)
+    return np.array([np.nanmedian(found[at]) for at in parts(lenses)])
 
 
 @case(
     "dual-pixels.depth",
-    "Disparity of a tilted plane and of steps in depth against the curve that planes facing the camera calibrate: the "
-    "largest difference of the mean over one of six parts of the picture, over the largest disparity",
+    "Disparity of a tilted plane and of steps in depth against the curve that planes facing the camera calibrate: "
+    "slope of the medians of six parts of the picture over the curve, and their residual over the largest disparity",
     {
-        "f-number": "f/{f_number:g}", "model": "{model}", "disparity at blurs of -6, -2, 2, 6 lenses": "{shown}",
-        "of half discs": "{ratio:.2f}", "off": "{off:.1%}", "one lens": "{rms:.1%}",
+        "f-number": "f/{f_number:g}", "model": "{model}", "disparity at blurs of -5, -1, 1, 5 lenses": "{shown}",
+        "over that of half discs": "{ratio:.2f}", "slope": "{slope:.3f}", "off": "{off:.1%}",
+        "residual": "{residual:.1%}",
     },
     (at_most("off", 0.03),),
     page="docs/numbers.md",
-    quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80)},
+    quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 1},
 )  # fmt: skip
 def depth(
-    *, f_numbers: tuple[float, ...] = (1.8, 4.0, 8.0), rays: int = 250, lenses: tuple[int, ...] = (180, 120)
+    *,
+    f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0),
+    rays: int = 30,
+    lenses: tuple[int, ...] = (240, 160),
+    textures: int = 3,
 ) -> Iterator[Row]:
-    """Compare the disparities of a scene with the curve; ``rays`` rays of each lens pass the pupil."""
+    """Compare the disparities of a scene with the curve; about ``rays`` rays of each lens pass the pupil."""
+    x, y = (np.arange(count) * 2 + 1 - count for count in lenses)
+    blurs = tilted_and_steps(*np.meshgrid(x / lenses[0], y / lenses[0]))
+    for f_number in f_numbers:
+        for model in ("ray", "wave"):
+            own = f_number, lenses
+            known = np.mean([disparities(*own, planes, model, rays, number) for number in range(textures)], 0)
+            found = np.mean(
+                [disparities(*own, tilted_and_steps, model, rays, textures + number) for number in range(textures)], 0
+            )
+            curve = np.interp(blurs, BLURS, known)
+            expected = np.array([float(np.median(curve[at])) for at in parts(lenses)])
+            slope = float(found @ expected / (expected @ expected))
+            yield {
+                "f_number": f_number, "model": model, "curve": known, "found": found, "expected": expected,
+                "shown": ", ".join(f"{known[BLURS.index(each)]:.2f}" for each in (-5, -1, 1, 5)),
+                "ratio": float((known[-1] - known[0]) / (BLURS[-1] - BLURS[0]) / HALF_DISCS),
+                "slope": slope, "off": abs(slope - 1),
+                "residual": float(np.sqrt(np.mean((found - slope * expected) ** 2)) / np.abs(known).max()),
+            }  # fmt: skip
+
+
+@case(
+    "dual-pixels.matching",
+    "Depths of planes that a block matcher finds in wave pairs after calibration with ray pairs, at blurs of -5 and of "
+    "5 lenses: error of the disparity, of the defocus and of the depth, and its standard deviation between textures",
+    {
+        "f-number": "f/{f_number:g}", "blur (lenses)": "{blur:g}", "ray disparity": "{rays:.2f}",
+        "bias of waves (lenses)": "{bias:.2f} +- {deviation:.2f}", "of the defocus": "{defocus:.0%}",
+        "of the depth": "{depth:.1%} +- {depth_deviation:.1%}",
+    },
+    page="docs/numbers.md",
+    quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 2},
+)  # fmt: skip
+def matching(
+    *,
+    f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0),
+    rays: int = 30,
+    lenses: tuple[int, ...] = (240, 160),
+    textures: int = 3,
+) -> Iterator[Row]:
+    """Read disparities of wave pairs with the mean curve of ray pairs; captures are those of the other case."""
     for f_number in f_numbers:
         camera = camera_of(f_number, lenses)
-        x, y = (np.arange(count) * 2 + 1 - count for count in lenses)
-        blurs = tilted_and_steps(*np.meshgrid(x / lenses[0], y / lenses[0]))
-        for model in ("ray", "wave"):
-            known = curve(camera, model, rays, 1)
-            found, expected = disparities(camera, tilted_and_steps, model, rays, 2), np.interp(blurs, BLURS, known)
-            places = list(parts(camera, blurs))
-            means = np.array([(np.nanmean(found[at]), expected[at].mean()) for at in places])
-            errors = np.concatenate([(found[at] - expected[at]).ravel() for at in places])
-            largest = np.abs(known).max()
+        known, waves = (
+            np.array([disparities(f_number, lenses, planes, model, rays, number) for number in range(textures)])
+            for model in ("ray", "wave")
+        )
+        mean = known.mean(0)
+        read = np.array([np.interp(each, mean, BLURS) for each in waves])
+        for place in (0, -1):
+            blur = BLURS[place]
+            depths = inverse_depth(camera, blur) / inverse_depth(camera, read[:, place]) - 1
             yield {
-                "f_number": f_number, "model": model, "curve": known,
-                "shown": ", ".join(f"{known[BLURS.index(each)]:.2f}" for each in (-6, -2, 2, 6)),
-                # Those of half discs are 8R/(3 pi).
-                "ratio": float((known[-1] - known[0]) / 12 / (8 / (3 * math.pi))),
-                "means": means, "off": float(np.abs(means[:, 0] - means[:, 1]).max() / largest),
-                "rms": float(np.sqrt(np.nanmean(errors**2)) / largest),
+                "f_number": f_number, "blur": blur, "rays": mean[place],
+                "bias": float(waves[:, place].mean() - mean[place]), "deviation": float(waves[:, place].std(ddof=1)),
+                "defocus": float(read[:, place].mean() / blur - 1),
+                "depth": float(depths.mean()), "depth_deviation": float(depths.std(ddof=1)),
             }  # fmt: skip

@@ -45,7 +45,7 @@ def camera_of(f_number: float, lenses: int, pitch: float = PITCH, depth: float =
     return PlenopticCamera(
         focal_length=40.0, aperture_radius=b / (2 * f_number), mla_distance=b, mla_pitch=pitch,
         mla_focal_length=depth, detector_distance=depth, mla_medium=MEDIUM,
-        detector_width=lenses * pitch, resolution=(2 * lenses, 2 * lenses),
+        detector_width=lenses * pitch, resolution=(2 * lenses, 2 * lenses), lens_model="parabolic",
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
 
-_OCTAVES = (1.0, 2.0, 4.0, 8.0)
+_OCTAVES = (1.0, 2.0, 4.0)
 """Standard deviations in lenses of the Gaussians that filter the noise of a texture."""
 
 _FINER = 4
@@ -32,7 +32,7 @@ def texture(camera: PlenopticCamera, margin: float, seed: int) -> NDArray[np.flo
     for width in _OCTAVES:
         octave = scipy.ndimage.gaussian_filter(random.standard_normal(shape), width * _FINER)
         noise += octave / octave.std()
-    return np.clip(1 + 0.25 * noise, 0.05, 2).astype(np.float32)
+    return np.clip(1 + 0.3 * noise, 0.05, 2).astype(np.float32)
 
 
 def relief(camera: PlenopticCamera, inverse_depth: Any, margin: float, seed: int) -> dict[str, Any]:
