@@ -28,6 +28,7 @@ from .array_functions import (
 from .camera import PlenopticCamera
 from .errors import InputError, refuse_if
 from .operator.operator import CaptureOperator
+from .runtime.backend import one_at_a_time
 
 try:
     import jax
@@ -224,6 +225,8 @@ class _Latest:
 def _on_host(function: Callable[..., Any], like: Any, *given: Any) -> Any:
     """Apply a function of lists of NumPy's arrays; `like` has the shapes and types of its results."""
 
+    # JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    @one_at_a_time
     def called(*arrays: Any) -> Any:
         made = function([working_array(np.asarray(each)) for each in arrays])
         return jax.tree.map(lambda one, each: np.asarray(each, one.dtype).reshape(one.shape), like, made)

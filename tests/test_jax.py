@@ -181,6 +181,8 @@ def test_captures_of_scenes():
     felt = random(32, 32, 1, low=0)
     assert float((forward * felt).sum()) == pytest.approx(float(((ahead - back) * felt).sum()) / 0.2, rel=1e-3)
     first, second = jax.grad(lambda *values: (image(*values) * felt).sum(), (0, 1))(*start)
+    (again,) = jax.jit(jax.grad(lambda value: (image(value, start[1]) * felt).sum(), (0,)))(start[0])
+    np.testing.assert_allclose(again, first, rtol=1e-5)
     assert float(first[0] + 0.5 * second[0]) == pytest.approx(float((forward * felt).sum()), rel=1e-4)
 
 
