@@ -38,7 +38,11 @@ _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
 
-@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
+_OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
+"""Parameters that captures hand on to the integrators."""
+
+
+@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
 @one_at_a_time
 def render_capture(
     scene: Any,
@@ -315,7 +319,7 @@ _FEW_PATHS = 16
 """Largest count of samples that are traced for a pixel at once."""
 
 
-@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
+@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
 @one_at_a_time
 def estimate_capture(
     scene: Any,
