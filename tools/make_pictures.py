@@ -209,6 +209,19 @@ def waves() -> Image.Image:
 
 
 @picture
+def laser() -> Image.Image:
+    """Show a laser spot on a wall with one mode and several, and as if its light were incoherent."""
+    size = {"detector_width": 0.256, "resolution": 128, "sky": 0.3}
+    scene = mp.load_scene("speckle", variant="llvm_ad_mono", parameters=size)
+    captures = {
+        "One mode, 4 x 4 lenses": mp.render_capture(scene),
+        "Eight modes": mp.render_capture(scene, model="wave", modes=8),
+        "Incoherent, ray capture": mp.render_capture(scene, model="ray", spp=64),
+    }
+    return sheet([[(name, one.image) for name, one in captures.items()]])
+
+
+@picture
 def light_fields() -> Image.Image:
     """Show views, and one line of all views."""
     lf = light_field()

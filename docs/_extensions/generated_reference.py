@@ -14,10 +14,14 @@ from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[2] / "mitsuba_plenoptic"
 
-PLUGINS = {"plenoptic": "plugins/sensor.py", "plenoptic_wave": "plugins/integrator.py"}
+PLUGINS = {
+    "plenoptic": "plugins/sensor.py",
+    "plenoptic_wave": "plugins/integrator.py",
+    "plenoptic_laser": "plugins/laser.py",
+}
 """Files of the plugins by their names."""
 
-_KINDS = {"plenoptic": "sensor", "plenoptic_wave": "integrator"}
+_KINDS = {"plenoptic": "sensor", "plenoptic_wave": "integrator", "plenoptic_laser": "integrator"}
 
 
 def plugin_docstring(name: str) -> str:

@@ -38,7 +38,11 @@ _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
 
-@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
+_OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
+"""Parameters that captures hand on to the integrators."""
+
+
+@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
 @one_at_a_time
 def render_capture(
     scene: Any,
@@ -86,7 +90,7 @@ def render_capture(
         which is reached where the channels deviate together, as they do for grey objects.
     **wave
         Parameters of ``plenoptic_wave``: ``wavelength``, ``bandwidth``, ``responses``, ``wavelength_count``, ``nodes``,
-        ``method``, ``accuracy``.
+        ``method``, ``accuracy``; or of the scene's ``plenoptic_laser``.
 
     Raises
     ------
@@ -217,12 +221,12 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
         return integrator.child
     if is_wave and not wave:
         return integrator
-    own = integrator.parameters() if is_wave else {}
+    own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
     # None means not given; Mitsuba's loader would end the process on it.
     wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
     try:
-        return mi.load_dict({"type": "plenoptic_wave", **own, **wave, "child": child})
+        return mi.load_dict({**own, **wave, "child": child})
     except RuntimeError as error:
         raise InputError(mitsuba_sentence(error)) from None
 
@@ -315,7 +319,7 @@ _FEW_PATHS = 16
 """Largest count of samples that are traced for a pixel at once."""
 
 
-@functools.partial(suggest_keywords, others=(*KNOWN_PARAMETERS["plenoptic_wave"], *GONE_PARAMETERS))
+@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
 @one_at_a_time
 def estimate_capture(
     scene: Any,

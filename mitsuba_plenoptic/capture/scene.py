@@ -210,6 +210,10 @@ KNOWN_PARAMETERS = {
         *("wavelength", "bandwidth", "responses", "wavelength_count", "nodes"),
         *("method", "accuracy"),
     ),
+    "plenoptic_laser": (
+        *("lasers", "wavelength", "modes", "points_per_spot"),
+        *("source_diameter", "source_distance", "bandwidth", "roughness"),
+    ),
 }
 """Parameters of this package's plugins, for suggestions in messages; Mitsuba itself detects unknown parameters."""
 

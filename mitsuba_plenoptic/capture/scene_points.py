@@ -92,6 +92,11 @@ def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCam
         raise InputError(f"{what}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
     if sensor.get_medium() is not None:
         raise InputError(f"{what}: the sensor is in a medium: it needs empty space")
+    require_matte_surfaces(scene, what)
+
+
+def require_matte_surfaces(scene: Any, what: str) -> None:
+    """Refuse a scene with surfaces that are not matte, with media or with instances."""
     bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     for shape in scene.shapes():
         name = f"{what}: surface {shape.id()}"

@@ -8,6 +8,7 @@ of the steps in opposite order. Transfer functions and transmissions then are co
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cached_property
 from typing import Any
 
@@ -17,11 +18,12 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_choice
+from ..lenses.base import MainLens
 from ..optics.waves import advance
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fft, fft2, resting_drjit
 from ..system.optical_system import OpticalSystem
-from ..system.sampling import check_memory, footprint
+from ..system.sampling import Footprint, check_memory, footprint
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .full_field import detector_spectrum, pass_microlenses, pixel_integrals
 from .nonuniform import PlaneWaves
@@ -29,6 +31,9 @@ from .pupil_sums import Layer, PupilGrid, layers
 
 PLANES = ("pupil", "array", "detector")
 """Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
+
+_TOGETHER = 2**14
+"""Number of points whose rays are traced together."""
 
 
 def require_coherent(camera: PlenopticCamera) -> None:
@@ -52,7 +57,7 @@ class CoherentFields:
         lens: Any = system.waves_of(points)
         self.system, self._lens, self._points = system, lens, points
         what = f"coherent field of {len(points)} points"
-        self.grids = grids_around(system, lens, footprint(lens, points), points, what)
+        self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
         self._pupil = PupilGrid(lens, self.grids.wide_origin, self._pupil_pitch)
         check_memory(PlaneWaves.memory(len(points), self._pupil.count) + 8.0 * self.grids.wide_pupil**2, what)
 
@@ -137,6 +142,13 @@ class CoherentFields:
         spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
         with resting_drjit():
             return fft2(spectrum, inverse=True)
+
+
+def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
+    """Return the footprints of points, computed for some of them at a time."""
+    parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
+    names = [field.name for field in dataclasses.fields(Footprint)]
+    return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:

@@ -150,6 +150,16 @@ MAIN_LENS = Guard(
     refuse=0.25,
 )
 
+# The field of a point passes the whole pupil. Edges of objects hide points behind them from parts of it, which matters
+# where much of a laser's light comes from there.
+HIDDEN = Guard(
+    "partly_hidden",
+    "of the laser light comes from points that objects hide from parts of the pupil, as if they did not",
+    "move objects away from lines between lit surfaces and the main lens, or use a smaller aperture",
+    warn=0.02,
+    refuse=0.2,
+)
+
 
 class _Findings(dict[Guard, float]):
     """Largest fraction so far, by guard."""

@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from ..errors import InputError
 from ..runtime import llvm
-from . import integrator, sensor
+from . import integrator, laser, sensor
 
 
 def _refuse(name: str, reason: str) -> Callable[[Any], NoReturn]:
@@ -32,7 +32,8 @@ def _register(old: str | None, new: str | None) -> None:
         reason = f"variant {new}: this plugin needs an llvm_ad_* or cuda_ad_* variant"
     elif new.startswith("llvm"):
         reason = llvm.problem()
-    for plugin, register in ((sensor, mi.register_sensor), (integrator, mi.register_integrator)):
+    plugins = (sensor, mi.register_sensor), (integrator, mi.register_integrator), (laser, mi.register_integrator)
+    for plugin, register in plugins:
         register(plugin.NAME, _refuse(plugin.NAME, reason) if reason else plugin.make_class())
 
 

@@ -177,6 +177,8 @@ def make_class() -> type:
                 'child': {'type': 'path'}
         """
 
+        plugin = NAME
+
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.colours = read_colours(props)

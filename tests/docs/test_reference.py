@@ -16,7 +16,7 @@ from mitsuba_plenoptic.camera.entry import Form
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.cli import app, commands_of
 from mitsuba_plenoptic.lenses.base import Light, MainLens
-from mitsuba_plenoptic.plugins import integrator, properties
+from mitsuba_plenoptic.plugins import integrator, laser, properties
 
 ROOT = Path(__file__).parents[2]
 
@@ -135,6 +135,7 @@ def read_by(module):
     [
         ("plenoptic", SENSOR_NAMES),
         ("plenoptic_wave", read_by(integrator) | read_by(properties) | {"wavelength"}),
+        ("plenoptic_laser", read_by(laser) | {"modes", *laser.SOURCE}),
     ],
 )
 def test_plugins_document_what_they_read(name, read):

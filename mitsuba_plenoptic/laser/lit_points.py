@@ -1,0 +1,172 @@
+r"""Points of a scene's rough surfaces that lasers light directly, for a coherent capture.
+
+Chief rays through a jittered grid of points of the microlens array, with some points in each resolved spot, find the
+surfaces; shadow rays find the lasers that they see. A point stands for the part of the surface whose chief rays cross
+the area A of one cell of the grid. With the radiance L that its surface reflects towards the camera its power is
+
+.. math:: w = L \, \frac{A}{b^2} \, \frac{A_{pupil} z^2}{A_{lens} A_{pixel}}
+
+in the units of captures. Lasers are mutually coherent: the fields of several that light one point add with the phases
+of their paths, so that the reflected light has the fringes of their interference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..capture.entrance import LensWindow
+from ..capture.scene_light import random_numbers, world_ray
+from ..errors import InputError, did_you_mean, refuse_if
+from ..operator.units import radiance_weight
+from ..optics import guards
+from ..optics.waves import in_millimetres
+from ..runtime.limits import require_memory
+from ..system.optical_system import OpticalSystem
+
+_COARSE = 64
+"""Chief rays along each axis that find the distances of the surfaces, and so the width of their blur."""
+
+_WIDER = 3.0
+"""Width of the square of these rays over that of the recorded lenses."""
+
+_RIM = 12
+"""Points on the edge of the pupil that must see the lit points."""
+
+_LANES = 2**20
+"""Number of chief rays that are traced at once."""
+
+_POINT_BYTES = 64.0
+"""Memory of a lit point."""
+
+
+@dataclass(frozen=True)
+class LitPoints:
+    """Points that reflect laser light."""
+
+    # Positions in the camera frame, (n, 3).
+    positions: NDArray[np.float64]
+    # Power of each in the units of captures, (n,).
+    weights: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LaserScene:
+    """A scene with lasers, and the sensor that captures it."""
+
+    scene: Any
+    sensor: Any
+    lasers: Sequence[Any]
+    system: OpticalSystem
+
+    def points(self, per_spot: float, seed: int) -> LitPoints:
+        """Find points with a given number of them in a square of side lambda b / D on the array."""
+        lens, rng = self.system.lens, np.random.default_rng(seed)
+        window = LensWindow.of(self.system)
+        middle, half = (window.low + window.high) / 2, (window.high - window.low) / 2
+        coarse = np.stack(np.meshgrid(*[(np.arange(_COARSE) + 0.5) * 2 / _COARSE - 1] * 2), -1).reshape(-1, 2)
+        found, _, _ = self._lit(middle + coarse * half * _WIDER, seed)
+        if not len(found):
+            return LitPoints(np.empty((0, 3)), np.empty(0))
+        blur = lens.pupil_radius * np.abs(lens.pupil_distance * lens.convergence(found[:, 2]) - 1).max()
+        half = np.minimum(half + blur, half * _WIDER)
+        spot = in_millimetres(self.system.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
+        count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
+        total = int(count.prod())
+        require_memory(_POINT_BYTES * total, f"points_per_spot = {per_spot:g}: {total} rays to points")
+        cell = 2 * half / count
+        parts = []
+        for first in range(0, total, _LANES):
+            index = np.arange(first, min(first + _LANES, total))
+            place = np.stack([index % count[0], index // count[0]], 1) + rng.random((len(index), 2))
+            parts.append(self._lit(middle - half + place * cell, int(rng.integers(2**32))))
+        positions, power, hidden = (np.concatenate(each) for each in zip(*parts, strict=True))
+        if power.sum() > 0:
+            guards.check(guards.HIDDEN, float(power @ hidden / power.sum()))
+        return LitPoints(positions, power * radiance_weight(self.system.camera, lens, float(cell.prod())))
+
+    def _lit(
+        self, place: NDArray[np.float64], seed: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim that does not see each.
+
+        `place` are points (n, 2) of the array.
+        """
+        lens, lanes = self.system.lens, len(place)
+        q = tuple(mi.Float(np.ascontiguousarray(place[:, axis], np.float32)) for axis in (0, 1))
+        zero = dr.zeros(mi.Float, lanes)
+        point, slope, _ = lens.ray((zero, zero), q)
+        ray = world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope)
+        hit = self.scene.ray_intersect(ray)
+        radiance = self._radiance(hit, seed)
+        lit = np.flatnonzero(radiance > 0)
+        if not len(lit):
+            return np.empty((0, 3)), np.empty(0), np.empty(0)
+        hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
+        positions = (self.sensor.world_transform().inverse() @ hit.p).numpy().T.astype(np.float64)
+        angle = 2 * math.pi * np.arange(_RIM) / _RIM
+        hidden = np.zeros(len(lit))
+        for x, y in lens.reach * np.stack([np.cos(angle), np.sin(angle)], 1):
+            target = self.sensor.world_transform() @ mi.Point3f(float(x), float(y), 0)
+            hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
+        return positions, radiance[lit], hidden
+
+    def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
+        """Return the squared modulus of the sum of the lasers' fields, each with the phase of its path."""
+        sampler = random_numbers(seed, dr.width(hit.t))
+        context, bsdf, total = mi.BSDFContext(), hit.bsdf(), np.zeros(dr.width(hit.t), np.complex128)
+        place = hit.p.numpy().T.astype(np.float64)
+        for laser in self.lasers:
+            sample, arriving = laser.sample_direction(hit, sampler.next_2d(), hit.is_valid())
+            active = hit.is_valid() & (sample.pdf > 0) & ~self.scene.ray_test(hit.spawn_ray_to(sample.p))
+            reflected = bsdf.eval(context, hit, hit.to_local(sample.d), active) * arriving
+            light = dr.select(active, mi.unpolarized_spectrum(reflected)[0], 0).numpy().astype(np.float64)
+            refuse_if(not np.isfinite(light).all(), "scene: the laser light of some points is NaN or infinite")
+            total += np.sqrt(np.maximum(light, 0)) * np.exp(2j * math.pi * self._path(laser, sample, place))
+        return np.asarray(np.abs(total) ** 2)
+
+    def _path(self, laser: Any, sample: Any, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the path in waves from a laser to points (n, 3) of the world, less whole waves."""
+        if mi.has_flag(laser.flags(), mi.EmitterFlags.DeltaDirection):
+            towards = np.broadcast_to(sample.d.numpy().T.astype(np.float64), place.shape)
+            path = -(place * towards).sum(1)
+        else:
+            path = np.linalg.norm(place - sample.p.numpy().T.astype(np.float64), axis=1)
+        return np.asarray(np.fmod(path / in_millimetres(self.system.wavelength), 1))
+
+
+def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
+    """Return the emitters with these ids; refuse those that are not lasers."""
+    known = {emitter.id(): emitter for emitter in scene.emitters()}
+    found = []
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"{what}: lasers = {name}: the scene has no emitter of this id ({', '.join(sorted(known))})"
+                f"{did_you_mean(name, known)}"
+            )
+        flags = known[name].flags()
+        delta = mi.has_flag(flags, mi.EmitterFlags.DeltaPosition) or mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
+        refuse_if(
+            not delta,
+            f"{what}: lasers = {name}: an emitter of type {known[name].class_name()} is extended; a laser is a point, "
+            "spot, projector or directional emitter",
+        )
+        found.append(known[name])
+    return found
+
+
+def without(scene: Any, lasers: Sequence[Any]) -> Any:
+    """Return a scene of the same objects without some emitters."""
+    dark = {laser.id() for laser in lasers}
+    lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
+    rest = [lamp for lamp in lamps if lamp.id() not in dark]
+    objects = {f"object_{index}": item for index, item in enumerate((*scene.shapes(), *rest))}
+    return mi.load_dict({"type": "scene", **objects}, optimize=False)

@@ -1,0 +1,204 @@
+"""Captures of scenes with laser light: power against other captures, mixed light, shadows, fringes, refusals."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from stopped_runs import StoppedError, stopped_before
+from wave_cases import error
+
+from mitsuba_plenoptic import Checkpoint, InputError, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
+from mitsuba_plenoptic.laser.lit_points import LaserScene, named_lasers
+from mitsuba_plenoptic.operator.units import radiance_weight
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
+
+CAMERA = PlenopticCamera(
+    focal_length=40, aperture_radius=1.25, mla_distance=60, detector_width=0.128, resolution=(64, 64)
+)
+WAVELENGTH = 633.0
+LENGTH = WAVELENGTH * 1e-6
+
+LASER = {"type": "point", "position": [0, 0, 20], "intensity": {"type": "spectrum", "value": 1e4}}
+
+
+def wall(distance=120.0, bsdf=None):
+    transform = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(20)
+    return {"type": "rectangle", "to_world": transform, "bsdf": bsdf or {"type": "diffuse"}}
+
+
+def scene_of(camera=CAMERA, integrator=None, **objects):
+    own = {"type": "plenoptic_laser", "lasers": "laser", "points_per_spot": 4.0, **(integrator or {})}
+    sensor = camera.to_sensor()
+    sensor["sampler"] = {"type": "independent", "sample_count": 4}
+    given = {"wall": wall(), "laser": LASER, **objects}
+    return load_scene({"type": "scene", "integrator": own, "sensor": sensor, **given}, variant="llvm_ad_mono")
+
+
+def lit(scene, per_spot=4.0, names=("laser",)):
+    system = OpticalSystem(CAMERA, WAVELENGTH)
+    made = LaserScene(scene, scene.sensors()[0], named_lasers(scene, names, "test"), system)
+    return made.points(per_spot, 0)
+
+
+@pytest.fixture(autouse=True)
+def _variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def test_the_mean_power_is_that_of_a_wave_capture():
+    scene = scene_of(integrator={"modes": 24})
+    capture = render_capture(scene)
+    assert capture.wavelength == WAVELENGTH
+    assert capture.metadata["modes"] == 24
+    other = render_capture(
+        load_scene(
+            {
+                "type": "scene", "wall": wall(), "laser": LASER, "sensor": CAMERA.to_sensor(),
+                "integrator": {"type": "plenoptic_wave", "wavelength": WAVELENGTH},
+            }
+        ),
+        spp=256,
+    )  # fmt: skip
+    bright = other.image > 0.3 * other.image.max()
+    assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.04)
+    ratio = capture.image[bright] / other.image[bright]
+    assert 0.6 / math.sqrt(24) < ratio.std() < 1.1 / math.sqrt(24)
+
+
+def test_weights_against_the_closed_form():
+    points = lit(scene_of())
+    x, y, z = points.positions.T
+    np.testing.assert_allclose(z, 120, rtol=1e-6)
+    # A point source of intensity I, height h above a matte wall of albedo 1/2: I cos / r^2 times 1 / 2 pi.
+    h = 100.0
+    radiance = 1e4 * h / (x**2 + y**2 + h**2) ** 1.5 * 0.5 / math.pi
+    relative = points.weights / radiance
+    np.testing.assert_allclose(relative, relative[0], rtol=1e-4)
+    # All cells together are the square on the array from which the chief rays come.
+    area = (np.ptp(x) / 2) * (np.ptp(y) / 2)
+    system = OpticalSystem(CAMERA, WAVELENGTH)
+    assert relative.sum() == pytest.approx(radiance_weight(CAMERA, system.lens, area), rel=0.05)
+
+
+def test_other_light_adds_as_intensity():
+    sky = {"type": "constant", "radiance": {"type": "spectrum", "value": 2.0}}
+    mixed = render_capture(scene_of(sky=sky), seed=3).image
+    alone = render_capture(scene_of(), seed=3).image
+    daylight = render_capture(
+        load_scene(
+            {
+                "type": "scene", "wall": wall(), "sky": sky, "sensor": CAMERA.to_sensor(),
+                "integrator": {"type": "path"},
+            }
+        ),
+        spp=64,
+    ).image  # fmt: skip
+    assert (mixed - alone).sum() == pytest.approx(daylight.sum(), rel=0.05)
+    assert error(mixed - alone, daylight) < 0.5
+    assert alone.std() > mixed.mean() * 0.1
+
+
+def test_two_lasers_make_fringes_on_the_wall():
+    x = 8.0
+    lasers = {f"laser{side}": {**LASER, "position": [side * x, 0, 0]} for side in (-1, 1)}
+    # XML ids may not begin with a sign.
+    lasers = {"laser": lasers["laser-1"], "other": lasers["laser1"]}
+    points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
+    one, two = (lit(scene_of(**lasers), per_spot=16, names=(name,)) for name in lasers)
+    assert np.array_equal(points.positions, one.positions)
+    paths = [np.hypot(np.hypot(points.positions[:, 0] - s * x, points.positions[:, 1]), 120.0) for s in (-1, 1)]
+    expected = (
+        one.weights
+        + two.weights
+        + 2 * np.sqrt(one.weights * two.weights) * np.cos(2 * np.pi * (paths[0] - paths[1]) / LENGTH)
+    )
+    assert error(points.weights, expected) < 0.05
+    # Fringes of period lambda D / 2 x = 4.7 um, of contrast nearly 1.
+    assert points.weights.min() < 0.01 * points.weights.max()
+
+
+def test_shadows_have_no_laser_light():
+    # A plate over half of the wall's light: it hides the laser from all points with x > 0 but not the lens.
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([30.0, 0, 60]).scale([5, 30, 1]),
+        "bsdf": {"type": "diffuse"},
+    }
+    side = {**LASER, "position": [60.0, 0, 0]}
+    x = lit(scene_of(laser=side, plate=plate)).positions[:, 0]
+    # Light from (60, 0, 0) through the edges of the plate at x = 25 and 35 meets the wall at x = -10 and 10.
+    assert len(x) == 0
+    x = lit(scene_of(laser=side, plate={**plate, "to_world": plate["to_world"].translate([-1, 0, 0])})).positions[:, 0]
+    assert len(x) > 100
+    assert x.max() < 1
+
+
+def test_points_that_the_pupil_sees_in_part_are_refused():
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([5.6, 0, 30]).rotate([0, 1, 0], 180).scale(5),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
+    }
+    with pytest.raises(PhysicsError, match="of the laser light comes from points that objects hide"):
+        render_capture(scene_of(plate=plate, laser={**LASER, "position": [0, 0, 40]}))
+
+
+def test_modes_of_a_source():
+    source = {"source_diameter": 1.0, "source_distance": 60.0}
+    count = round(laser.mode_count(CAMERA, wavelength=WAVELENGTH, distance=120, **source))
+    assert count > 1
+    found = render_capture(scene_of(integrator=source)).image
+    assert np.array_equal(found, render_capture(scene_of(integrator={"modes": count})).image)
+
+
+def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
+    def compute(existing="refuse"):
+        with Checkpoint(tmp_path / "laser.checkpoint", existing) as keeper:
+            return render_capture(scene_of(integrator={"modes": 3}), seed=2, checkpoint=keeper).image
+
+    whole = compute()
+    with pytest.raises(StoppedError), stopped_before(lambda sums: len(sums) == 2):
+        compute()
+    assert np.array_equal(compute("resume"), whole)
+    assert not np.array_equal(render_capture(scene_of(integrator={"modes": 3}), seed=1).image, whole)
+
+
+def area_lamp():
+    scene = scene_of(lamp=AREA)
+    return scene, [next(emitter.id() for emitter in scene.emitters() if emitter.class_name() == "AreaLight")]
+
+
+AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: scene_of(integrator={"lasers": ""}), "lasers: give the id"),
+        (lambda: scene_of(integrator={"modes": 0}), "plenoptic_laser: modes = 0: it must be at least 1"),
+        (lambda: scene_of(integrator={"modes": 2, "bandwidth": 1.0}), "modes, bandwidth: give one of the two"),
+        (lambda: scene_of(integrator={"wavelength": 5.0}), "plenoptic_laser: wavelength"),
+        (lambda: scene_of(integrator={"mode": 2}), "plenoptic_laser: mode: it has no such parameter; did you mean"),
+        (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "no emitter of this id .*laser.*mean"),
+        (lambda: named_lasers(*area_lamp(), "test"), "test: lasers = .*: an emitter of type AreaLight is extended"),
+        (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness: a bandwidth needs it"),
+        (
+            lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))),
+            "plenoptic_laser: surface wall of type RoughConductor is not matte",
+        ),
+        (lambda: render_capture(scene_of(), noise=True), "noise: it is not estimated"),
+        (
+            lambda: render_capture(scene_of(), model="wave", accuracy=0.1),
+            "plenoptic_laser: accuracy: it has no such parameter",
+        ),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_colour_variants_are_refused():
+    with pytest.raises(InputError, match=r"plenoptic_laser: variant llvm_ad_rgb: laser light has one wavelength"):
+        load_scene({"type": "scene", "integrator": {"type": "plenoptic_laser", "lasers": "a"}}, variant="llvm_ad_rgb")
