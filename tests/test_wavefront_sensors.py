@@ -68,6 +68,18 @@ def test_a_screen_deflects_rays_as_the_terms_do():
     assert np.allclose(screen.path(x, y), terms.path(*points), rtol=0, atol=1e-5 * np.ptp(terms.path(*points)))
 
 
+@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
+def test_ray_captures_with_a_screen_are_those_with_the_terms(lens_model):
+    strong, scene = [20 * term for term in TERMS], mp.load_scene("telescope")
+
+    def render(**changes):
+        sensor = camera("telescope", lens_model=lens_model, **changes)
+        return mp.render_capture(mp.with_camera(scene, sensor), model="ray", spp=4).image
+
+    one, other = render(wavefront=strong), render(phase_screen=zernike_screen(strong))
+    assert np.linalg.norm(one - other) < 1e-3 * np.linalg.norm(one) < 1e-2 * np.linalg.norm(one - render())
+
+
 def test_screens_extend_by_half_a_sample_and_must_cover_the_pupil():
     # The centres of 50 cells that cover the pupil.
     x = (np.arange(50) + 0.5) * 0.2 - 5
@@ -82,7 +94,7 @@ def test_screens_extend_by_half_a_sample_and_must_cover_the_pupil():
 def test_screens_in_files_and_scenes(tmp_path):
     screen = zernike_screen(TERMS, samples=12)
     camera = PlenopticCamera(phase_screen=screen)
-    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    assert PlenopticCamera.from_json(camera.to_json()) == camera and "12 x 12 samples" in repr(camera)
     np.save(tmp_path / "waves.npy", screen.waves)
     file = tmp_path / "screen.json"
     file.write_text(json.dumps({"waves": str(tmp_path / "waves.npy"), "width": screen.width}))
