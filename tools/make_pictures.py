@@ -315,6 +315,49 @@ def microscope() -> Image.Image:
     return sheet([row], white=1.0)
 
 
+@picture
+def wavefront_sensors() -> Image.Image:
+    """Show a star behind turbulence, simulated by HCIPy, in both wavefront sensors."""
+    import hcipy
+
+    from mitsuba_plenoptic.hcipy import phase_screen
+    from mitsuba_plenoptic.operator.point_spread import point_fields
+
+    grid = hcipy.make_pupil_grid(128, 0.0102)
+    strength = hcipy.Cn_squared_from_fried_parameter(0.01 / 6, 633e-9)
+    screen = phase_screen(hcipy.FiniteAtmosphericLayer(grid, strength, L0=1, seed=5).phase_for(633e-9), 633e-9)
+    points, weights = mp.far_sources.star()
+
+    def captured(preset: str, rows: int, **changes: Any) -> np.ndarray:
+        camera = mp.PlenopticCamera.preset(preset).replace(**changes)
+        image = mp.CaptureOperator(camera, points, wavelength=633, method="full_field").forward(weights)
+        margin = (len(image) - rows) // 2
+        return to_bytes(np.maximum(image[margin : margin + rows, margin : margin + rows], 0), 0.7 * image.max())
+
+    telescope = mp.PlenopticCamera.preset("telescope").replace(phase_screen=screen)
+    field = point_fields(telescope, points[0], wavelength=633).mla
+    middle = round((-0.64 - field.origin[0]) / field.pitch), round((0.64 - field.origin[0]) / field.pitch)
+    star = np.abs(field.samples[slice(*middle), slice(*middle)]) ** 2
+    inside = np.hypot(*np.meshgrid(*2 * [np.linspace(-1, 1, 128)])) < 1
+    path = screen.waves - screen.waves[inside].mean()
+    shown = matplotlib.colormaps["viridis"](0.5 + path / np.ptp(path[inside]))[..., :3]
+    wavefront = np.where(inside[..., None], 255 * shown, 255).astype(np.uint8)
+    return sheet(
+        [
+            [
+                (f"Wavefront over {np.ptp(path[inside]):.1f} waves", wavefront),
+                ("Shack-Hartmann: flat wavefront", captured("shack_hartmann", 352)),
+                ("Shack-Hartmann: this wavefront", captured("shack_hartmann", 352, phase_screen=screen)),
+            ],
+            [
+                ("Star in the focus, 1.28 mm wide", to_bytes(star, 0.7 * star.max())),
+                ("Array in the focus: flat wavefront", captured("telescope", 128)),
+                ("Array in the focus: this wavefront", captured("telescope", 128, phase_screen=screen)),
+            ],
+        ]
+    )
+
+
 @cache
 def focused_captures() -> dict[str, mp.Capture]:
     """Capture the chart with three cameras of the same detector."""

@@ -339,7 +339,11 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return write_xml(self.to_sensor())
 
     def __repr__(self) -> str:
-        return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in self.to_dict().items())})"
+        values = self.to_dict()
+        if self.phase_screen is not None:
+            # Its samples are too many to be read.
+            values["phase_screen"] = self.phase_screen
+        return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     def replace(self, **changes: Any) -> PlenopticCamera:
         """Return a copy of the camera with some parameters changed; an uncropped camera remains uncropped.

@@ -42,12 +42,27 @@ def sweep_distances(distances: Sequence[float]) -> list[float]:
 
 
 def write_animation(
-    path: Path, frames: Sequence[tuple[np.ndarray, str]], white: float, scale: int | None = None
+    path: str | Path, frames: Sequence[tuple[np.ndarray, str]], white: float, scale: int | None = None
 ) -> None:
-    """Write linear images of one size, each with a text in its lower left corner, as an animation that repeats.
+    """Write linear images of one size as an animation that repeats, with 12.5 frames a second.
 
-    A bin is `scale` pixels wide; by default as many as make the longer side nearly 480 pixels.
+    Parameters
+    ----------
+    path : str or Path
+        A GIF file, or an MP4 file, which needs the extra ``video``.
+    frames : sequence of (array, str)
+        Images, (rows, columns) or with three channels, each with a text for its lower left corner.
+    white : float
+        Value that is shown white.
+    scale : int, optional
+        Pixels of the animation across one of an image. Default: as many as make the longer side nearly 480.
+
+    Raises
+    ------
+    InputError
+        If the file has another ending, or a package is missing.
     """
+    path = Path(path)
     scale = scale or max(1, _LONGEST // max(frames[0][0].shape[:2]))
     pictures = [_labelled(Image.fromarray(to_bytes(enlarge(image, scale), white)), text) for image, text in frames]
     writer = require_animation(path)
