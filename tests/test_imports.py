@@ -14,7 +14,7 @@ FLOORS = (
     "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "presets",
     "io.files", "microlens", "io.lens_designs", "io.zemax_file", "io.codev_file", "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture",
-    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation",
+    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "wavefront", "optimisation",
     "array_functions", "torch", "jax", "report", "dataset",
     "benchmark", "cli", "__main__",
 )  # fmt: skip

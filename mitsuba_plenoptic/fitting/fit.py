@@ -76,7 +76,7 @@ def fit(
         Captures by one camera, and their light.
     names : str or iterable of str
         Names of the parameters that are fitted, those by which captures are differentiated, as for
-        `CaptureOperator.derivative`.
+        `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
     wavelength : float
         In nanometres.
     photons : float, optional
@@ -122,6 +122,12 @@ def fit(
         asked = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
         # A fit may continue from its last camera as well as from the first.
         held = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
+        every = vector_of(camera, vector.names)
+        held |= {
+            label: value
+            for label, value in zip(every.labels, every.values.tolist(), strict=True)
+            if label not in vector.labels
+        }
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
         x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
 
