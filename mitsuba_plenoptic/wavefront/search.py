@@ -153,7 +153,7 @@ def fit_wavefronts(
             # At first the others are known too badly to be subtracted.
             mask = None if turn or len(some) == 1 else own != which
             one, heard = search.turn(cameras[which], zone, names, expected, light, which, mask)
-            moved = _terms(one.camera, count) - _terms(cameras[which], count)
+            moved = terms_of(one.camera, count) - terms_of(cameras[which], count)
             settled &= bool(np.linalg.norm(moved) <= _SETTLED * np.linalg.norm(list(one.deviations.values())))
             cameras[which], expected[which] = one.camera, search.expected(one.camera, zone)
             light = search.light(expected, np.tensordot(light, expected, 1))
@@ -181,15 +181,15 @@ class Search:
         self._view = View(image, np.array([[0.0, 0.0, camera.mla_distance]]), np.ones(1), noise)
         check_views(camera, [self._view])
         self.image = np.asarray(self._view.image, np.float64)
-        self._wavelength, self._accuracy = wavelength, accuracy
+        self.wavelength, self.accuracy = wavelength, accuracy
 
     def operator(self, camera: PlenopticCamera, points: Array) -> CaptureOperator:
         """Return the operator of some points."""
-        return CaptureOperator(camera, points, wavelength=self._wavelength, accuracy=self._accuracy)
+        return CaptureOperator(camera, points, wavelength=self.wavelength, accuracy=self.accuracy)
 
     def expected(self, camera: PlenopticCamera, zone: Zone) -> Array:
         """Return the capture of a zone whose points have a total weight of 1, as for `View`."""
-        system = OpticalSystem(camera.at_wavelength(self._wavelength), self._wavelength)
+        system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
         weights = brightness_at(system, zone.points) * zone.weights
         return np.asarray(self.operator(camera, zone.points).forward(weights), np.float64)
 
@@ -213,8 +213,12 @@ class Search:
         light: Array,
         which: int,
         mask: NDArray[np.bool_] | None,
+        **options: Any,
     ) -> tuple[Fit, list[Warning | str]]:
-        """Fit the wavefront of one zone to the pixels outside a mask, and return the warnings, too."""
+        """Fit the wavefront of one zone to the pixels outside a mask, and return the warnings, too.
+
+        `options` are those of `fit`.
+        """
         noise, image = self._view.noise, self._view.image
         if len(expected) > 1:
             total = np.tensordot(light, expected, 1)
@@ -225,18 +229,19 @@ class Search:
         view = View(image, zone.points, light[which] * zone.weights, noise, mask=mask)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            found = fit(camera, view, names, wavelength=self._wavelength, accuracy=self._accuracy)
+            found = fit(camera, view, names, wavelength=self.wavelength, accuracy=self.accuracy, **options)
         return found, [each.message for each in caught]
 
 
-def _terms(camera: PlenopticCamera, count: int) -> Array:
+def terms_of(camera: PlenopticCamera, count: int) -> Array:
+    """Return the first Zernike terms of a camera, zeros where it has none."""
     return np.pad(np.array(camera.wavefront, np.float64), (0, count))[:count]
 
 
 def _start(camera: PlenopticCamera, image: Array, zone: Zone, modes: int) -> PlenopticCamera:
     """Return the camera where the search of a zone starts, from the image of its pixels."""
     if camera.wavefront:
-        return camera.replace(wavefront=tuple(_terms(camera, max(modes, len(camera.wavefront))).tolist()))
+        return camera.replace(wavefront=tuple(terms_of(camera, max(modes, len(camera.wavefront))).tolist()))
     slopes = view_slopes(camera, image, zone.weights @ zone.points)
     return camera.replace(wavefront=tuple(modes_from_slopes(slopes, camera.aperture_radius, modes).tolist()))
 

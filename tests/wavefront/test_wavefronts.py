@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from wavefront_cases import ACCURACY, STAR, WAVELENGTH, captured, telescope
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
@@ -17,32 +18,7 @@ from mitsuba_plenoptic.wavefront import (
     view_slopes,
 )
 
-WAVELENGTH = 633.0
-STAR = (0.0, 0.0, 1e9)
-ACCURACY = 0.2
 RNG = np.random.default_rng(7)
-
-
-def telescope(lenses=8, pixels=6, width=4.0, **changes):
-    """Return an f/50 telescope with its array in the focus, of lenses some lambda / D wide."""
-    pitch = width * 633e-6 * 50
-    return PlenopticCamera(
-        focal_length=500.0,
-        aperture_radius=5.0,
-        mla_distance=500.0,
-        mla_pitch=pitch,
-        mla_focal_length=45 * pitch,
-        detector_width=lenses * pitch,
-        resolution=(lenses * pixels,) * 2,
-        **changes,
-    )
-
-
-def captured(camera, points, photons, terms=()):
-    """Return the capture of stars of a total of some photons, with the noise of these."""
-    operator = CaptureOperator(camera.replace(wavefront=terms), points, wavelength=WAVELENGTH, accuracy=ACCURACY)
-    image = np.maximum(operator.forward(np.ones(len(points))), 0).astype(np.float64)
-    return np.random.default_rng(5).poisson(image * photons / image.sum()).astype(np.float64)
 
 
 def test_terms_are_those_of_their_slopes():
