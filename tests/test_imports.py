@@ -15,7 +15,7 @@ FLOORS = (
     "io.files", "microlens", "phase_screen", "far_sources", "io.lens_designs", "io.zemax_file", "io.codev_file",
     "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
-    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "optimisation",
+    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "wavefront", "optimisation",
     "array_functions", "torch", "jax", "hcipy", "report", "dataset",
     "benchmark", "cli", "__main__",
 )  # fmt: skip

@@ -18,6 +18,7 @@ from ..errors import (
     refuse_if,
     require_accuracy,
     require_choice,
+    require_count,
     require_number,
     require_wavelength,
     suggest_keywords,
@@ -31,8 +32,6 @@ from .result import Fit, doubts, steps_along, summary
 
 _ROUNDS = 2
 """How often the noise is taken from the model anew, where it depends on it."""
-
-_MOST_STEPS = 30
 
 _DONE = 1e-7
 """Relative change of the parameters, or of the sum of squares, that ends a round."""
@@ -49,6 +48,7 @@ def fit(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     model: str = "wave",
     accuracy: float = 0.0,
+    steps: int = 30,
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
@@ -76,7 +76,7 @@ def fit(
         Captures by one camera, and their light.
     names : str or iterable of str
         Names of the parameters that are fitted, those by which captures are differentiated, as for
-        `CaptureOperator.derivative`.
+        `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
     wavelength : float
         In nanometres.
     photons : float, optional
@@ -89,6 +89,9 @@ def fit(
         Model of the light in the camera. The ray model is faster and neglects diffraction.
     accuracy : float
         As for `CaptureOperator`, for the wave model. Above 0 shared point spreads make the model jump a little.
+    steps : int
+        Cameras that are tried at most in each of the two rounds, or in the single one if the noise does not depend on
+        the model; 2 or more.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
     checkpoint : Checkpoint, optional
@@ -116,12 +119,19 @@ def fit(
     check_views(camera, given, default)
     images = np.stack([view.image for view in given]).astype(np.float64)
     model_of = _model_of(model, camera, given, require_wavelength(wavelength), require_accuracy(accuracy))
-    trial = _Trials(vector, model_of, progress)
+    steps = require_count("steps", steps, minimum=2)
+    trial = _Trials(vector, model_of, progress, _ROUNDS * steps)
     x = start
     if checkpoint:
         asked = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
         # A fit may continue from its last camera as well as from the first.
         held = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
+        every = vector_of(camera, vector.names)
+        held |= {
+            label: value
+            for label, value in zip(every.labels, every.values.tolist(), strict=True)
+            if label not in vector.labels
+        }
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
         x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
 
@@ -134,7 +144,7 @@ def fit(
     def jacobian(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
         return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
 
-    options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": _MOST_STEPS}
+    options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": steps}
     for _ in range(_ROUNDS if any(by_model(view, default) for view in given) else 1):
         # Weights by what a model expects, and held within a round, do not follow the noise, as those by the data would.
         result = least_squares(residuals, x, jacobian, args=(pixels_at(x),), **options)
@@ -190,8 +200,9 @@ class _Trials:
         vector: CameraVector,
         model_of: Callable[[PlenopticCamera], Model],
         progress: Callable[[int, int], None] | None,
+        most: int,
     ) -> None:
-        self._vector, self._progress = vector, progress
+        self._vector, self._progress, self._most = vector, progress, most
         self._model_of = model_of
         self._checkpoint: Checkpoint | None = None
         self.count = 0
@@ -205,7 +216,7 @@ class _Trials:
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
             self.count += 1
             if self._progress:
-                self._progress(min(self.count, _ROUNDS * _MOST_STEPS), _ROUNDS * _MOST_STEPS)
+                self._progress(min(self.count, self._most), self._most)
         return self._images
 
     def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -34,13 +34,19 @@ from .light import View
 def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVector:
     """Return the vector of the fitted parameters; the piston of aberrations is left out.
 
-    Names of parameters without a derivative, or that do not apply to the camera, are refused.
+    A name is that of a parameter, or the label of one of its parts, as ``wavefront.5``. Names of parameters without a
+    derivative, or that do not apply to the camera, are refused.
     """
     given = (names,) if isinstance(names, str) else tuple(names)
-    chosen = check_names(dict.fromkeys(given))
+    wholes = {name: str(name).partition(".")[0] for name in given}
+    chosen = check_names(dict.fromkeys(wholes.values()))
     refuse_if(WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others")
     refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(DIFFERENTIABLE)}")
-    return CameraVector.by_names(camera, chosen)
+    vector = CameraVector.by_names(camera, chosen)
+    for name, whole in wholes.items():
+        known = [each.label for each in vector.components if each.name == whole]
+        refuse_if(name not in (whole, *known), f"{short_repr(name)}: the camera has {', '.join(known)}")
+    return vector.keep(each.label for each in vector.components if each.name in wholes or each.label in wholes)
 
 
 class WaveModel:

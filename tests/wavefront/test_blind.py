@@ -1,0 +1,45 @@
+"""An unknown object and an unknown wavefront from one capture."""
+
+import numpy as np
+import pytest
+from wavefront_cases import captured, telescope
+
+from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.fitting import PixelNoise
+from mitsuba_plenoptic.wavefront import Zone, deconvolve_zones, digital_adaptive_optics
+
+ACCURACY = 0.3
+
+
+def test_object_and_wavefront_are_found_together():
+    camera = telescope(lenses=8, pixels=4, width=2.0)
+    step = 1.5 * camera.mla_pitch / 500 * 1e9
+    axis = step * np.array([-1, 1])
+    points = np.array([(x, y, 1e9) for y in axis for x in axis])
+    lit = np.array([0, 3])
+    true = (0.0, 0.0, 0.0, 0.0, 0.25, -0.2)
+    image = captured(camera, points[lit], 1e6, true)
+    zones, common = [Zone(points)], {"accuracy": ACCURACY}
+    seen = digital_adaptive_optics(camera, image, zones, modes=6, turns=3, **common)
+    np.testing.assert_array_equal(seen.cameras[0].wavefront[:4], 0)
+    error = np.linalg.norm(np.array(seen.cameras[0].wavefront) - true)
+    assert error < 0.3 * np.linalg.norm(true)
+    assert seen.misfits[-1] < 0.2 * seen.misfits[0]
+    shares = {}
+    for name, some in (
+        ("before", [camera]),
+        ("after", seen.cameras),
+        ("true", [camera.replace(wavefront=true)]),
+    ):
+        found = deconvolve_zones(some, image, zones, iterations=30, **common)
+        shares[name] = found.weights[0][lit].sum() / found.weights[0].sum()
+    assert shares["before"] < shares["after"]
+    assert shares["after"] == pytest.approx(shares["true"], abs=0.1)
+
+
+def test_noise_of_another_kind_is_refused():
+    camera = telescope()
+    with pytest.raises(InputError, match="PixelNoise"):
+        digital_adaptive_optics(camera, np.ones(camera.shape), [Zone([(0.0, 0.0, 1e9)])], noise=1.0)
+    with pytest.raises(InputError, match="as many cameras"):
+        deconvolve_zones([], np.ones(camera.shape), [Zone([(0.0, 0.0, 1e9)])], noise=PixelNoise(1.0))
