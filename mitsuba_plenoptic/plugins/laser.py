@@ -188,7 +188,7 @@ def make_class() -> type:
             """Return the lasers; refuse scenes and cameras for which the model does not hold."""
             with naming(NAME):
                 camera = PlenopticCamera.from_sensor(sensor)
-                require_ideal(camera, irregular=True)
+                require_ideal(camera, in_full=True)
                 require_coherent(camera)
             refuse_if(not sensor.film().rfilter().is_box_filter(), f'{NAME}: the film needs <rfilter type="box"/>')
             refuse_if(
