@@ -466,7 +466,8 @@ def designing() -> Image.Image:
     chosen = best.wavefront[10]
     axes.plot([chosen], [1e3 * np.mean(figure.deviations(best))], "o", color="#ffb000", label="found")
     axes.set_xticks([-0.5, 0, 0.5])
-    axes.set_yticks(axes.yaxis.get_major_locator().tick_values(0, max(curve)))
+    ticks = np.arange(0, max(curve), 10)
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_ylim(0, 1.05 * max(curve))
     axes.tick_params(labelsize=8)
     axes.set_xlabel("spherical aberration in waves", size=8)
