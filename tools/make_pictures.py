@@ -384,6 +384,22 @@ def preview() -> Image.Image:
 
 
 @picture
+def run_files() -> Image.Image:
+    """Show what the page's study writes, from the captures that come with the package."""
+    light_field = mp.decode(mp.example("letters-ray"))
+    found = mp.reconstruct(mp.example("letters-wave"), [210, 240, 280], method="partial")
+    depth = mp.lightfield.depth_map(light_field)["depth"].values
+    shown = matplotlib.colormaps["viridis"](np.clip((depth - 200) / 90, 0, 1))
+    shown[np.isnan(depth)] = 0.85, 0.85, 0.85, 1
+    views = mp.lightfield.view_mosaic(mp.lightfield.pick_views(light_field, 5))
+    panels = [(f"wave.pdf, {one.distance:g} mm", one.image) for one in found]
+    white = Brightness().white([one.image for one in found])
+    depths = ("depth.exr", (255 * shown[..., :3]).astype(np.uint8))
+    views = to_bytes(np.nan_to_num(views), Brightness().white([np.nan_to_num(views)]))
+    return sheet([[*panels, depths, ("views.png, 5 x 5", views)]], white)
+
+
+@picture
 def dual_pixel() -> Image.Image:
     """Show the pictures of both photodiodes of a telephone's camera, overlaid, and the disparity."""
     camera = mp.PlenopticCamera.preset("phone_quad")
