@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, InputError, Objective, PlenopticCamera, design, read_capture, reconstruct
+from mitsuba_plenoptic import Capture, InputError, Objective, PlenopticCamera, decode, design, read_capture, reconstruct
 from mitsuba_plenoptic.io.captures import write_capture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optics.rays import microlens_slope
@@ -188,6 +188,12 @@ def test_depth_of_field_is_levoys():
 def test_numbers_of_a_lens_at_a_finite_distance_are_refused(tell):
     with pytest.raises(InputError, match="is not defined behind an objective"):
         tell(PlenopticCamera.preset("lfm"))
+
+
+def test_light_fields_of_the_native_image_plane_are_refused_with_what_to_do():
+    camera = PlenopticCamera(main_lens=AIR, mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60))
+    with pytest.raises(InputError, match="leave main_lens out, or reconstruct a wave capture with method deconvolved"):
+        decode(Capture(np.ones((60, 60), np.float32), camera, None, "ray", {}))
 
 
 def test_reconstructions_that_do_not_know_objectives_say_so():

@@ -440,6 +440,22 @@ def preview() -> Image.Image:
 
 
 @picture
+def run_files() -> Image.Image:
+    """Show what the page's study writes, from the captures that come with the package."""
+    light_field = mp.decode(mp.example("letters-ray"))
+    found = mp.reconstruct(mp.example("letters-wave"), [210, 240, 280], method="partial")
+    depth = mp.lightfield.depth_map(light_field)["depth"].values
+    shown = matplotlib.colormaps["viridis"](np.clip((depth - 200) / 90, 0, 1))
+    shown[np.isnan(depth)] = 0.85, 0.85, 0.85, 1
+    views = mp.lightfield.view_mosaic(mp.lightfield.pick_views(light_field, 5))
+    panels = [(f"wave.pdf, {one.distance:g} mm", one.image) for one in found]
+    white = Brightness().white([one.image for one in found])
+    depths = ("depth.exr", (255 * shown[..., :3]).astype(np.uint8))
+    views = to_bytes(np.nan_to_num(views), Brightness().white([np.nan_to_num(views)]))
+    return sheet([[*panels, depths, ("views.png, 5 x 5", views)]], white)
+
+
+@picture
 def dual_pixel() -> Image.Image:
     """Show the pictures of both photodiodes of a telephone's camera, overlaid, and the disparity."""
     camera = mp.PlenopticCamera.preset("phone_quad")
@@ -522,7 +538,8 @@ def designing() -> Image.Image:
     chosen = best.wavefront[10]
     axes.plot([chosen], [1e3 * np.mean(figure.deviations(best))], "o", color="#ffb000", label="found")
     axes.set_xticks([-0.5, 0, 0.5])
-    axes.set_yticks(axes.yaxis.get_major_locator().tick_values(0, max(curve)))
+    ticks = np.arange(0, max(curve), 10)
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_ylim(0, 1.05 * max(curve))
     axes.tick_params(labelsize=8)
     axes.set_xlabel("spherical aberration in waves", size=8)

@@ -235,6 +235,8 @@ class CameraGeometry(CameraParameters):
         InputError
             If the camera has a real main lens.
         """
+        if not self.lens_data.converges:
+            instead = "reconstruct a wave capture with method deconvolved"
         refuse_if(
             not self.lens_data.is_thin,
             f"main_lens = {self.lens_data.label}: {what} for thin main lenses only; leave main_lens out, or {instead}",

@@ -100,7 +100,9 @@ def _parse(path: Path) -> Element:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: it is not UTF-8 text: {error.reason} at byte {error.start}") from None
+        raise InputError(
+            f"{path}: it is no scene, which is XML in UTF-8: {error.reason} at byte {error.start}"
+        ) from None
     # Mitsuba's parser and this one might read other encodings differently, and so see different scenes.
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):

@@ -77,7 +77,11 @@ def _root(
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; loading all of them takes a second."""
-    made = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False)
+    made = typer.Typer(
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
     made.callback(invoke_without_command=True)(_root)
     for name in names:
         command = getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name)
@@ -122,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            quick = not called or "--help" in words
+            quick = not called or not {"-h", "--help"}.isdisjoint(words)
             with at_shell(_OPTIONS), contextlib.nullcontext() if quick else plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0

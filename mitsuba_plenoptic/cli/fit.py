@@ -152,7 +152,7 @@ def fit(
 
 def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
-    noise, saturation = fitting.kept_noise(capture)
+    noise, saturation = fitting.noise_of(capture)
     refuse_if(
         noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
     )

@@ -48,6 +48,7 @@ def view(
 
       mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
+    refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
     target = require_writable(output or sources[0].with_suffix(".html"), ".html")
     require_apart(target, *sources, white)
     known = named_camera(camera)

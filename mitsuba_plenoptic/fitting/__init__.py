@@ -4,7 +4,7 @@ from .approach import coarse_fit, lattice_from_white
 from .fit import fit
 from .layer_fit import fit_layers
 from .layers import Layers
-from .light import PixelNoise, View, kept_noise, known_view
+from .light import PixelNoise, View, known_view, noise_of
 from .result import Direction, Fit
 
 __all__ = [
@@ -16,7 +16,7 @@ __all__ = [
     "coarse_fit",
     "fit",
     "fit_layers",
-    "kept_noise",
     "known_view",
     "lattice_from_white",
+    "noise_of",
 ]

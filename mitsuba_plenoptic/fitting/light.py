@@ -63,7 +63,7 @@ class PixelNoise:
         require_number("dark_variance", self.dark_variance, minimum=0)
 
 
-def kept_noise(capture: Capture) -> tuple[PixelNoise | None, float | None]:
+def noise_of(capture: Capture) -> tuple[PixelNoise | None, float | None]:
     """Return the noise of a capture that `expose` made, from its metadata, and the value at which its pixels saturate.
 
     Parameters
@@ -177,7 +177,7 @@ class View:
     weights : array (n,)
         Of each, radiance times the solid angle, seen from the main lens's image side, that it stands for.
     noise : PixelNoise, float or array (rows, columns), optional
-        That of counted electrons, as `kept_noise` has it of a capture that was exposed, or the standard deviation of
+        That of counted electrons, as `noise_of` has it of a capture that was exposed, or the standard deviation of
         each pixel. Default: that of the photons that `fit` is given.
     pupil_weights, virtual : optional
         As for `CaptureOperator`.

@@ -259,4 +259,5 @@ def _image_channels(part: ExrPart) -> tuple[str, ...]:
     for names in (("Y",), ("R", "G", "B")):
         if set("YRGB").intersection(part.channels) == set(names):
             return names
-    raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B")
+    hint = ", as ground truth has: name the capture that it belongs to" if "depth.Z" in part.channels else ""
+    raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B{hint}")

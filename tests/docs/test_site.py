@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 from pathlib import Path
 
@@ -47,6 +48,29 @@ def test_every_notebook_has_a_card_with_a_picture_and_a_download():
         assert f":link: {page.stem}\n" in index and f"thumbnails/{page.stem}.png" in index
         assert (ROOT / "docs" / "pictures" / "thumbnails" / f"{page.stem}.png").is_file()
         assert f"{{nb-download}}`Download this notebook <{page.stem}.ipynb>`" in page.read_text()
+
+
+def links(page):
+    """Return the pages to which a page leads, by its links and cards; a place in a page counts as the page."""
+    text = page.read_text()
+    found = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)
+    found += [f"{name}.md" for name in re.findall(r"^:link: (\S+)$", text, flags=re.MULTILINE)]
+    return {(page.parent / name).resolve() for name in found}
+
+
+def test_questions_of_readers_are_answered_within_two_clicks():
+    start, page = ROOT / "docs" / "index.md", ROOT / "docs" / "develop" / "questions.md"
+    rows = re.findall(
+        r"^\| (.*\?) \| \[.*\]\((\S+?)(#\S+)?\) \| (?:\[.*\]\((\S+)\) )?\|$", page.read_text(), re.MULTILINE
+    )
+    assert len(rows) == 10
+    for question, answer, place, between in rows:
+        target = (page.parent / answer).resolve()
+        first = start if not between else (page.parent / between).resolve()
+        assert target in links(first), question
+        assert not between or first in links(start), question
+        titles = {re.sub(r"\W+", "-", title.lower()) for title in re.findall(r"^#+ (.*)$", target.read_text(), re.M)}
+        assert not place or place[1:] in titles, question
 
 
 def test_pictures_of_pages_are_small():

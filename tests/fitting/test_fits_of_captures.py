@@ -9,7 +9,7 @@ from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.detector import Detector, expose
-from mitsuba_plenoptic.fitting import View, coarse_fit, kept_noise, lattice_from_white
+from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
 from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
@@ -201,7 +201,7 @@ def test_chi_square_of_what_a_detector_records_is_one(recorded):
     true, points, image, weights = recorded
     detector = Detector(quantum_efficiency=0.5, read_noise=3.0, dark_electrons=4.0, full_well=4000, bits=10)
     seen = expose(Capture(image, true), detector, photons=4000.0, seed=2)
-    noise, saturation = kept_noise(seen)
+    noise, saturation = noise_of(seen)
     flat = expose(Capture(np.full(true.shape, 0.4), true), detector, photons=4000.0, seed=3).image
     assert (noise.electrons * 0.4 + noise.dark_variance) / noise.electrons**2 == pytest.approx(flat.var(), rel=0.1)
     full = expose(Capture(np.full(true.shape, 40.0), true), detector, photons=4000.0, seed=3).image
@@ -209,7 +209,7 @@ def test_chi_square_of_what_a_detector_records_is_one(recorded):
     found = quickly(true, View(seen.image, points, weights, noise, saturation=saturation), photons=None)
     assert found.chi_square == pytest.approx(1, abs=4 * found.chi_square_deviation)
     assert found.values["mla_pitch"] == pytest.approx(0.064, abs=4 * found.deviations["mla_pitch"])
-    assert kept_noise(Capture(image, true)) == (None, None)
+    assert noise_of(Capture(image, true)) == (None, None)
 
 
 # An even image has no pitch, which ends at a bound.
@@ -285,7 +285,7 @@ def test_nothing_is_found_by_black_captures(find, image):
 def test_what_shows_noise_alone_or_negative_light_is_refused():
     seen = expose(Capture(np.zeros(TRUE.shape), TRUE), Detector(read_noise=3.0), photons=PHOTONS, seed=4)
     assert seen.image.max() > 0
-    light = {"points": POINTS, "weights": np.ones(len(POINTS)), "noise": kept_noise(seen)[0]}
+    light = {"points": POINTS, "weights": np.ones(len(POINTS)), "noise": noise_of(seen)[0]}
     with pytest.raises(InputError, match="image: it is black"):
         fit(TRUE, View(seen.image, **light), "mla_pitch")
     image = np.ones(TRUE.shape)
