@@ -10,7 +10,6 @@ light, whose response is known, is added as a whole.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -111,7 +110,7 @@ class Tables:
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
         self.camera, self.plans, self.count = camera, plans, plans[0].count
         self._packets = -(-(self.count**2) // 4)
-        self._index = [mi.Int(plan.table.index.ravel()) for plan in plans]
+        self._index = [mi.Int(plan.table.nodes.ravel()) for plan in plans]
         self._near, self._far = (
             [self._packed(table) for table in part] for part in zip(*(p.table[1:3] for p in plans), strict=True)
         )
@@ -145,8 +144,9 @@ class Tables:
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
         inner = RayPupil(system).inner(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
-        zone, near, far = self._zone(index, chances[0][:2]), [], []
-        drawn = mi.UInt32(0)
+        zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
+        near: list[Any] = []
+        far: list[Any] = []
         for number_of, (plan, table) in enumerate(zip(self.plans, self._index, strict=True)):
             n = 2 * plan.across + 1
             column, row = (
@@ -432,7 +432,7 @@ class ResponseSum:
             return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
 
         # Means of the light of the lens and its eight neighbours, in each half of the rays.
-        cells = list(itertools.product((-1, 0, 1), repeat=2))
+        cells: list[Pair] = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
         counts, sums = (
             [
                 [
