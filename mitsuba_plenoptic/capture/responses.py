@@ -10,7 +10,6 @@ light, whose response is known, is added as a whole.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -48,12 +47,6 @@ _LEAST_RAYS = 8
 _DRAWN = 8
 """Lenses of the far window that each ray of a lens draws."""
 
-_QUANTILES = 2**14
-"""Count of equally probable entries of the table from which these lenses are drawn."""
-
-_LEAST = 0.05
-"""Part of the mean response that is added to the density of these lenses."""
-
 _TURNS = tuple(int(step * 2**32) for step in 1.1673039782614187 ** -np.arange(1.0, 5.0))
 """Steps, in units of 2^-32, of an additive sequence that fills four dimensions evenly."""
 
@@ -71,6 +64,8 @@ class Aimed(NamedTuple):
     # Indices of the samples of the near and far tables of each wavelength, in the first cell of their windows.
     near: list[Any]
     far: list[Any]
+    # Nodes of the wavelength for which lenses of the far window are drawn, counted over zones.
+    node: Any
 
 
 class Rays(NamedTuple):
@@ -81,6 +76,7 @@ class Rays(NamedTuple):
     # Indices as in `Aimed`; rays that do not pass the pupil have those of a node without response.
     near: list[Any]
     far: list[Any]
+    node: Any
     # Sums of the light, and counts of the rays that passed, of the two halves of the rays of each lens.
     sums: list[Any]
     counts: Any
@@ -114,29 +110,19 @@ class Tables:
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
         self.camera, self.plans, self.count = camera, plans, plans[0].count
         self._packets = -(-(self.count**2) // 4)
-        self._index = [mi.Int(plan.table.index.ravel()) for plan in plans]
+        self._index = [mi.Int(plan.table.nodes.ravel()) for plan in plans]
         self._near, self._far = (
             [self._packed(table) for table in part] for part in zip(*(p.table[1:3] for p in plans), strict=True)
         )
         self._means = [[mi.Float(column) for column in plan.table.means.T] for plan in plans]
-        self._width = max(plan.far.lenses for plan in plans)
-        density = np.zeros((self._width, self._width))
-        for plan in plans:
-            start = plan.far.first + self._width // 2
-            square = np.mean([np.square(zone, dtype=np.float32).mean((0, -1)) for zone in plan.table.far], axis=0)
-            cell = square[:-1, :-1].reshape(plan.far.lenses, plan.far.samples, plan.far.lenses, -1).mean((1, 3))
-            density[start : start + len(cell), start : start + len(cell)] += np.sqrt(cell)
-        density += _LEAST * density.mean()
-        low = self._width // 2 - NEAR // 2
-        density[low : low + NEAR, low : low + NEAR] = 0
-        counts = np.ceil(_QUANTILES * density.ravel() / density.sum()).astype(int)
-        self._drawn = mi.UInt32(np.repeat(np.arange(len(counts)), counts).astype(np.uint32))
-        self._weights = mi.Float(np.repeat(counts.sum() / np.maximum(counts, 1), counts).astype(np.float32))
+        # Lenses of the far window are drawn for the wavelength with the widest one.
+        self._widest = widest = max(range(len(plans)), key=lambda number: plans[number].far.lenses)
+        self._drawn = mi.UInt32(_quantiles(plans[widest]).ravel())
 
     @property
     def margin(self) -> int:
         """Lenses around a lens whose rays it receives."""
-        return self._width // 2
+        return self.plans[self._widest].far.lenses // 2
 
     def _packed(self, table: NDArray[np.float16]) -> Any:
         """Return a table (zones, nodes, y, x, photodiodes) in packets of four, and a node without response."""
@@ -158,8 +144,10 @@ class Tables:
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
         inner = RayPupil(system).inner(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
-        zone, near, far = self._zone(index, chances[0][:2]), [], []
-        for plan, table in zip(self.plans, self._index, strict=True):
+        zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
+        near: list[Any] = []
+        far: list[Any] = []
+        for number_of, (plan, table) in enumerate(zip(self.plans, self._index, strict=True)):
             n = 2 * plan.across + 1
             column, row = (
                 mi.Int(dr.floor((t * cosine - c * middle) / plan.step + plan.across + chance))
@@ -170,21 +158,26 @@ class Tables:
             is_open &= within & (node >= 0)
             nodes = plan.table.near.shape[1]
             node = dr.select(is_open, mi.UInt(node) + zone * nodes, len(plan.zones) * nodes)
+            drawn = node if number_of == self._widest else drawn
             for window, chance, indices in ((plan.near, chances[1][:2], near), (plan.far, chances[1][2:], far)):
                 x, y = (
                     mi.UInt(dr.floor(r * window.samples + part)) for r, part in zip(random[2:], chance, strict=True)
                 )
                 indices.append((node * window.across + y) * window.across + x)
         place = tuple(c + (r - 0.5) * self.camera.mla_pitch for c, r in zip(centre, random[2:], strict=True))
-        return Aimed(tuple(pupil), place, is_open, near, far)
+        return Aimed(tuple(pupil), place, is_open, near, far, drawn)
 
-    def drawn(self, random: Any) -> tuple[Pair, Any]:
-        """Draw lenses of the far window; return their places relative to a lens, and reciprocal probabilities."""
-        index = mi.UInt32(dr.minimum(random * len(self._drawn), len(self._drawn) - 1))
-        cell = dr.gather(mi.UInt32, self._drawn, index)
-        row = cell // self._width
-        half = self._width // 2
-        return (mi.Int(cell - row * self._width) - half, mi.Int(row) - half), dr.gather(mi.Float, self._weights, index)
+    def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:
+        """Draw cells of the far window for nodes; return also reciprocal probabilities."""
+        plan = self.plans[self._widest]
+        window, quantiles = plan.far, _quantiles_of(plan.far)
+        entry = dr.gather(
+            mi.UInt32, self._drawn, node * quantiles + mi.UInt32(dr.minimum(random * quantiles, quantiles - 1))
+        )
+        cell = entry >> 16
+        row = cell // window.lenses
+        place = tuple(mi.Int(part) + window.first for part in (cell - row * window.lenses, row))
+        return place, quantiles / mi.Float(entry & 0xFFFF)
 
     def near_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
         """Return the responses of the photodiodes of a lens to rays from a lens of the near window."""
@@ -235,6 +228,34 @@ class Tables:
             for axis, (each, part, count) in enumerate(zip(index, chance, (len(zones.x), len(zones.y)), strict=True))
         )
         return y * len(zones.x) + x
+
+
+def _quantiles_of(window: Window) -> int:
+    """Return the count of quantiles from which cells of a window are drawn, more than it has cells."""
+    return 1 << math.ceil(math.log2(2 * window.lenses**2))
+
+
+def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
+    """Return quantiles of the distribution over the cells of the far window of each node (nodes of all zones + 1, n).
+
+    The density of a cell is about the magnitude of its responses. Each quantile is the index of a cell, and in its
+    lower 16 bits the count of the quantiles of this cell.
+    """
+    window, count = plan.far, _quantiles_of(plan.far)
+    lenses, low = window.lenses, -window.first - NEAR // 2
+    nodes = plan.table.far.reshape(-1, *plan.table.far.shape[2:])
+    result = np.full((len(nodes) + 1, count), 1, np.uint32)
+    for node, values in enumerate(nodes):
+        square = np.square(values[:-1, :-1], dtype=np.float32).mean(-1)
+        density = np.sqrt(square.reshape(lenses, window.samples, lenses, window.samples).mean((1, 3)))
+        density[low : low + NEAR, low : low + NEAR] = 0
+        # Each cell has one quantile at least.
+        share = density.ravel() / max(float(density.sum()), 1e-30)
+        upto = np.round(np.cumsum(share) * (count - lenses**2))
+        counts = 1 + np.diff(upto, prepend=0).astype(np.uint32)
+        counts[-1] += count - counts.sum()
+        result[node] = np.repeat((np.arange(lenses**2, dtype=np.uint32) << 16) | counts, counts)
+    return result
 
 
 def _from_half(word: Any) -> Any:
@@ -380,10 +401,10 @@ class ResponseSum:
             for number in numbers:
                 used, weights = self._nodes[number].mixture()
                 lights += [dr.select(seen, mixed(row, [radiance[i] for i in used]), 0) for row in weights]
-        dr.eval(lights, counted, aimed.near, aimed.far)
+        dr.eval(lights, counted, aimed.near, aimed.far, aimed.node)
         sums, counts = [dr.block_sum(light, rays // 2) for light in lights], dr.block_sum(counted, rays // 2)
         dr.eval(sums, counts)
-        return Rays(lights, aimed.near, aimed.far, sums, counts)
+        return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
     def _captured(self, grid: Grid, seeds: Sequence[int]) -> list[list[Any]]:
         """Return the values of the photodiodes of each lens for each channel, means of a capture for each seed."""
@@ -401,7 +422,7 @@ class ResponseSum:
         """Return the values of the photodiodes of each lens for each image, from the rays of all lenses around."""
         tables, count, size = self._tables, self._rays, self._across**2
         around = grid.within(tables.margin)
-        lens, (index, word) = dr.arange(mi.UInt32, grid.rows * grid.columns), grid.lenses()
+        lens, (index, _) = dr.arange(mi.UInt32, grid.rows * grid.columns), grid.lenses()
         line = dr.opaque(mi.UInt32, around.columns)
 
         def at(lens: Any, cell: Pair) -> Any:
@@ -411,7 +432,7 @@ class ResponseSum:
             return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
 
         # Means of the light of the lens and its eight neighbours, in each half of the rays.
-        cells = list(itertools.product((-1, 0, 1), repeat=2))
+        cells: list[Pair] = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
         counts, sums = (
             [
                 [
@@ -427,50 +448,83 @@ class ResponseSum:
             for each in sums
         ]
         dr.eval(means, counts)
-        lane = dr.arange(mi.UInt32, grid.rows * grid.columns * count)
-        own = lane // dr.opaque(mi.UInt32, count)
-        turn = lane - own * dr.opaque(mi.UInt32, count)
-        word = dr.gather(mi.UInt32, word, own)
-        later = turn >= dr.opaque(mi.UInt32, count // 2)
-        held = [dr.select(later, *(dr.gather(mi.Float, half, own) for half in each)) for each in means]
-
-        def added(totals: list[Any], cell: Pair, values_of: Any, first: list[Any], weight: Any) -> list[Any]:
-            """Add the light of a ray of each lane from the lens displaced by a cell."""
-            other, made = at(own, cell) * dr.opaque(mi.UInt32, count) + turn, []
-            responses: dict[int, list[Any]] = {}
-            for image, (number, _) in enumerate(self._images):
-                if number not in responses:
-                    responses[number] = values_of(number, dr.gather(mi.UInt32, first[number], other), cell)
-                change = (dr.gather(mi.Float, rays.lights[image], other) - held[image]) * weight
-                made += [value * change for value in responses[number]]
-            return [total + part for total, part in zip(totals, made, strict=True)]
-
-        def near(k: Any, *totals: Any) -> tuple[Any, ...]:
-            row = mi.Int(k) // NEAR
-            cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
-            return k + 1, *added(list(totals), cell, tables.near_values, rays.near, 1.0)
-
-        key = dr.opaque(mi.UInt32, seed & ~31)
-
-        def far(k: Any, *totals: Any) -> tuple[Any, ...]:
-            random = mi.sample_tea_float32(word, key ^ ((turn * _DRAWN + k) << 5) ^ 27)
-            cell, weight = tables.drawn((mi.Float(k) + random) * (1 / _DRAWN))
-            return k + 1, *added(list(totals), cell, tables.far_values, rays.far, weight * (1 / _DRAWN))
-
-        totals = [mi.Float(0)] * (size * len(self._images))
-        for body, end in ((near, NEAR**2), (far, _DRAWN)):
-            state = (mi.UInt32(0), *totals)
-            _, *totals = dr.while_loop(state, lambda k, *_, end=end: k < end, body, label="photodiodes")
-        sums_of = [dr.block_sum(total, count) / count for total in totals]
+        near = self._near_sums(grid, rays, means, at)
+        far = self._far_sums(grid, rays, means, seed)
         part = (counts[0][0] + counts[0][1]) / (len(cells) * count)
         result = []
         for image, (number, _) in enumerate(self._images):
             mean = (means[image][0] + means[image][1]) / 2 * part
             known = tables.zone_means(number, index)
-            own_sums = sums_of[image * size : (image + 1) * size]
-            result.append([value + mean * whole for value, whole in zip(own_sums, known, strict=True)])
+            own = slice(image * size, (image + 1) * size)
+            parts = zip(near[own], far[own], known, strict=True)
+            result.append([(close + wide) / count + mean * whole for close, wide, whole in parts])
         dr.eval(result)
         return result
+
+    def _near_sums(self, grid: Grid, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]) -> list[Any]:
+        """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
+        tables, size = self._tables, self._across**2
+        count = dr.opaque(mi.UInt32, self._rays)
+        lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
+        own = lane // count
+        turn = lane - own * count
+        held = [dr.select(turn >= count // 2, *(dr.gather(mi.Float, half, own) for half in each)) for each in means]
+
+        def add(k: Any, *totals: Any) -> tuple[Any, ...]:
+            row = mi.Int(k) // NEAR
+            cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
+            other = at(own, cell) * count + turn
+            change = [dr.gather(mi.Float, light, other) - mean for light, mean in zip(rays.lights, held, strict=True)]
+            first = [dr.gather(mi.UInt32, index, other) for index in rays.near]
+            made = self._products(change, lambda number: tables.near_values(number, first[number], cell))
+            return k + 1, *(total + part for total, part in zip(totals, made, strict=True))
+
+        state = (mi.UInt32(0), *[mi.Float(0)] * (size * len(self._images)))
+        _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
+        return [dr.block_sum(total, self._rays) for total in totals]
+
+    def _far_sums(self, grid: Grid, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+        """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
+        tables, size, margin = self._tables, self._across**2, self._tables.margin
+        around = grid.within(margin)
+        count, columns = dr.opaque(mi.UInt32, self._rays), dr.opaque(mi.UInt32, around.columns)
+        width, height = dr.opaque(mi.Int, grid.columns), dr.opaque(mi.Int, grid.rows)
+        lane = dr.arange(mi.UInt32, around.rows * around.columns * self._rays)
+        lens = lane // count
+        later = lane - lens * count >= count // 2
+        row = lens // columns
+        x, y = mi.Int(lens - row * columns) - margin, mi.Int(row) - margin
+        key = dr.opaque(mi.UInt32, seed)
+        totals = [dr.zeros(mi.Float, grid.rows * grid.columns) for _ in range(size * len(self._images))]
+
+        def add(k: Any) -> tuple[Any]:
+            random = mi.sample_tea_float32(lane, key + k)
+            cell, weight = tables.drawn(rays.node, (mi.Float(k) + random) * (1 / _DRAWN))
+            target = x - cell[0], y - cell[1]
+            active = (dr.minimum(*target) >= 0) & (target[0] < width) & (target[1] < height)
+            active &= dr.maximum(*(dr.abs(part) for part in cell)) > NEAR // 2
+            index = mi.UInt32(target[1] * width + target[0])
+            change = [
+                (light - dr.select(later, *(dr.gather(mi.Float, half, index, active) for half in each))) * weight
+                for light, each in zip(rays.lights, means, strict=True)
+            ]
+            made = self._products(change, lambda number: tables.far_values(number, rays.far[number], cell))
+            for total, part in zip(totals, made, strict=True):
+                dr.scatter_add(total, part * (1 / _DRAWN), index, active)
+            return (k + 1,)
+
+        dr.while_loop((mi.UInt32(0),), lambda k: k < _DRAWN, add, label="far photodiodes")
+        dr.eval(totals)
+        return totals
+
+    def _products(self, change: list[Any], values_of: Callable[[int], list[Any]]) -> list[Any]:
+        """Return the light of rays for each image times the responses of the photodiodes at its wavelength."""
+        responses = {number: values_of(number) for number in {number for number, _ in self._images}}
+        return [
+            value * light
+            for light, (number, _) in zip(change, self._images, strict=True)
+            for value in responses[number]
+        ]
 
 
 @functools.lru_cache(maxsize=4)

@@ -8,6 +8,7 @@ Both tables have the same directions.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,7 +71,7 @@ class ResponseTable(NamedTuple):
     """Tables of W of all zones."""
 
     # Index of each node of the square grid of direction cosines (n, n), rows along y, -1 where it is not used.
-    index: NDArray[np.int32]
+    nodes: NDArray[np.int32]
     # Values (zones, nodes, y, x, photodiodes) within the near and the far window. Those of the far window also continue
     # below the near one, where they are not used.
     near: NDArray[np.float16]
@@ -179,21 +180,23 @@ class PhotodiodeResponses(PlaneWaves):
         modes, middle = np.pad(modes, ((0, 0), (beyond, beyond), (beyond, beyond))), known * finer + beyond
         lags = np.arange(-pairs, pairs + 1)
         products = np.zeros((2 * inner + 1, 2 * inner + 1, len(lags), len(lags)), np.complex64)
-        for a, up in enumerate(lags * stride):
-            for b, right in enumerate(lags * stride):
-                if (up, right) < (0, 0):
-                    continue
-                one, other = (
-                    modes[
-                        :,
-                        middle - inner * finer + side * up : middle + inner * finer + side * up + 1 : finer,
-                        middle - inner * finer + side * right : middle + inner * finer + side * right + 1 : finer,
-                    ]
-                    for side in (1, -1)
+        conjugate = modes.conj()
+        # Nodes at which both directions of a pair can pass the pupil.
+        halves = np.minimum(inner, inner + 1 - np.abs(lags) * stride // finer)
+        for a, b in itertools.product(range(len(lags)), repeat=2):
+            if (a, b) < (pairs, pairs):
+                continue
+            at = tuple(slice(inner - halves[lag], inner + halves[lag] + 1) for lag in (a, b))
+            one, other = (
+                tuple(
+                    slice(middle - halves[lag] * finer + shift, middle + halves[lag] * finer + shift + 1, finer)
+                    for lag, shift in ((a, side * lags[a] * stride), (b, side * lags[b] * stride))
                 )
-                value = np.einsum("ryx,ryx->yx", one, other.conj())
-                products[:, :, a, b] = value
-                products[:, :, -1 - a, -1 - b] = value.conj()
+                for side in (1, -1)
+            )
+            value = np.einsum("ryx,ryx->yx", modes[(slice(None), *one)], conjugate[(slice(None), *other)])
+            products[(*at, a, b)] = value
+            products[(*at, -1 - a, -1 - b)] = value.conj()
         # Sharpened against the damping by linear interpolation in s, and below by that in x.
         products = products[1:-1] - (products[2:] - 2 * products[1:-1] + products[:-2]) / 12
         products = products[:, 1:-1] - (products[:, 2:] - 2 * products[:, 1:-1] + products[:, :-2]) / 12

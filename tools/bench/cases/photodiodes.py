@@ -144,7 +144,7 @@ class Wall:
                 parts = [0, 0]
                 for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
                     share = abs(1 - dy - place[0] + low[0]) * abs(1 - dx - place[1] + low[1])
-                    which = table.index[low[0] + dy, low[1] + dx]
+                    which = table.nodes[low[0] + dy, low[1] + dx]
                     if which >= 0:
                         parts = [old + share * part[which] for old, part in zip(parts, (near, far), strict=True)]
                 # Where the rays through this point of the pupil meet the array, in lenses.
