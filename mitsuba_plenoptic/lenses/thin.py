@@ -209,7 +209,8 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
 
         The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
-        aberrations W. Behind an ideal lens all paths to the image X' are equal: :math:`(|X'| - |P - X'| + W) / \lambda`.
+        aberrations W. Behind an ideal lens all paths to the image X' are equal, so that this one is
+        :math:`(|X'| - |P - X'| + W) / \lambda`.
 
         Parameters
         ----------

@@ -22,7 +22,6 @@ from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
 
-
 _SMALLEST = 20.0
 """Pitch in wavelengths below which paraxial kernels do not hold."""
 
