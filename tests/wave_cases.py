@@ -74,7 +74,7 @@ def error(image, reference):
 
 def thin_as_real(camera, field, nearness):
     """Return the thin main lens of a camera, fitted over its pupil as a real one is."""
-    thin = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance)
+    thin = ThinLens(camera.focal_length, camera.aperture_radius, camera.mla_distance, "parabolic")
 
     def rays(field, nearness, entrance):
         distance = 1 / nearness

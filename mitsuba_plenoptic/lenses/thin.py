@@ -119,7 +119,7 @@ class ThinLens(UniformLens, FinitePupil):
         Distance b to the MLA.
     model : {"ideal", "parabolic"}
         Refraction of rays: ``"ideal"`` by slopes, which is stigmatic, or ``"parabolic"`` by direction cosines, as
-        by the parabolic phase element that the wave model always uses.
+        by a parabolic phase element. Fields have the paths that belong to it.
     aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
     screen : PhaseScreen, optional
@@ -219,7 +219,8 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
 
         The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
-        aberrations W.
+        aberrations W. Behind an ideal lens all paths to the image X' are equal, so that this one is
+        :math:`(|X'| - |P - X'| + W) / \lambda`.
 
         Parameters
         ----------
@@ -232,6 +233,13 @@ class ThinLens(UniformLens, FinitePupil):
         """
         (Px, Py), (X, Y, g) = pupil, point
         square = Px * Px + Py * Py
+        if self.model == "ideal":
+            # Slopes towards the image from the pupil's centre and from P, with the opposite sign.
+            v = self.vergence(g)
+            u, w = X / g, Y / g
+            lengths = sqrt(1 + u * u + w * w) + sqrt(1 + (Px * v + u) ** 2 + (Py * v + w) ** 2)
+            ideal = -(square * v + 2 * (Px * u + Py * w)) / lengths
+            return (ideal if self.is_round else ideal + self._wavefront.path(Px, Py)) * (1 / in_millimetres(wavelength))
         axis = _signed(sqrt(X * X + Y * Y + g * g), g)
         difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
@@ -251,9 +259,19 @@ class ThinLens(UniformLens, FinitePupil):
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations."""
-        length = _distance(pupil, point)
-        sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
+        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations.
+
+        Behind an ideal lens the direction is that towards the image.
+        """
+        sx: Any
+        sy: Any
+        if self.model == "ideal":
+            v = self.vergence(point[2])
+            towards = (-(P * v + X / point[2]) for P, X in zip(pupil, point[:2], strict=True))
+            sx, sy = rays.slopes_to_cosines(*towards)
+        else:
+            length = _distance(pupil, point)
+            sx, sy = ((P - X) / length - P / self.focal_length for P, X in zip(pupil, point[:2], strict=True))
         if not self.is_round:
             x, y = self._wavefront.slope(*pupil)
             sx, sy = sx + x, sy + y

@@ -65,7 +65,7 @@ def psf_bank(
     wavelength : float
         Wavelength in nanometres.
     method : {"patch", "full_field"}
-        For waves: as for `point_spread_function`. Behind lenses of a few wavelengths "patch" loses light.
+        For waves: as for `point_spread_function`.
     size : int, optional
         Lenses across a spread, an odd number, of which the middle one receives the chief ray. Default: the largest
         blur on the axis, and some lenses around it.

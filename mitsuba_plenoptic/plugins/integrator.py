@@ -26,7 +26,7 @@ from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from ..system.phase_space import has_small_lenses
+from ..system.optical_system import has_small_lenses
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 

@@ -17,9 +17,18 @@ from ..camera.plenoptic_camera import require_ideal
 from ..lattice import Lattice
 from ..lenses.base import MainLens, PointLight
 from ..lenses.common import main_lens
+from ..optics.waves import in_millimetres
 from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
+
+_SMALLEST = 20.0
+"""Pitch in wavelengths below which paraxial kernels do not hold."""
+
+
+def has_small_lenses(camera: PlenopticCamera, wavelength: float) -> bool:
+    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
+    return min(camera.mla_pitches) < _SMALLEST * in_millimetres(wavelength)
 
 
 @dataclass(frozen=True)
@@ -32,13 +41,14 @@ class OpticalSystem:
         The camera.
     wavelength : float
         Wavelength in nanometres.
-    lens_model : {"ideal", "parabolic"}
-        How a thin main lens refracts rays; fields of points always pass a parabolic phase element.
+    lens_model : {"ideal", "parabolic"}, optional
+        Model of a thin main lens. Default: parabolic, as in the paper, or the camera's own in front of lenses of a few
+        wavelengths, because the aberrations of a fast parabolic phase are larger than such lenses.
     """
 
     camera: PlenopticCamera
     wavelength: float
-    lens_model: str = "parabolic"
+    lens_model: str | None = None
 
     @classmethod
     def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
@@ -64,7 +74,8 @@ class OpticalSystem:
     @cached_property
     def lens(self) -> MainLens:
         """The main lens, for waves and for rays; see `MainLens` for its methods."""
-        return _wave_lens(self.camera, self.wavelength, self.lens_model)
+        own = self.camera.lens_model if has_small_lenses(self.camera, self.wavelength) else "parabolic"
+        return _wave_lens(self.camera, self.wavelength, self.lens_model or own)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens for wave propagation from scene points (n, 3).

@@ -52,9 +52,6 @@ MOST_SHIFT = 0.3
 _SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
 """The rule for the shape of microlenses."""
 
-_SMALLEST = 20.0
-"""Pitch in wavelengths below which these paraxial kernels do not hold, and `photodiodes` is to be used."""
-
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
@@ -62,11 +59,6 @@ _TABLES = 8
 """Number of tables, of some 35 MiB each, that are cached for further plans."""
 
 _tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
-
-
-def has_small_lenses(camera: PlenopticCamera, wavelength: float) -> bool:
-    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
-    return min(camera.mla_pitches) < _SMALLEST * in_millimetres(wavelength)
 
 
 class TableNode(NamedTuple):

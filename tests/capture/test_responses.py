@@ -7,7 +7,7 @@ from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.responses import Tables
 from mitsuba_plenoptic.microlens import Conic, Sampled
 from mitsuba_plenoptic.system import photodiodes
-from mitsuba_plenoptic.system.phase_space import has_small_lenses
+from mitsuba_plenoptic.system.optical_system import has_small_lenses
 from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses, Zones, pixels_per_lens
 from tools.bench.cases.photodiodes import Wall, camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of

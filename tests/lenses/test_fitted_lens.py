@@ -80,7 +80,7 @@ def test_points_it_cannot_see_are_refused(camera):
         OpticalSystem(camera, WAVELENGTH).waves_of(np.array([(0.0, 0.0, 240.0), (900.0, 0.0, 240.0)]))
 
 
-THIN = ThinLens(80.0, 5.0, 120.0)
+THIN = ThinLens(80.0, 5.0, 120.0, "parabolic")
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,13 @@ from drjit.llvm import Float64
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.thin import ThinLens
+from mitsuba_plenoptic.operator.full_field import point_fields
 from mitsuba_plenoptic.optics import rays
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
 from mitsuba_plenoptic.system.sampling import footprint
 
 WAVELENGTH, LAMBDA = 633.0, 633e-6
-LENS = ThinLens(80.0, 5.0, 120.0)
+LENS = ThinLens(80.0, 5.0, 120.0, "parabolic")
 
 
 def pupil_and_points(count=500, seed=0):
@@ -57,11 +59,11 @@ def test_ideal_rays_of_a_plane_meet_in_its_image():
     """And `vergence` tells where."""
     place = 120 / 240 * 0.3
     for slope in (-0.03, 0.0, 0.02):
-        point, after, _ = LENS.trace((place, 0.0), (slope, 0.0))
+        point, after, _ = ThinLens(80.0, 5.0, 120.0).trace((place, 0.0), (slope, 0.0))
         assert point[0] + 240 * after[0] == pytest.approx(-0.3)
-    assert 1 / LENS.vergence(240.0) == pytest.approx(120)
-    assert 1 / LENS.vergence(np.inf) == pytest.approx(80)
-    assert LENS.vergence(80.0) == 0
+    assert 1 / ThinLens(80.0, 5.0, 120.0).vergence(240.0) == pytest.approx(120)
+    assert 1 / ThinLens(80.0, 5.0, 120.0).vergence(np.inf) == pytest.approx(80)
+    assert ThinLens(80.0, 5.0, 120.0).vergence(80.0) == 0
 
 
 def test_ray_and_land_are_inverse():
@@ -116,3 +118,40 @@ def test_footprints_are_where_rays_land():
         rim = [lens.land((P, P), (X, X, 225.0))[0] for P in (-1.0, 1.0)]
         assert found.centre[0, axis] == pytest.approx(np.mean(rim), abs=1e-4)
         assert found.half_width[0, axis] == pytest.approx(abs(rim[1] - rim[0]) / 2, rel=1e-2)
+
+
+@pytest.mark.parametrize("distance", [8.0, 20.0, 1e4])
+def test_paths_behind_an_ideal_lens_are_equal_to_the_image(distance):
+    """Also to a virtual image, in front of the lens."""
+    lens = ThinLens(10.0, 3.0, 12.0)
+    point = 0.3 * distance, -0.1 * distance, distance
+    x, y = np.random.default_rng(1).uniform(-2, 2, (2, 50))
+    image = 1 / (1 / 10.0 - 1 / distance)
+    X, Y = (-coordinate * image / distance for coordinate in point[:2])
+    lengths = (np.sqrt((x - u) ** 2 + (y - v) ** 2 + image**2) for x, y, u, v in ((0, 0, X, Y), (x, y, X, Y)))
+    expected = np.sign(image) * (next(lengths) - next(lengths))
+    assert lens.path((x, y), point, 500.0) * 500e-6 == pytest.approx(expected, abs=1e-9)
+    step = 1e-5
+    for axis, found in enumerate(lens.cosines((x, y), point)):
+        ends = (lens.path((x + side * step * (1 - axis), y + side * step * axis), point, 500.0) for side in (1, -1))
+        slope = (next(ends) - next(ends)) * 500e-6 / (2 * step)
+        assert found == pytest.approx(slope, abs=1e-6)
+
+
+def test_a_point_in_focus_is_an_airy_disc_before_lenses_of_a_few_wavelengths():
+    """Behind a parabolic phase of f/2 its spherical aberration is wider."""
+    b = 2.2
+    camera = PlenopticCamera(
+        focal_length=2.0, aperture_radius=0.55, mla_distance=b, mla_pitch=0.0028, mla_focal_length=0.004,
+        mla_medium=1.5, detector_width=0.0028 * 4, resolution=(8, 8),
+    )  # fmt: skip
+    point, within = np.array([0.0, 0.0, 22.0]), []
+    for each in (camera, camera.replace(lens_model="parabolic")):
+        field = point_fields(OpticalSystem(each, 550.0), point).mla
+        intensity = np.abs(field.samples) ** 2
+        x, y = (field.origin[axis] + np.arange(intensity.shape[1 - axis]) * field.pitch for axis in (0, 1))
+        radius = 1.22 * 550e-6 / (2 * np.sin(np.arctan(0.55 / b)))
+        within.append(intensity[np.hypot(x, y[:, None]) < radius].sum() * field.pitch**2)
+    # The first dark ring encloses 84 % of the light.
+    assert within[0] == pytest.approx(0.838, abs=0.03)
+    assert within[1] < 0.2

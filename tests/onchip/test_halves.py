@@ -252,3 +252,18 @@ def test_matching_moved_pictures_finds_the_move():
     assert np.isnan(flat.values).all()
     with pytest.raises(InputError, match="1 pictures along v"):
         match_halves(dual_pixel(Capture(pixels, CAMERA)), "vertical")
+
+
+def test_spreads_by_waves_have_the_light_of_points_in_fast_main_lenses():
+    b = 2.2
+    camera = PlenopticCamera(
+        focal_length=2.0, aperture_radius=0.55, mla_distance=b, mla_pitch=0.0028 * b / (b + 0.004 / 1.5),
+        mla_focal_length=0.004, mla_medium=1.5, detector_width=0.0028 * 40, resolution=(80, 80),
+    )  # fmt: skip
+    near = 1 / (1 / camera.focus_distance + 3 * camera.mla_pitch / (0.55 * b))
+    bank = psf_bank(camera, [camera.focus_distance, near], size=17, model="wave")
+    assert bank.sum(("v", "u", "t", "s")).values.ravel() == pytest.approx([0.99, 0.985], abs=0.01)
+    in_focus, found = bank_disparity(bank).values.ravel()
+    assert abs(in_focus) < 0.05
+    # Diffraction mixes the halves.
+    assert 0.6 < found / half_disparity(camera, near) < 0.85

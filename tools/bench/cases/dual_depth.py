@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mitsuba_plenoptic import PlenopticCamera, dual_pixel, match_halves, render_capture
+from mitsuba_plenoptic import PlenopticCamera, bank_disparity, dual_pixel, match_halves, psf_bank, render_capture
 
 from .. import Row, at_most, case
 from ..scenes.light_paths import scene_of
@@ -189,3 +189,31 @@ def matching(
                 "defocus": float(read[:, place].mean() / blur - 1),
                 "depth": float(depths.mean()), "depth_deviation": float(depths.std(ddof=1)),
             }  # fmt: skip
+
+
+@case(
+    "dual-pixels.spreads",
+    "Distances of the centroids of halves in point spreads by waves over those by rays, at a blur of 5 lenses behind "
+    "the plane in focus, and the light of the waves",
+    {
+        "f-number": "f/{f_number:g}", "rays (lenses)": "{rays:.2f}", "waves (lenses)": "{waves:.2f}",
+        "waves over rays": "{ratio:.2f}", "light": "{light:.3f}",
+    },
+    (at_most("off", 0.04),),
+    page="docs/numbers.md",
+    quick={"f_numbers": (1.8,)},
+)  # fmt: skip
+def spreads(*, f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0), blur: float = 5.0, size: int = 25) -> Iterator[Row]:
+    """Compare banks of spreads on the axis; the limit is on the light that is lost."""
+    for f_number in f_numbers:
+        camera = camera_of(f_number, (2 * size, 2 * size))
+        banks = [
+            psf_bank(camera, [1 / inverse_depth(camera, blur)], model=model, wavelength=WAVELENGTH, size=size)
+            for model in ("ray", "wave")
+        ]
+        rays, waves = (float(bank_disparity(bank).values[0, 0]) for bank in banks)
+        light = float(banks[1].sum())
+        yield {
+            "f_number": f_number, "rays": rays, "waves": waves, "ratio": waves / rays, "light": light,
+            "off": abs(1 - light),
+        }  # fmt: skip
