@@ -30,7 +30,7 @@ test: $(VENV)/.ready llvm
 TENSORS := .venv-tensors
 test-tensors: $(TENSORS)/.ready llvm
 	$(TENSORS)/bin/python -m pytest tests/test_torch.py tests/test_jax.py tests/docs/test_reference.py \
-		tests/reconstruction/test_differentiable.py tests/reconstruction/test_coherent_derivatives.py tests/dataset/test_dataset.py
+		tests/reconstruction/test_differentiable.py tests/reconstruction/test_coherent_derivatives.py tests/dataset/test_dataset.py tests/benchmark/test_benchmark.py
 
 $(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
 	$(BIN)/python -m venv --clear $(TENSORS)

@@ -244,7 +244,10 @@ class RefocusedValue:
 
 def _together(function: Callable[[Array], Array], captures: Array) -> Array:
     """Apply a function of an image with channels to a batch of images."""
-    refuse_if(captures.ndim < 2 or not captures.size, f"captures of shape {captures.shape}: give (..., rows, columns)")
+    refuse_if(
+        captures.ndim < 2 or not captures.size,
+        f"captures of shape {captures.shape}: it must not be empty, and its last axes must be rows and columns",
+    )
     made = function(np.moveaxis(captures.reshape(-1, *captures.shape[-2:]), 0, -1))
     return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*captures.shape[:-2], *made.shape[:2])
 

@@ -296,8 +296,11 @@ def test_mistakes():
             bridge.forward(stored(), wrong)
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
-    with pytest.raises(InputError, match=r"^captures of shape \(3,\): give \(\.\.\., rows, columns\)$"):
-        bridge.refocus(RayRefocus(CAMERA, 225.0), random(3))
+    for shape in ((3,), (0, *CAMERA.shape)):
+        with pytest.raises(
+            InputError, match=r"^captures of shape \(.*\): it must not be empty, and its last axes must be"
+        ):
+            bridge.refocus(RayRefocus(CAMERA, 225.0), random(*shape))
 
 
 def test_torch_that_is_missing(monkeypatch):

@@ -62,13 +62,7 @@ def train(examples: list[tuple[np.ndarray, np.ndarray]], seed: int, epochs: int)
     """Return the kernels and biases that fit the inverse depths best, in the mean absolute difference."""
     torch.manual_seed(seed)
     torch.use_deterministic_algorithms(True)
-    count, options = len(DEPTHS), {"padding": 1, "padding_mode": "replicate"}
-    convolutions = [
-        torch.nn.Conv2d(count + 1, HIDDEN, 3, **options),
-        torch.nn.Conv2d(HIDDEN, HIDDEN, 3, **options),
-        torch.nn.Conv2d(HIDDEN, count, 1),
-    ]
-    network = torch.nn.Sequential(convolutions[0], torch.nn.ReLU(), convolutions[1], torch.nn.ReLU(), convolutions[2])
+    network = layers_of()
     optimizer = torch.optim.Adam(network.parameters(), lr=RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
     inverse = torch.tensor(1 / DEPTHS, dtype=torch.float32)
@@ -92,10 +86,22 @@ def train(examples: list[tuple[np.ndarray, np.ndarray]], seed: int, epochs: int)
         if epoch % 10 == 9:
             print(f"epoch {epoch + 1}: mean difference {np.mean(total):.4f} of the range", flush=True)
     made = {}
-    for number, layer in enumerate(convolutions):
+    for number, layer in enumerate(network[::2]):
         made[f"kernel_{number}"] = layer.weight.detach().numpy()
         made[f"bias_{number}"] = layer.bias.detach().numpy()
     return made
+
+
+def layers_of() -> Any:
+    """Return the network: every second layer is a convolution."""
+    count, options = len(DEPTHS), {"padding": 1, "padding_mode": "replicate"}
+    return torch.nn.Sequential(
+        torch.nn.Conv2d(count + 1, HIDDEN, 3, **options),
+        torch.nn.ReLU(),
+        torch.nn.Conv2d(HIDDEN, HIDDEN, 3, **options),
+        torch.nn.ReLU(),
+        torch.nn.Conv2d(HIDDEN, count, 1),
+    )
 
 
 def batches_of(examples: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[Any, Any]]:

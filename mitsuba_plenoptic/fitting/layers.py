@@ -131,9 +131,9 @@ def make_class() -> type:
                 x, y = (0.5 - (ray.o[k] + t * ray.d[k]) / width for k in (0, 1))
                 meets = active & (ray.d.z > 0) & (t > 0) & (x >= 0) & (x <= 1) & (y >= 0) & (y <= 1)
                 *colour, opacity = texture.eval(mi.Point2f(x, y), meets)
-                share = dr.select(meets, passing * opacity, 0)
-                light += mi.Spectrum(*colour) * share
-                passing = passing - share
+                part = dr.select(meets, passing * opacity, 0)
+                light += mi.Spectrum(*colour) * part
+                passing = passing - part
             return light
 
     return LayersIntegrator

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import importlib
 import json
 import math
 import shutil
@@ -318,6 +319,36 @@ def test_costs_are_least_at_the_depth_of_a_plane():
             seen = network.costs(lf, camera)[:, 4:-4, 4:-4]
             assert network.DEPTHS[np.argmin(seen[:-1].mean(axis=(1, 2)))] == depth
             assert np.abs(np.median(network.depths(network.costs(lf, camera))) / depth - 1) < 0.02
+
+
+def test_training_gives_the_same_weights_again(made, tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    train_network = importlib.import_module("train_network")
+    stored = []
+    for name in ("one.npz", "two.npz"):
+        file = tmp_path / name
+        assert train_network.main([str(made.folder), "-o", str(file), "--epochs", "2"]) == 0
+        stored.append(dict(np.load(file)))
+    shipped = dict(np.load(network.WEIGHTS))
+    assert {name: each.shape for name, each in stored[0].items()} == {
+        name: each.shape for name, each in shipped.items()
+    }
+    for name, array in stored[0].items():
+        np.testing.assert_array_equal(array, stored[1][name])
+    # What is trained is what NumPy applies, and held-out cameras are left out.
+    examples = train_network.examples_of(made)
+    assert len(examples) == len(CAPTURES)
+    torch, seen = importlib.import_module("torch"), examples[0][0]
+    monkeypatch.setattr(network, "WEIGHTS", tmp_path / "one.npz")
+    network._layers.cache_clear()
+    layers = train_network.layers_of()
+    for k, layer in enumerate(layers[::2]):
+        layer.load_state_dict(
+            {"weight": torch.tensor(stored[0][f"kernel_{k}"]), "bias": torch.tensor(stored[0][f"bias_{k}"])}
+        )
+    weights = torch.softmax(layers(torch.tensor(seen)[None]), dim=1)[0].detach().numpy()
+    np.testing.assert_allclose(1 / network.depths(seen), np.tensordot(1 / network.DEPTHS, weights, 1), rtol=1e-5)
+    network._layers.cache_clear()
 
 
 def test_convolutions_are_those_of_scipy():
