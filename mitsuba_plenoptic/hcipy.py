@@ -96,7 +96,8 @@ class CameraOptics(hcipy.OpticalElement):
             spectrum = np.ascontiguousarray(np.fft.fft2(incident.samples).astype(np.complex64))
             guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
             image = full_field(system, np.array([0.0, 0.0, INFINITY]), incident=incident)
-        return hcipy.Field(np.asarray(image, np.float64).ravel() * power, self.output_grid)
+        # What interpolation leaves below zero between the samples is not light, and detectors refuse it.
+        return hcipy.Field(np.maximum(image, 0).astype(np.float64).ravel() * power, self.output_grid)
 
 
 def phase_screen(phase: Any, wavelength: float) -> PhaseScreen:

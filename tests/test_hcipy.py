@@ -77,8 +77,10 @@ def test_an_array_in_the_focus_equals_that_of_hcipy():
     array = hcipy.MicroLensArray(focus, hcipy.CartesianGrid(hcipy.SeparatedCoords((centres, centres))), 16e-3)
     # Oversampling its transfer function, as it does by default, would lose 0.6 % of the light.
     behind = hcipy.FresnelPropagator(focus, 16e-3, num_oversampling=1).forward(array.forward(field))
-    ours = CameraOptics(camera).forward(given).shaped
-    assert relative(ours, binned(behind.power.shaped, 128)) < 0.01
+    optics = CameraOptics(camera)
+    ours = optics.forward(given)
+    assert relative(ours.shaped, binned(behind.power.shaped, 128)) < 0.01
+    assert hcipy.NoisyDetector(optics.output_grid)(1e5 * ours).sum() == pytest.approx(1e5 * ours.sum(), abs=1600)
 
 
 @pytest.mark.parametrize("preset", ["telescope", "shack_hartmann"])
