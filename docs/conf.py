@@ -31,7 +31,7 @@ extensions = [
     "python_reference",
 ]
 # The reference of the modules for them needs no PyTorch or JAX.
-autodoc_mock_imports = ["jax", "torch"]
+autodoc_mock_imports = ["hcipy", "jax", "torch"]
 exclude_patterns = ["_extensions", "**/.ipynb_checkpoints"]
 default_role = "py:obj"
 

@@ -18,6 +18,7 @@ from .far_sources import INFINITY
 from .operator.arrival import SampledField
 from .operator.full_field import full_field
 from .optics import guards
+from .optics.waves import band_edge_fraction
 from .phase_screen import PhaseScreen
 from .runtime.backend import one_at_a_time
 from .system.optical_system import OpticalSystem
@@ -85,15 +86,18 @@ class CameraOptics(hcipy.OpticalElement):
         InputError
             If the wavefront is dark or polarised, or its grid is of another kind.
         PhysicsError
-            If too much of the light is lost (see `optics.guards`).
+            If too much of the light is lost, or the wavefront is sampled too coarsely (see `optics.guards`).
         """
         incident = _sampled(wavefront.electric_field)
         power, wavelength = float(wavefront.total_power), wavefront.wavelength * 1e9
         refuse_if(not 0 < power < math.inf, f"wavefront of the power {power:g}: it must be greater than 0")
         system = OpticalSystem(self.camera.at_wavelength(wavelength), wavelength)
         with guards.watch():
+            spectrum = np.ascontiguousarray(np.fft.fft2(incident.samples).astype(np.complex64))
+            guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
             image = full_field(system, np.array([0.0, 0.0, INFINITY]), incident=incident)
-        return hcipy.Field(np.asarray(image, np.float64).ravel() * power, self.output_grid)
+        # What interpolation leaves below zero between the samples is not light, and detectors refuse it.
+        return hcipy.Field(np.maximum(image, 0).astype(np.float64).ravel() * power, self.output_grid)
 
 
 def phase_screen(phase: Any, wavelength: float) -> PhaseScreen:

@@ -326,6 +326,8 @@ def stop_image_arrival(
         turned = as_field(pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
         first, pitch = (origin[0] * scale, origin[1] * scale), grids.pitch * scale
         field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
+        with resting_drjit():
+            guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft2(field.copy())))
     mla = SampledField(field * np.float32(abs(scale)), (origin[0], origin[1]), grids.pitch)
     stop = SampledField(
         field[::-1, ::-1],

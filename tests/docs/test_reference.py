@@ -31,7 +31,7 @@ MODULES = sorted(
 
 
 # Libraries that few have installed, by the modules that need them.
-LIBRARIES = {"mitsuba_plenoptic.jax": "jax", "mitsuba_plenoptic.torch": "torch"}
+LIBRARIES = {f"mitsuba_plenoptic.{name}": name for name in ("hcipy", "jax", "torch")}
 
 
 def public_names(module):
