@@ -54,10 +54,10 @@ def _contrast(values: np.ndarray, places: np.ndarray) -> float:
     "deconvolved star at half the diffraction limit over that of the star, without correction, with wavefronts that "
     "digital adaptive optics finds from the same capture, and with the true ones",
     {
-        "wavefronts": "{name}", "contrast": "{contrast:.2f}", "error of the wavefronts, waves RMS": "{error:.2f}",
+        "wavefronts": "{name}", "contrast": "{contrast:.2f}", "correlation with the star": "{correlation:.2f}", "error of the wavefronts, waves RMS": "{error:.2f}",
         "misfit per pixel, 1 is noise": "{misfit:.2f}", "turns": "{turns}",
     },
-    (at_least("contrast", "least"),),
+    (at_least("correlation", "least"),),
     page="docs/numbers.md",
     quick={"modes": 5, "turns": 1, "iterations": 5, "lenses": 12},
 )  # fmt: skip
@@ -68,7 +68,7 @@ def digital_optics(
     photons: float = 1e7,
     lenses: int = 20,
     turns: int = 8,
-    iterations: int = 100,
+    iterations: int = 200,
     accuracy: float = 0.3,
     accuracy_of_data: float = 0.1,
 ) -> Iterator[Row]:
@@ -95,7 +95,8 @@ def digital_optics(
     image = rng.poisson(image * photons / image.sum()).astype(float)
     common = {"wavelength": WAVELENGTH, "accuracy": accuracy}
     found = digital_adaptive_optics(camera, image, zones, modes=modes, turns=turns, **common)
-    before = {}
+    # Artefacts of a wrong wavefront may have the period of the spokes by chance, but not the star's shape.
+    within, before = np.hypot(*np.moveaxis(places, -1, 0)) < RADIUS, 0.0
     for name, cameras in (
         ("none", [camera] * 3),
         ("found", found.cameras),
@@ -105,12 +106,14 @@ def digital_optics(
         picture = np.concatenate([part.reshape(len(places), -1) for part in made.weights], 1)
         contrast = _contrast(picture, places) / _contrast(star, places)
         terms_found = [np.pad(np.array(each.wavefront), (0, modes))[:modes] for each in cameras]
-        before[name] = contrast
+        correlation = float(np.corrcoef(picture[within], star[within])[0, 1])
+        before = correlation if name == "none" else before
         yield {
             "name": name,
             "contrast": contrast,
+            "correlation": correlation,
             # What is found must not be worse than no correction.
-            "least": before["none"] if name == "found" else None,
+            "least": before if name == "found" else None,
             "error": math.sqrt(np.mean([rms(a - b) ** 2 for a, b in zip(terms_found, true, strict=True)])),
             "misfit": made.misfits[-1],
             "turns": len(found.misfits) - 1 if name == "found" else "",
