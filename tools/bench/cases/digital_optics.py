@@ -54,7 +54,8 @@ def _contrast(values: np.ndarray, places: np.ndarray) -> float:
     "deconvolved star at half the diffraction limit over that of the star, without correction, with wavefronts that "
     "digital adaptive optics finds from the same capture, and with the true ones",
     {
-        "wavefronts": "{name}", "contrast": "{contrast:.2f}", "correlation with the star": "{correlation:.2f}", "error of the wavefronts, waves RMS": "{error:.2f}",
+        "wavefronts": "{name}", "contrast": "{contrast:.2f}", "correlation with the star": "{correlation:.2f}",
+        "error of the wavefronts, waves RMS": "{error:.2f}",
         "misfit per pixel, 1 is noise": "{misfit:.2f}", "turns": "{turns}",
     },
     (at_least("correlation", "least"),),
