@@ -10,7 +10,7 @@ from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.detector import Detector, expose
 from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
-from mitsuba_plenoptic.fitting.model import PointRays
+from mitsuba_plenoptic.fitting.model import PointRays, vector_of
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.operator.units import brightness_at, brightness_of
@@ -67,6 +67,14 @@ def test_numbers_are_found_within_their_deviations():
     vector = np.array([worst.parts[name] * found.scales[name] for name in true])
     assert worst.deviation >= found.directions[-1].deviation
     assert vector @ inverse @ vector == pytest.approx(worst.deviation**-2, rel=1e-6)
+
+
+def test_single_parts_of_a_parameter_are_named_by_their_index():
+    camera = TRUE.replace(wavefront=(0.0,) * 6)
+    assert vector_of(camera, ["wavefront.5", "mla_offset.2"]).labels == ["wavefront.5", "mla_offset.2"]
+    assert vector_of(camera, ["wavefront.5", "wavefront"]).labels == [f"wavefront.{term}" for term in range(2, 7)]
+    with pytest.raises(InputError, match=r"wavefront.7': the camera has wavefront.2, "):
+        vector_of(camera, "wavefront.7")
 
 
 def by_rays(camera, points):

@@ -183,17 +183,21 @@ def stars(
     ratios: tuple[float, ...] = (5.0, 10.0, 20.0),
     photons: tuple[float, ...] = (100.0, 1000.0, 10000.0),
     modes: int = 36,
+    modes_of_screen: int = 36,
     seeds: int = 2,
     accuracy: float = 0.1,
 ) -> Iterator[Row]:
-    """Find the modes that an atmosphere has, without its higher ones, at each strength and exposure."""
+    """Find the modes of an atmosphere at each strength and exposure.
+
+    The screen has `modes_of_screen`: those that are found, or more, which then remain in the captures.
+    """
     camera, spots = telescope(), ShackHartmann()
     sensor = ArrayInFocus(camera)
-    basis, spot_basis = sensor.basis(modes), spots.basis(modes)
-    matrix = spot_matrix(spots, spot_basis)
+    basis, spot_basis = sensor.basis(modes_of_screen), spots.basis(modes_of_screen)
+    matrix = spot_matrix(spots, spot_basis[:modes])
     lit = math.pi / 4 * LENSES**2
     for ratio in ratios:
-        screens = [atmosphere(ratio, modes, seed + 1) for seed in range(seeds)]
+        screens = [atmosphere(ratio, modes_of_screen, seed + 1) for seed in range(seeds)]
         means = [
             [
                 each.image(2 * math.pi * np.tensordot(terms, own, 1))
@@ -203,7 +207,8 @@ def stars(
         ]
         for count in photons:
             errors = []
-            for seed, (terms, (mean, spot_mean)) in enumerate(zip(screens, means, strict=True)):
+            for seed, (screen, (mean, spot_mean)) in enumerate(zip(screens, means, strict=True)):
+                terms = screen[:modes]
                 rng = np.random.default_rng(seed)
                 image, spot_image = (rng.poisson(each * count * lit).astype(float) for each in (mean, spot_mean))
                 with warnings.catch_warnings():
@@ -231,5 +236,5 @@ def stars(
                 "spots": own,
                 "spots_noiseless": noiseless,
                 # Where photons are many, the two programs differ by more than these deviations.
-                "over_stated": fitted / stated if count <= 1000 else None,
+                "over_stated": fitted / stated if count <= 1000 and modes_of_screen == modes else None,
             }
