@@ -6,7 +6,6 @@ import importlib.util
 import os
 import sys
 import tomllib
-from importlib.metadata import version as installed_version
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -16,7 +15,7 @@ PROJECT = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]
 project = "mitsuba_plenoptic"
 author = "The mitsuba_plenoptic developers"
 copyright = author
-release = installed_version(PROJECT["name"])
+release = PROJECT["version"]
 version = ".".join(release.split(".")[:2])
 
 extensions = [
