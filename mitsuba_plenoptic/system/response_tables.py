@@ -139,6 +139,7 @@ class PhotodiodeResponses(PlaneWaves):
         near, far = (np.empty(size, np.float16) for size in sizes)
         means = np.empty((len(zones), self.count**2), np.float32)
         fold, own = _fold(self.near, self.far)
+        blurred = _blurred(self.near, self.far, self._far_pairs)
         for number, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
             each = pupil.step * self.stride, pupil.step // self._finer
             overlaps = [
@@ -150,6 +151,9 @@ class PhotodiodeResponses(PlaneWaves):
                 close = self._response(modes, 1, self.stride, self.near, overlaps[0], used)
                 wide = self._response(modes, self._finer, 1, self.far, overlaps[1], used)
                 whole = close[:, 1:, 1:].sum((1, 2)) / self.near.samples**2
+                # The far samples do not resolve the light within the near window, so that some of it appears beyond.
+                core = close - fold @ wide @ fold.T + own @ wide @ own.T
+                wide -= blurred @ core @ blurred.T
                 # The light from beyond the near window is folded into it.
                 close -= fold @ wide @ fold.T - own @ wide @ own.T
                 near[number, ..., diode], far[number, ..., diode] = close, wide
@@ -291,3 +295,13 @@ def _fold(near: Window, far: Window) -> tuple[NDArray[np.float32], NDArray[np.fl
     periods = range(0, far.lenses, near.lenses)
     every = np.sum([interpolated(near.place + period) for period in periods], axis=0)
     return every.astype(np.float32), own.astype(np.float32)
+
+
+def _blurred(near: Window, far: Window, pairs: int) -> NDArray[np.float32]:
+    """Return the matrix from samples within the near window to those of the far one at its resolution."""
+    lag = np.arange(-pairs, pairs + 1)
+    gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2
+    far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(each.place, lag)) for each in (far, near))
+    weights = np.full(near.across, 1 / near.samples)
+    weights[[0, -1]] /= 2
+    return np.asarray((far_waves * (gain / far.lenses) @ near_waves.conj().T).real * weights, np.float32)
