@@ -107,7 +107,7 @@ def propagated(
 POSITION = np.array([0.03, -0.02, 114.0])
 """Of the point, in millimetres."""
 
-FAR = (4.0, 8.0, 16.0, 32.0)
+FAR = (4.0, 8.0, 16.0)
 """Phases in radians at the corner of a cell by which aspheres differ from a parabola."""
 
 
