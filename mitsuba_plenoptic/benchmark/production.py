@@ -36,7 +36,7 @@ def make_benchmark(
     batch_map: BatchMap | None = None,
     progress: Progress | None = None,
 ) -> Benchmark:
-    """Make a benchmark, or resume making it.
+    """Make a benchmark, or resume making it; the bits are the same.
 
     Parameters
     ----------
@@ -109,9 +109,8 @@ captures have the wavelength {wavelength:g} nm and the method {method}. The pict
 Mitsuba's own `thinlens` and `perspective` cameras, with {truth_spp} samples per pixel. Depth is that of the ray of each
 bin of a view. The noise is that of a detector after EMVA 1288: {noise} photons hit a pixel of radiance 1.
 
-The same seed, size and software give the same captures on processors of one kind. In large ray captures, threads add
-the samples of a few pixels (one in 10,000 at the size `full`) in varying order, so that these can differ in the last
-bit. `sha256sum -c checksums.sha256` finds damaged files. Software: {software}.
+The same seed, size and software give the same bits on processors of one kind; `sha256sum -c checksums.sha256` finds
+damaged files. Software: {software}.
 
 ## Known limits
 
