@@ -264,7 +264,9 @@ def _render_passes(
     noise: bool,
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
-    per_pass = min(spp, max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1])))
+    most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
+    # A power of two: otherwise two threads may share a pixel, and the order in which they add its samples varies.
+    per_pass = spp if spp <= most else 2 ** (most.bit_length() - 1)
     if noise:
         per_pass = min(per_pass, -(-spp // PARTS))
     # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.

@@ -354,3 +354,13 @@ def test_a_parameter_that_a_scene_lacks_is_refused_with_those_it_has(tmp_path):
     fixed.write_text("<scene version='3.0.0'><sensor type='plenoptic'/></scene>")
     with pytest.raises(InputError, match=r"parameter widht: the scene .* has no parameters$"):
         load_scene(fixed, parameters={"widht": "4"})
+
+
+def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch):
+    """So that no two threads add samples of one pixel, in an order that varies."""
+    mi.set_variant("llvm_ad_mono")
+    scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
+    monkeypatch.setattr("mitsuba_plenoptic.capture.render._RAYS_PER_PASS", 28 * 32**2)
+    for spp in (28, 40):
+        render_capture(scene, model="ray", spp=spp, progress=lambda count, total: done.append(count))
+    assert done == [28, 16, 32, 40]
