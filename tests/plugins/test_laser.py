@@ -169,6 +169,16 @@ def area_lamp():
     return scene, [next(emitter.id() for emitter in scene.emitters() if emitter.class_name() == "AreaLight")]
 
 
+def test_the_scene_with_speckle():
+    size = {"detector_width": 0.128, "resolution": 64, "aperture_radius": 2, "spp": 8}
+    mixed, dark, bright = (
+        render_capture(load_scene("speckle", variant="llvm_ad_mono", parameters={**size, **change})).image
+        for change in ({}, {"sky": 0}, {"laser_power": 0})
+    )
+    assert mixed.sum() == pytest.approx(dark.sum() + bright.sum(), rel=1e-3)
+    assert dark.sum() > bright.sum() > 0
+
+
 AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}
 
 
