@@ -47,10 +47,10 @@ def _variant():
 
 
 def test_the_mean_power_is_that_of_a_wave_capture():
-    scene = scene_of(integrator={"modes": 24})
+    scene = scene_of(integrator={"modes": 12})
     capture = render_capture(scene)
     assert capture.wavelength == WAVELENGTH
-    assert capture.metadata["modes"] == 24
+    assert capture.metadata["modes"] == 12
     other = render_capture(
         load_scene(
             {
@@ -61,9 +61,9 @@ def test_the_mean_power_is_that_of_a_wave_capture():
         spp=256,
     )  # fmt: skip
     bright = other.image > 0.3 * other.image.max()
-    assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.04)
+    assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.06)
     ratio = capture.image[bright] / other.image[bright]
-    assert 0.6 / math.sqrt(24) < ratio.std() < 1.1 / math.sqrt(24)
+    assert 0.6 / math.sqrt(12) < ratio.std() < 1.1 / math.sqrt(12)
 
 
 def test_weights_against_the_closed_form():
