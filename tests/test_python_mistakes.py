@@ -126,7 +126,7 @@ def test_an_unknown_name_comes_with_the_one_that_it_resembles(call, error, words
 
 
 def test_unknown_parameters_of_plugins_come_with_what_they_resemble(scene, camera_dict):
-    for keyword, known in (("modle", "model"), ("bandwith", "bandwidth")):
+    for keyword, known in (("modl", "model"), ("bandwith", "bandwidth")):
         with pytest.raises(TypeError, match=rf"'{keyword}'; did you mean {known}\?"):
             mp.render_capture(scene, **{keyword: "wave"})
     for name, sensor in (("focal_length", camera_dict(focal_lenght=80.0)), ("plenoptic", {"type": "plenoptik"})):

@@ -76,7 +76,7 @@ class LaserScene:
         if not len(found):
             return LitPoints(np.empty((0, 3)), np.empty(0))
         blur = lens.pupil_radius * np.abs(lens.pupil_distance * lens.convergence(found[:, 2]) - 1).max()
-        half = np.minimum(half + blur, half * _WIDER)
+        half = half + blur
         spot = in_millimetres(self.system.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
         count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
         total = int(count.prod())

@@ -85,7 +85,7 @@ def coherent_capture(
     refuse_if((given < 0).any(), f"weights: {given.min():g} is among them: powers must be at least 0")
     count = require_count("modes", modes)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-    fields, job = operator.coherent_fields(), job or Job()
+    fields, job = operator.coherent_fields, job or Job()
     refuse_if(job.batch_map is not None, "batch_map: a coherent capture takes none: all threads compute each mode")
     work = _Realisations(fields, np.sqrt(given), count, seed)
     facts = {

@@ -16,13 +16,13 @@ from ..errors import InputError, refuse_if, require_choice, require_flag, requir
 from ..io.checkpoints import digest
 from ..optics import guards
 from ..optics.spectrum import Spectrum
-from ..runtime.backend import backend, one_at_a_time
+from ..runtime.backend import one_at_a_time
 from ..runtime.jobs import Job, LongSum, SumTask
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from .accuracy import chosen_accuracy
-from .arrival import SampledField
-from .coherent import CoherentFields, check_amplitudes, check_samples, require_plane
+from .coherent import CoherentFields
+from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
 from .full_field import FullFieldPlan
 from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
@@ -39,7 +39,7 @@ A plan is made for an optical system, points, their pupil weights and an accurac
 METHODS = tuple(PLANS)
 
 
-class CaptureOperator:
+class CaptureOperator(CoherentPoints):
     r"""The image that a camera's detector records from incoherent point sources, which is linear in their weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
@@ -126,8 +126,13 @@ class CaptureOperator:
         planned_for = self.points, self._pupil_weights, self._accuracy
         self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
         self._differentials: Differentials | None = None
-        self._systems = systems
-        self._coherent: CoherentFields | None = None
+
+    def _coherent_fields(self) -> CoherentFields:
+        """Return the fields of the points at the operator's only wavelength, or refuse them."""
+        wavelengths = [part.wavelength for part in self._channels.parts(1)]
+        refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
+        refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
+        return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
@@ -301,90 +306,6 @@ class CaptureOperator:
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
         return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
-
-    @one_at_a_time
-    def field(self, amplitudes: Any, *, plane: str = "detector") -> SampledField:
-        r"""Add the complex fields of all points, which are mutually coherent, each with an amplitude.
-
-        .. math:: U(p) = \sum_r a_r \, u_r(p)
-
-        where the point spread of `forward` is the integral of :math:`|u_r|^2` over a pixel, before the light that the
-        method "patch" leaves out. The phase of an amplitude is that of the point's field at the centre of the pupil.
-        Points of similar distance are propagated together: the time depends little on their count. The main lens must
-        be thin, and there must be one wavelength and no `pupil_weights`.
-
-        Parameters
-        ----------
-        amplitudes : complex array (n,)
-            Amplitudes; their squared moduli are weights as in `forward`.
-        plane : {"detector", "array", "pupil"}
-            Plane of the field: on the detector, just before the microlenses, or just behind the main lens.
-
-        Returns
-        -------
-        SampledField
-            ``samples``, complex64 (rows, columns), on the camera-frame x and y of ``origin``, the first sample, and of
-            those that follow at distances of ``pitch``, in millimetres. The integral of the squared modulus is the
-            power that passes the pupil, less what misses the window.
-
-        Raises
-        ------
-        InputError
-            If an input has a wrong shape or value, the camera or operator has no coherent fields, or the work would
-            need too much memory.
-        PhysicsError
-            If too much of the light is lost.
-
-        Examples
-        --------
-        >>> import mitsuba_plenoptic as mp
-        >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64), aperture_radius=2)
-        >>> operator = mp.CaptureOperator(camera, [(-0.01, 0, 240), (0.01, 0, 240)], wavelength=633)
-        >>> field = operator.field([1, 1j], plane="array")
-        >>> operator.field_adjoint(field.samples, plane="array").shape
-        (2,)
-        """
-        given = check_amplitudes(amplitudes, len(self.points))
-        with guards.watch():
-            found = self.coherent_fields().at(given, require_plane(plane))
-        return SampledField(backend().to_host(found.samples), found.origin, found.pitch)
-
-    @one_at_a_time
-    def field_adjoint(self, samples: Any, *, plane: str = "detector") -> NDArray[np.complex64]:
-        r"""Apply the adjoint of `field`: the inner product of every point's field with a field's samples.
-
-        Parameters
-        ----------
-        samples : complex array (rows, columns)
-            Samples in the plane, on the grid of `field`.
-        plane : {"detector", "array", "pupil"}
-            The plane, as in `field`.
-
-        Returns
-        -------
-        complex64 array (n,)
-            :math:`\sum_p \overline{u_r(p)} \, s_p` for each point r.
-
-        Raises
-        ------
-        InputError
-            As for `field`.
-        """
-        fields = self.coherent_fields()
-        given = check_samples(samples, fields.shape(require_plane(plane)), plane)
-        return fields.adjoint(given, plane)
-
-    def coherent_fields(self) -> CoherentFields:
-        """Return the fields of the points at the operator's only wavelength, or refuse them."""
-        if self._coherent is None:
-            wavelengths = [part.wavelength for part in self._channels.parts(1)]
-            refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
-            refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
-            (wavelength,) = wavelengths
-            bound = self._systems.get(wavelength)
-            system = bound or OpticalSystem(self.camera.at_wavelength(wavelength), wavelength)
-            self._coherent = CoherentFields(system, self.points)
-        return self._coherent
 
     def _for_derivatives(self) -> Differentials:
         """Return the derivatives of the sums, or refuse methods that do not support them."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.plenoptic_camera import require_ideal
-from ..capture.crosstalk import mix_pixels
 from ..capture.scene_points import require_matte_surfaces
 from ..errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength
 from ..laser.lit_points import LaserScene, LitPoints, named_lasers, without
@@ -209,8 +208,8 @@ def make_class() -> type:
                 warnings.warn(f"{NAME}: the camera sees no surface that the lasers light", stacklevel=2)
                 return np.zeros((*camera.shape, 1), np.float32)
             operator = CaptureOperator(camera, points.positions, wavelength=wavelength, method="full_field")
-            image = coherent_capture(operator, points.weights, modes=self._modes_of(camera, points), seed=seed, job=job)
-            return mix_pixels(image[..., None], camera.pixel_crosstalk)
+            modes = self._modes_of(camera, points)
+            return coherent_capture(operator, points.weights, modes=modes, seed=seed, job=job)[..., None]
 
         def _modes_of(self, camera: PlenopticCamera, points: LitPoints) -> int:
             """Return the number of modes, of the source if one is given."""

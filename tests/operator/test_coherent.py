@@ -81,7 +81,7 @@ def test_fields_are_linear():
 
 def test_squared_fields_are_the_incoherent_capture():
     operator, weights = operator_of(NEAR[:3]), np.array([1.0, 0.5, 2.0])
-    fields = operator.coherent_fields()
+    fields = operator.coherent_fields
     total = sum(fields.intensity(row.astype(np.complex64)) for row in np.diag(np.sqrt(weights)))
     # Grids that hold all points differ from those of single points.
     assert error(total, operator.forward(weights)) < 1e-3

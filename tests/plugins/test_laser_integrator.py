@@ -47,10 +47,10 @@ def _variant():
 
 
 def test_the_mean_power_is_that_of_a_wave_capture():
-    scene = scene_of(integrator={"modes": 24})
+    scene = scene_of(integrator={"modes": 12})
     capture = render_capture(scene)
     assert capture.wavelength == WAVELENGTH
-    assert capture.metadata["modes"] == 24
+    assert capture.metadata["modes"] == 12
     other = render_capture(
         load_scene(
             {
@@ -61,9 +61,9 @@ def test_the_mean_power_is_that_of_a_wave_capture():
         spp=256,
     )  # fmt: skip
     bright = other.image > 0.3 * other.image.max()
-    assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.04)
+    assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.06)
     ratio = capture.image[bright] / other.image[bright]
-    assert 0.6 / math.sqrt(24) < ratio.std() < 1.1 / math.sqrt(24)
+    assert 0.6 / math.sqrt(12) < ratio.std() < 1.1 / math.sqrt(12)
 
 
 def test_weights_against_the_closed_form():
@@ -167,6 +167,20 @@ def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
 def area_lamp():
     scene = scene_of(lamp=AREA)
     return scene, [next(emitter.id() for emitter in scene.emitters() if emitter.class_name() == "AreaLight")]
+
+
+def test_the_scene_with_speckle():
+    size = {"detector_width": 0.128, "resolution": 64, "aperture_radius": 2, "spp": 8}
+
+    def capture(**change):
+        scene = load_scene("speckle", variant="llvm_ad_mono", parameters={**size, **change})
+        return render_capture(scene).image
+
+    mixed, dark = capture(), capture(sky=0)
+    with pytest.warns(UserWarning, match="the camera sees no surface that the lasers light"):
+        bright = capture(laser_power=0)
+    assert mixed.sum() == pytest.approx(dark.sum() + bright.sum(), rel=1e-3)
+    assert dark.sum() > bright.sum() > 0
 
 
 AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}

@@ -73,14 +73,14 @@ def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
 
 
 def test_the_mean_over_modes_is_the_incoherent_capture():
-    points = speckle.wall(speckle.SMALL.replace(detector_width=0.064, resolution=(32, 32)), 4)
     camera = speckle.SMALL.replace(detector_width=0.064, resolution=(32, 32))
-    weights = np.random.default_rng(0).random(len(points))
+    points, weights = scattered(20, distances=(119.5, 120.5), image=0.03), np.random.default_rng(0).random(20)
     mean = laser.coherent_capture(operator_of(points, camera), weights, modes=60, seed=2)
     exact = CaptureOperator(camera, points, wavelength=WAVELENGTH).forward(weights)
     bright = exact > 0.2 * exact.max()
-    assert mean[bright].sum() == pytest.approx(exact[bright].sum(), rel=0.05)
-    assert np.sqrt(np.mean((mean[bright] / exact[bright] - 1) ** 2)) < 1.1 / math.sqrt(60)
+    assert mean[bright].sum() == pytest.approx(exact[bright].sum(), rel=0.1)
+    # Each pixel scatters by its contrast, at most 1, over the root of the modes.
+    assert 0.4 / math.sqrt(60) < np.sqrt(np.mean((mean[bright] / exact[bright] - 1) ** 2)) < 1.15 / math.sqrt(60)
 
 
 @pytest.fixture(scope="module")

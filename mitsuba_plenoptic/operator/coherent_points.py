@@ -1,0 +1,102 @@
+"""The part of a `CaptureOperator` that concerns mutually coherent points: complex fields and their adjoint."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..optics import guards
+from ..runtime.backend import backend, one_at_a_time
+from .arrival import SampledField
+from .coherent import CoherentFields, check_amplitudes, check_samples, require_plane
+
+
+class CoherentPoints(ABC):
+    """Points whose light may add as fields."""
+
+    points: NDArray[np.float64]
+
+    @abstractmethod
+    def _coherent_fields(self) -> CoherentFields:
+        """Plan the fields of the points, or refuse them."""
+
+    @cached_property
+    def coherent_fields(self) -> CoherentFields:
+        """The fields of the points at the operator's only wavelength."""
+        return self._coherent_fields()
+
+    @one_at_a_time
+    def field(self, amplitudes: Any, *, plane: str = "detector") -> SampledField:
+        r"""Add the complex fields of all points, which are mutually coherent, each with an amplitude.
+
+        .. math:: U(p) = \sum_r a_r \, u_r(p)
+
+        where the point spread of `forward` is the integral of :math:`|u_r|^2` over a pixel, before the light that the
+        method "patch" leaves out. The phase of an amplitude is that of the point's field at the centre of the pupil.
+        Points of similar distance are propagated together: the time depends little on their count. The main lens must
+        be thin, and there must be one wavelength and no `pupil_weights`.
+
+        Parameters
+        ----------
+        amplitudes : complex array (n,)
+            Amplitudes; their squared moduli are weights as in `forward`.
+        plane : {"detector", "array", "pupil"}
+            Plane of the field: on the detector, just before the microlenses, or just behind the main lens.
+
+        Returns
+        -------
+        SampledField
+            ``samples``, complex64 (rows, columns), on the camera-frame x and y of ``origin``, the first sample, and of
+            those that follow at distances of ``pitch``, in millimetres. The integral of the squared modulus is the
+            power that passes the pupil, less what misses the window.
+
+        Raises
+        ------
+        InputError
+            If an input has a wrong shape or value, the camera or operator has no coherent fields, or the work would
+            need too much memory.
+        PhysicsError
+            If too much of the light is lost.
+
+        Examples
+        --------
+        >>> import mitsuba_plenoptic as mp
+        >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64), aperture_radius=2)
+        >>> operator = mp.CaptureOperator(camera, [(-0.01, 0, 240), (0.01, 0, 240)], wavelength=633)
+        >>> field = operator.field([1, 1j], plane="array")
+        >>> operator.field_adjoint(field.samples, plane="array").shape
+        (2,)
+        """
+        given = check_amplitudes(amplitudes, len(self.points))
+        with guards.watch():
+            found = self.coherent_fields.at(given, require_plane(plane))
+        return SampledField(backend().to_host(found.samples), found.origin, found.pitch)
+
+    @one_at_a_time
+    def field_adjoint(self, samples: Any, *, plane: str = "detector") -> NDArray[np.complex64]:
+        r"""Apply the adjoint of `field`: the inner product of every point's field with a field's samples.
+
+        Parameters
+        ----------
+        samples : complex array (rows, columns)
+            Samples in the plane, on the grid of `field`.
+        plane : {"detector", "array", "pupil"}
+            The plane, as in `field`.
+
+        Returns
+        -------
+        complex64 array (n,)
+            :math:`\sum_p \overline{u_r(p)} \, s_p` for each point r.
+
+        Raises
+        ------
+        InputError
+            As for `field`.
+        """
+        fields = self.coherent_fields
+        given = check_samples(samples, fields.shape(require_plane(plane)), plane)
+        return fields.adjoint(given, plane)
