@@ -176,8 +176,8 @@ class PhotodiodeResponses(PlaneWaves):
         pairs, inner = overlap.shape[1] // 2, self.across + 1
         known = modes.shape[1] // 2
         half = inner * finer + pairs * stride
-        at = np.arange(-known * finer, known * finer + 1) / finer
-        spline = make_interp_spline(np.arange(-known, known + 1), np.eye(2 * known + 1))(at).astype(np.float32)
+        between = np.arange(-known * finer, known * finer + 1) / finer
+        spline = make_interp_spline(np.arange(-known, known + 1), np.eye(2 * known + 1))(between).astype(np.float32)
         modes = spline @ modes @ spline.T if finer > 1 else modes
         # Directions farther outside the pupil are not needed.
         beyond = max(0, half - known * finer)
