@@ -191,14 +191,14 @@ class PhotodiodeResponses(PlaneWaves):
             if (a, b) < (pairs, pairs):
                 continue
             at = tuple(slice(inner - halves[lag], inner + halves[lag] + 1) for lag in (a, b))
-            one, other = (
-                tuple(
+            ends = [
+                [
                     slice(middle - halves[lag] * finer + shift, middle + halves[lag] * finer + shift + 1, finer)
                     for lag, shift in ((a, side * lags[a] * stride), (b, side * lags[b] * stride))
-                )
+                ]
                 for side in (1, -1)
-            )
-            value = np.einsum("ryx,ryx->yx", modes[(slice(None), *one)], conjugate[(slice(None), *other)])
+            ]
+            value = np.einsum("ryx,ryx->yx", modes[:, ends[0][0], ends[0][1]], conjugate[:, ends[1][0], ends[1][1]])
             products[(*at, a, b)] = value
             products[(*at, -1 - a, -1 - b)] = value.conj()
         # Sharpened against the damping by linear interpolation in s, and below by that in x.
