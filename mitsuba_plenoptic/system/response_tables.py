@@ -176,8 +176,8 @@ class PhotodiodeResponses(PlaneWaves):
         pairs, inner = overlap.shape[1] // 2, self.across + 1
         known = modes.shape[1] // 2
         half = inner * finer + pairs * stride
-        at = np.arange(-known * finer, known * finer + 1) / finer
-        spline = make_interp_spline(np.arange(-known, known + 1), np.eye(2 * known + 1))(at).astype(np.float32)
+        between = np.arange(-known * finer, known * finer + 1) / finer
+        spline = make_interp_spline(np.arange(-known, known + 1), np.eye(2 * known + 1))(between).astype(np.float32)
         modes = spline @ modes @ spline.T if finer > 1 else modes
         # Directions farther outside the pupil are not needed.
         beyond = max(0, half - known * finer)
@@ -191,14 +191,14 @@ class PhotodiodeResponses(PlaneWaves):
             if (a, b) < (pairs, pairs):
                 continue
             at = tuple(slice(inner - halves[lag], inner + halves[lag] + 1) for lag in (a, b))
-            one, other = (
-                tuple(
+            ends = [
+                [
                     slice(middle - halves[lag] * finer + shift, middle + halves[lag] * finer + shift + 1, finer)
                     for lag, shift in ((a, side * lags[a] * stride), (b, side * lags[b] * stride))
-                )
+                ]
                 for side in (1, -1)
-            )
-            value = np.einsum("ryx,ryx->yx", modes[(slice(None), *one)], conjugate[(slice(None), *other)])
+            ]
+            value = np.einsum("ryx,ryx->yx", modes[:, ends[0][0], ends[0][1]], conjugate[:, ends[1][0], ends[1][1]])
             products[(*at, a, b)] = value
             products[(*at, -1 - a, -1 - b)] = value.conj()
         # Sharpened against the damping by linear interpolation in s, and below by that in x.

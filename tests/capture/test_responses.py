@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.capture.responses import Grid, ResponseSum, _from_half, _quantiles
+from mitsuba_plenoptic.capture.response_draws import _from_half, _quantiles
+from mitsuba_plenoptic.capture.responses import Grid, ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.microlens import Conic, Sampled
 from mitsuba_plenoptic.system import photodiodes, response_tables
