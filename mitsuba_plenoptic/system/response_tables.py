@@ -199,8 +199,8 @@ class PhotodiodeResponses(PlaneWaves):
                 for side in (1, -1)
             ]
             value = np.einsum("ryx,ryx->yx", modes[:, ends[0][0], ends[0][1]], conjugate[:, ends[1][0], ends[1][1]])
-            products[(*at, a, b)] = value
-            products[(*at, -1 - a, -1 - b)] = value.conj()
+            products[at[0], at[1], a, b] = value
+            products[at[0], at[1], -1 - a, -1 - b] = value.conj()
         # Sharpened against the damping by linear interpolation in s, and below by that in x.
         products = products[1:-1] - (products[2:] - 2 * products[1:-1] + products[:-2]) / 12
         products = products[:, 1:-1] - (products[:, 2:] - 2 * products[:, 1:-1] + products[:, :-2]) / 12
