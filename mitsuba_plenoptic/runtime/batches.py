@@ -18,14 +18,13 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Protocol
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_count, require_module
 from .backend import backend, set_variant
-from .fft import resting_drjit, worker_count
+from .fft import resting_drjit, stop_threads, worker_count
 from .limits import software
 
 
@@ -273,7 +272,7 @@ def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]
         # Dr.Jit's part is done by one thread at a time, where a worker has several.
         with _lock:
             set_variant(variant)
-            dr.set_thread_count(1)
+            stop_threads()
             work = batch.prepare()
         results.append(work())
     return results

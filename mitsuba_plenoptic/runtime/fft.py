@@ -11,10 +11,15 @@ a transform returns, and on neither side need anything else be said.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import functools
 import os
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -30,6 +35,9 @@ Field = NDArray[np.complex64]
 _rest = threading.Lock()
 _resting = 0
 _busy_threads = 0
+
+_PATIENCE = 0.1
+"""Seconds after which threads of Dr.Jit that should have stopped are woken."""
 
 
 def worker_count() -> int:
@@ -53,7 +61,7 @@ def resting_drjit() -> Iterator[None]:
             # No thread is taken from kernels at work.
             dr.sync_thread()
             _busy_threads = dr.thread_count()
-            dr.set_thread_count(1)
+            stop_threads()
         _resting += 1
     try:
         yield
@@ -76,7 +84,43 @@ def busy_drjit() -> Iterator[None]:
     finally:
         with _rest:
             if resting and _resting > 0:
-                dr.set_thread_count(1)
+                stop_threads()
+
+
+def stop_threads() -> None:
+    """Stop all threads of Dr.Jit but the calling one.
+
+    A thread that falls asleep at this very moment can miss the request, and `drjit.set_thread_count` then waits for
+    ever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. Any kernel
+    wakes the thread. To launch one, the request is made in another thread and without the interpreter's lock.
+    """
+    if dr.thread_count() == 1:
+        return
+    pool_set_size = _pool_set_size()
+    if pool_set_size is None:
+        dr.set_thread_count(1)
+        return
+    request = _requests().submit(pool_set_size, None, 1, 0)
+    while not wait([request], _PATIENCE).done:
+        dr.eval(dr.arange(dr.llvm.UInt32, 64))
+        dr.sync_thread()
+
+
+@functools.cache
+def _pool_set_size() -> Any:
+    """Return nanothread's function, which changes the number of Dr.Jit's threads; None where it is not found."""
+    for path in Path(dr.__file__).parent.glob("*nanothread.*"):
+        with contextlib.suppress(OSError, AttributeError):
+            function = ctypes.CDLL(str(path)).pool_set_size
+            function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_uint32, ctypes.c_int), None
+            return function
+    return None
+
+
+@functools.cache
+def _requests() -> ThreadPoolExecutor:
+    """Return the thread that makes requests to Dr.Jit's threads."""
+    return ThreadPoolExecutor(1)
 
 
 def fft(

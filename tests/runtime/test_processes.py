@@ -9,6 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from mitsuba_plenoptic.runtime import fft
 from mitsuba_plenoptic.runtime.fft import resting_drjit
 
 # Everything that makes an image: both captures of a scene with several lamps, all reconstructions, and noise.
@@ -181,3 +182,30 @@ def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(python, tmp
     early, parent, spawned, again, forked = result.stdout.splitlines()
     assert early == parent == spawned == again
     assert "get_context('spawn')" in forked
+
+
+def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch):
+    """The request returns only once a kernel is launched, as where a thread of Dr.Jit sleeps through it."""
+    woken, before = threading.Event(), dr.thread_count()
+    launch = dr.eval
+
+    def request(pool, count, parked):
+        assert woken.wait(10)
+        dr.set_thread_count(count)
+
+    def wake(*arrays):
+        woken.set()
+        return launch(*arrays)
+
+    monkeypatch.setattr(fft, "_pool_set_size", lambda: request)
+    monkeypatch.setattr(dr, "eval", wake)
+    dr.set_thread_count(3)
+    try:
+        fft.stop_threads()
+        assert dr.thread_count() == 1
+    finally:
+        dr.set_thread_count(before)
+
+
+def test_threads_are_stopped_outside_the_interpreters_lock():
+    assert fft._pool_set_size() is not None

@@ -7,7 +7,7 @@ import pytest
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.system import photodiodes
-from mitsuba_plenoptic.system.photodiodes import PhotodiodeResponses
+from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses
 from tools.bench.cases.photodiodes import camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
@@ -65,10 +65,9 @@ def test_white_walls_against_the_mean_over_paths():
 
 
 def test_diffraction_orders_behind_small_lenses_lose_light_along_their_directions(monkeypatch):
-    monkeypatch.setattr(photodiodes, "_SPREADS", (6.0, 20.0))
-    monkeypatch.setattr(photodiodes, "_LEAST_WINDOW", 2.0)
+    monkeypatch.setattr(photodiodes, "_STEPS", (6.0, 20.0))
     camera = camera_of(4.0, 4).replace(mla_absorption=50.0)
-    light = PhotodiodeResponses(camera, 550.0, 550.0).by_direction(-0.5, -0.5).sum(0)
+    light = PhotodiodeResponses(camera, 550.0).by_direction(-0.5, -0.5).sum(0)
     middle = light.shape[0] // 2
     pitch, n, lam = camera.mla_pitch, 1.5, 550e-6
     x = ((np.arange(1024) + 0.5) / 1024 - 0.5) * pitch
