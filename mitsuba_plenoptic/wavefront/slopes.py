@@ -179,12 +179,8 @@ def mode_slopes(pupil: Array, radius: float, modes: int) -> Array:
 
 def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
     """Return (rows, columns, 2) the centre of each pixel's lens, and the pupil point that it sees through it."""
-    x, y = (
-        (np.arange(count) + 0.5 + camera.crop_offset[axis] - camera.resolution[axis] / 2) * camera.pixel_size
-        for axis, count in enumerate(camera.crop_size)
-    )
     b, z = camera.mla_distance, camera.reduced_distance
-    detector = np.stack(np.meshgrid(x, y), -1)
+    detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
     chief = rays.chief_point(detector, b, z)
     lens = np.stack(camera.lattice.centre(*camera.lattice.cell(chief[..., 0], chief[..., 1])), -1)
     return lens, lens + (lens - detector) * (b / z)
