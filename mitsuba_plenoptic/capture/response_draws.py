@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -167,6 +168,7 @@ def _quantiles_of(window: Window) -> int:
     return 1 << math.ceil(math.log2(2 * window.lenses**2))
 
 
+@functools.lru_cache(maxsize=2)
 def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
     """Return quantiles of the distribution over the cells of the far window of each node (nodes of all zones + 1, n).
 

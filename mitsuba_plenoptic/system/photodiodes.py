@@ -102,7 +102,7 @@ def lens_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
     return centre[0] + right, centre[1] + up
 
 
-def _aside(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
+def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
     """Return the positions of the middles of lenses' pixels relative to the lenses, by lattice indices."""
     width = count * camera.pixel_size
     return [(index + 0.5) * width - c for index, c in zip((x, y), lens_centre(camera, x, y), strict=True)]
@@ -121,7 +121,9 @@ class Zones:
         """Return the zones of a camera with `count` pixels across a lens."""
         made = []
         ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
-        aside = _aside(camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges)))
+        aside = displacement(
+            camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges))
+        )
         for axis, (first, last) in enumerate(ranges):
             moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
             turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
@@ -241,7 +243,7 @@ class PlaneWaves:
         square = (index * k) ** 2 + 1j * index * k * camera.mla_absorption
         far = self.across + 3
         # Index x, y of a lens give its pixels' displacement.
-        shift = _aside(camera, self.count, x, y)
+        shift = displacement(camera, self.count, x, y)
         nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
         row, column = divmod(diode, self.count)
         py, px = (

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -23,7 +24,7 @@ from scipy.interpolate import make_interp_spline
 
 from ..errors import refuse_if
 from ..runtime.limits import single_threaded_blas
-from .photodiodes import NEAR, PlaneWaves
+from .photodiodes import NEAR, PlaneWaves, displacement
 
 _OVERSAMPLING = 1.4
 """Samples across a window over those that its highest frequency requires."""
@@ -42,6 +43,11 @@ _RIDGE = 1e-3
 
 _MOST_MEMORY = 2**30
 """Bytes of the tables of a camera."""
+
+_ALL, _REVERSED = slice(None), slice(None, None, -1)
+
+_ALIKE = 1e-6
+"""Relative difference that mirror images may have."""
 
 
 class Window(NamedTuple):
@@ -65,6 +71,12 @@ class Window(NamedTuple):
     def place(self) -> NDArray[np.float64]:
         """Positions of the samples in lenses."""
         return self.first - 0.5 + np.arange(self.across) / self.samples
+
+    @property
+    def mirrored(self) -> NDArray[np.int64]:
+        """Indices of the samples at the opposite positions; a window of an even count of lenses is periodic."""
+        index = np.arange(self.across)
+        return self.across - 1 - index if self.lenses % 2 else (self.samples - index) % (self.across - 1)
 
 
 class ResponseTable(NamedTuple):
@@ -141,6 +153,15 @@ class PhotodiodeResponses(PlaneWaves):
         fold, own = _fold(self.near, self.far)
         blurred = _blurred(self.near, self.far, self._far_pairs)
         for number, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
+            image = self._mirror_image(number, pupils)
+            if image is not None:
+                other, flips = image
+                nodes = index[flips][used]
+                for part, window in ((near, self.near), (far, self.far)):
+                    part[number] = self._mirrored(part[other][nodes], window, flips)
+                diodes = np.arange(self.count**2).reshape(self.count, self.count)[flips].ravel()
+                means[number] = means[other][diodes]
+                continue
             each = pupil.step * self.stride, pupil.step // self._finer
             overlaps = [
                 pupil.overlap(np.arange(-pairs, pairs + 1) * lag)[used]
@@ -159,6 +180,37 @@ class PhotodiodeResponses(PlaneWaves):
                 near[number, ..., diode], far[number, ..., diode] = close, wide
                 means[number, diode] = whole @ pupil.mass[used] / pupil.mass.sum()
         return ResponseTable(index, near, far, means)
+
+    def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
+        """Return an earlier zone of which a zone is the mirror image, and the slices that mirror rows and columns."""
+        columns = len(self.zones.x)
+        row, column = divmod(number, columns)
+        _, amplitude = self._orders
+        for flips in itertools.product((_ALL, _REVERSED), repeat=2):
+            other = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
+            signs = [-1 if flip == _REVERSED else 1 for flip in reversed(flips)]
+            if (
+                other < number
+                and np.array_equal(pupils[other].is_open[flips], pupils[number].is_open)
+                and np.allclose(amplitude[flips], amplitude, rtol=0, atol=_ALIKE)
+                and np.allclose(self._displacement(other) * signs, self._displacement(number), rtol=0, atol=_ALIKE)
+            ):
+                return other, flips
+        return None
+
+    def _displacement(self, number: int) -> NDArray[np.float64]:
+        """Return how far the pixels of a zone's lens are from it, x and y, in lenses."""
+        row, column = divmod(number, len(self.zones.x))
+        place = self.zones.x[column], self.zones.y[row]
+        return np.array(displacement(self.camera, self.count, *place)) / self.camera.mla_pitch
+
+    def _mirrored(self, values: NDArray[np.float16], window: Window, flips: tuple[slice, ...]) -> NDArray[np.float16]:
+        """Mirror values (nodes, y, x, photodiodes) in a window."""
+        for axis, flip in enumerate(flips, 1):
+            if flip == _REVERSED:
+                values = np.take(values, window.mirrored, axis)
+        diodes = values.reshape(*values.shape[:3], self.count, self.count)
+        return diodes[..., flips[0], flips[1]].reshape(values.shape)
 
     def _response(
         self,

@@ -79,7 +79,7 @@ def test_shaped_lenses_against_the_fields_of_periodic_samples(name):
 
 def test_each_cell_of_the_far_window_can_be_drawn():
     """Also for directions without response, as nodes that only some zones use have."""
-    plan = PhotodiodeResponses(camera_of(4.0, 4), 550.0)
+    plan = PhotodiodeResponses(camera_of(4.0, 6), 550.0)
     plan.table.far[0, 0] = 0
     drawn = _quantiles(plan)
     for row in drawn[:2]:
@@ -87,6 +87,26 @@ def test_each_cell_of_the_far_window_can_be_drawn():
         assert len(cells) == plan.far.lenses**2
         np.testing.assert_array_equal(counts[row >> 16], row & 0xFFFF)
     assert len(drawn) == plan.table.far.shape[1] + 1
+
+
+@pytest.mark.parametrize(("f_number", "steps"), [pytest.param(2.0, 6.0, marks=pytest.mark.slow), (8.0, 3.0)])
+def test_zones_that_mirror_each_other_have_mirrored_tables(monkeypatch, f_number, steps):
+    """Far windows of an odd and of an even count of lenses."""
+    monkeypatch.setattr(photodiodes, "_STEPS", (steps, 20.0))
+    monkeypatch.setattr(response_tables, "_FAR", (15, 20))
+    even = camera_of(f_number, 100)
+    camera = even.replace(mla_pitch=even.mla_pitch * 0.9995, resolution=(200, 8), detector_width=even.detector_width)
+    plan, other = PhotodiodeResponses(camera, 550.0), PhotodiodeResponses(camera, 550.0)
+    assert len(plan.zones) == 3 and plan.far.lenses % 2 == (f_number == 2.0)
+    made = []
+    tabulate = PhotodiodeResponses.modes
+    monkeypatch.setattr(PhotodiodeResponses, "modes", lambda self, *zone: made.append(zone) or tabulate(self, *zone))
+    mirrored = plan.table
+    assert len(made) == 2 * plan.count**2
+    monkeypatch.setattr(PhotodiodeResponses, "_mirror_image", lambda *_: None)
+    for one, expected in zip(mirrored[1:], other.table[1:], strict=True):
+        np.testing.assert_allclose(one.astype(float), expected.astype(float), atol=2e-3 * np.abs(expected).max())
+    assert len(made) == 5 * plan.count**2
 
 
 def test_half_precision_is_read_exactly():
@@ -138,7 +158,8 @@ def test_light_passes_to_the_other_side_by_the_orders_of_the_lens():
 
 
 @pytest.mark.slow
-def test_the_mean_of_captures_agrees_with_exact_sums():
+def test_the_mean_of_captures_agrees_with_exact_sums(monkeypatch):
+    monkeypatch.undo()
     wall = Wall(camera_of(8.0, 18), 650.0, 0.0)
     plan = PhotodiodeResponses(wall.camera, 650.0)
     exact, mean = wall.exact(), wall.expected(plan)
