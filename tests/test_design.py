@@ -215,7 +215,7 @@ def test_a_white_scene_is_refocused_to_one(numbers):
         np.testing.assert_allclose(image[inner, inner], 1, atol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["keplerian", "galilean"])
+@pytest.mark.parametrize("name", ["keplerian", pytest.param("galilean", marks=pytest.mark.slow)])
 def test_refocused_to_the_best_distance_it_is_the_thin_lenses_image(name):
     scene = load_scene(name, parameters={"detector_width": 1.024, "resolution": 512})
     capture = render_capture(scene, spp=64)
@@ -298,7 +298,9 @@ def test_a_point_comes_back_by_waves_to_where_it_was(numbers):
     assert sharp.max() >= 4 * blurred.max()
 
 
-@FOCUSED
+@pytest.mark.parametrize(
+    "numbers", [KEPLERIAN, pytest.param(GALILEAN, marks=pytest.mark.slow)], ids=["keplerian", "galilean"]
+)
 @pytest.mark.parametrize("interleave", [pytest.param(2, marks=pytest.mark.slow), "auto"])
 def test_a_white_scene_comes_back_by_waves_to_one(numbers, interleave):
     camera = PlenopticCamera(**numbers, **SMALL)

@@ -83,7 +83,7 @@ def test_an_array_in_the_focus_equals_that_of_hcipy():
     assert hcipy.NoisyDetector(optics.output_grid)(1e5 * ours).sum() == pytest.approx(1e5 * ours.sum(), abs=1600)
 
 
-@pytest.mark.parametrize("preset", ["telescope", "shack_hartmann"])
+@pytest.mark.parametrize("preset", [pytest.param("telescope", marks=pytest.mark.slow), "shack_hartmann"])
 def test_screens_of_atmospheres_and_wavefronts_behind_them_agree(preset):
     grid = hcipy.make_pupil_grid(160, 10.24e-3)
     layer = hcipy.InfiniteAtmosphericLayer(

@@ -40,7 +40,7 @@ def micro_images(kind, distance, place, angles):
     return image, white
 
 
-@pytest.mark.parametrize(("kind", "ratio"), [(0, -0.2), (1, -0.15)])
+@pytest.mark.parametrize(("kind", "ratio"), [pytest.param(0, -0.2, marks=pytest.mark.slow), (1, -0.15)])
 def test_corners_are_met_in_spite_of_the_rim(kind, ratio):
     # z/a; the disparity is that of neighbouring lenses in the array's plane, over the pitch of micro-images.
     over = CAMERA.detector_distance / CAMERA.mla_distance

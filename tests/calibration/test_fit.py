@@ -122,7 +122,7 @@ def errors(found, table, bad):
     [
         pytest.param("few", marks=pytest.mark.slow),
         "many",
-        "corners",
+        pytest.param("corners", marks=pytest.mark.slow),
         pytest.param("one frame", marks=pytest.mark.slow),
     ],
 )
@@ -228,7 +228,11 @@ def test_mistakes_get_one_line(table, change, words):
         (Board(4, 6, 6.0), "not lie as on a board of 4x6 inner corners: they do on one with 6 along each row"),
         (Board(7, 4, 6.0), "not lie as on a board of 7x4 inner corners: they do on one with 6 along each row"),
         (Board(6, 4, 60.0), r"squares of 60 mm and .* f-number .* radius of .* check the distance of the board's"),
-        (Board(6, 4, 0.6), r"squares of 0.6 mm and .* radius of .* but micro-images are .* pixels apart: check"),
+        pytest.param(
+            Board(6, 4, 0.6),
+            r"squares of 0.6 mm and .* radius of .* but micro-images are .* pixels apart: check",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_boards_of_another_size_are_not_called_mirrored(table, centres, board, words):

@@ -204,7 +204,7 @@ def test_rays_of_white_fill_the_micro_images():
     assert image[30:-30, 30:-30].mean() == pytest.approx(np.pi * (0.02 * 3 / 0.15) ** 2, rel=0.005)
 
 
-@pytest.mark.parametrize("depth", [0.0, 0.02])
+@pytest.mark.parametrize("depth", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_rays_see_a_small_light_where_waves_do(depth):
     camera, X, Y = camera_with(AIR), 0.0078, -0.0072
     light = {

@@ -47,7 +47,7 @@ def by_signed_rays(scene, spp=256, **options):
 @pytest.mark.parametrize(
     "objects, count, limit",
     [
-        ({"wall": lambda: wall()}, 64, 0.01),
+        pytest.param({"wall": lambda: wall()}, 64, 0.01, marks=pytest.mark.slow),
         ({"card": lambda: facing(240.0, 2.0, **striped(0.4))}, 64, 0.03),
     ],
     ids=["white wall", "texture"],

@@ -126,7 +126,10 @@ def error(found, expected):
     return np.linalg.norm(found - expected) / np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("case", SCENES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=[pytest.mark.slow] * (case in ("shining texture", "principled"))) for case in SCENES],
+)
 def test_against_differences_of_captures_with_the_same_rays_and_reverse_against_forward(case):
     scene, key = SCENES[case]()
     change = pushed(scene, key)
@@ -242,6 +245,7 @@ def test_spectral_variants_are_differentiated_in_reverse():
         scene.integrator().render_forward(scene, params)
 
 
+@pytest.mark.slow
 def test_drawn_wavelengths_are_differentiated_in_reverse():
     mi.set_variant("llvm_ad_spectral")
     camera = sensor(4, 8)

@@ -36,9 +36,9 @@ def quarters(image, lenses):
     "parameters",
     [
         {},
-        {"detector_distance": 0.41},
+        pytest.param({"detector_distance": 0.41}, marks=pytest.mark.slow),
         pytest.param({"mla_lattice": "hexagonal", "mla_focal_length": "0.48, 0.512, 0.55"}, marks=pytest.mark.slow),
-        {"mla_fill": 0.5, "mla_aperture": "circle"},
+        pytest.param({"mla_fill": 0.5, "mla_aperture": "circle"}, marks=pytest.mark.slow),
     ],
     ids=["in focus", "focused camera", "three focal lengths", "discs"],
 )
@@ -112,7 +112,7 @@ def by_the_even_array():
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"mla_jitter": (0.003, 0.0), "mla_seed": 3},
+        pytest.param({"mla_jitter": (0.003, 0.0), "mla_seed": 3}, marks=pytest.mark.slow),
         pytest.param({"mla_tilt": (2.0, -1.5)}, marks=pytest.mark.slow),
         {"pixel_response": (0.0, 1.0, 3.0, 0.6)},
         pytest.param(

@@ -39,7 +39,13 @@ def test_commands_and_names_exist(page):
 
 @pytest.mark.parametrize(
     "page",
-    [ROOT / "docs" / "index.md", *sorted((ROOT / "docs" / "develop").glob("*.md"))],
+    [
+        ROOT / "docs" / "index.md",
+        *(
+            pytest.param(page, marks=[pytest.mark.slow] * (page.stem in ("main_lens", "method", "microlens")))
+            for page in sorted((ROOT / "docs" / "develop").glob("*.md"))
+        ),
+    ],
     ids=lambda page: page.stem,
 )
 def test_code_cells_run(page, tmp_path):

@@ -174,7 +174,9 @@ def quickly(camera, view, names="mla_pitch", **options):
     return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 
 
-@pytest.mark.parametrize("photons", [20.0, 200.0, 2000.0, 20000.0])
+@pytest.mark.parametrize(
+    "photons", [20.0, *(pytest.param(n, marks=pytest.mark.slow) for n in (200.0, 2000.0)), 20000.0]
+)
 def test_chi_square_of_a_right_model_is_one(recorded, photons):
     """Counts after Poisson: over noises its mean is 1, and its spread as stated, with few photons and with many."""
     true, points, image, weights = recorded

@@ -23,7 +23,7 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "double Gauss" else []) for name in CAMERAS]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name != "aberrations")) for name in CAMERAS]
 )
 def test_against_rays_through_the_sensor(name):
     """A wall of several shades, as the points that rays find on it."""

@@ -75,7 +75,7 @@ def stopped(tmp_path_factory):
     return path.read_bytes()
 
 
-@pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 3)])
+@pytest.mark.parametrize(("method", "count"), [("patch", 30), pytest.param("full_field", 3, marks=pytest.mark.slow)])
 def test_a_sum_goes_on_from_any_batch(method, count):
     operator = CaptureOperator(SMALL, scattered(count, distances=(205, 275)), wavelength=633, method=method)
     weights = np.random.default_rng(1).uniform(0, 1, (count, 2))
@@ -92,7 +92,7 @@ def test_a_sum_goes_on_from_any_batch(method, count):
         assert calls[-1] == (count, count) and (len(calls) == 1) == (state is states[-1])
 
 
-@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count):
     path, calls = tmp_path / "raw.exr.checkpoint", []
     stop_before(path, lambda sums: len(sums) == count)

@@ -72,6 +72,7 @@ def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
     assert seen == [2, 3]
 
 
+@pytest.mark.slow
 def test_the_mean_over_modes_is_the_incoherent_capture():
     camera = speckle.SMALL.replace(detector_width=0.064, resolution=(32, 32))
     points, weights = scattered(20, distances=(119.5, 120.5), image=0.03), np.random.default_rng(0).random(20)

@@ -33,7 +33,9 @@ def test_area_against_rays():
     assert area()[-1] < 0.97 * area()[0]
 
 
-@pytest.mark.parametrize(("name", "step"), [("aperture_radius", 0.02), ("focal_length", 0.2)])
+@pytest.mark.parametrize(
+    ("name", "step"), [pytest.param("aperture_radius", 0.02, marks=pytest.mark.slow), ("focal_length", 0.2)]
+)
 def test_slopes_against_areas_of_other_lenses(name, step):
     found = open_area_slopes(OpticalSystem(triplet(), WAVELENGTH).waves_of(POINTS), name, POINTS)
     value = getattr(triplet(), name)

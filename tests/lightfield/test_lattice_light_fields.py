@@ -60,8 +60,7 @@ def test_a_window_without_a_lens_is_refused(lattice):
 @pytest.mark.parametrize(
     "name",
     [
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "rectangular")),
-        "turned",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "rectangular", "turned")),
         "hexagonal, stretched",
     ],
 )

@@ -63,7 +63,7 @@ def test_depth_of_a_hexagonal_array_of_three_focal_lengths(distance):
     assert np.percentile(error, 90) < 0.01
 
 
-@pytest.mark.parametrize("camera", BLURRED)
+@pytest.mark.parametrize("camera", [pytest.param("three focal lengths", marks=pytest.mark.slow), "one focal length"])
 def test_lenses_out_of_focus_do_not_move_depths(camera):
     distance = BLURRED[camera][1]
     capture = wall(distance, camera)

@@ -307,7 +307,7 @@ class TestViews:
 class TestScenes:
     """What real scenes show in the views."""
 
-    @pytest.mark.parametrize("distance", [205.0, pytest.param(240.0, marks=pytest.mark.slow), 290.0])
+    @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (205.0, 240.0)), 290.0])
     def test_parallax_follows_the_formula(self, distance, camera_dict):
         # A small disc off the axis; its place in every fully lit view, by its centroid.
         place = mi.ScalarTransform4f().translate([-0.1 * distance / 120, 0.17 * distance / 120, distance])

@@ -111,7 +111,7 @@ class TestShiftAndAdd:
         for g in (205, 240, 300):
             np.testing.assert_allclose(refocus(lf, g).values, 0.6, atol=1e-5)
 
-    @pytest.mark.parametrize("distance", [210.0, 240.0, 280.0])
+    @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (210.0, 240.0)), 280.0])
     def test_equals_the_ray_reconstruction(self, distance):
         capture = render_capture(load_scene("letters", parameters=letters(64)), spp=2)
         ours = refocus(decode(capture), distance).values
@@ -256,7 +256,7 @@ class TestDepth:
         with pytest.raises(InputError, match="nothing in common"):
             depth_map(lf, 239, 241)
 
-    @pytest.mark.parametrize("distance", [200.0, 300.0])
+    @pytest.mark.parametrize("distance", [pytest.param(200.0, marks=pytest.mark.slow), 300.0])
     def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance):
         # Views move by 1.4 lenses and more.
         found = depth_map(flat_scene(blank, distance, texture(5)), planes=96).isel(s=slice(12, -12), t=slice(12, -12))
@@ -270,7 +270,7 @@ class TestDepth:
         assert float(np.isfinite(found.depth).mean()) < 0.05
         assert float((found.confidence == 0).mean()) > 0.9
 
-    @pytest.mark.parametrize("period", [1.3, 2.0])
+    @pytest.mark.parametrize("period", [1.3, pytest.param(2.0, marks=pytest.mark.slow)])
     def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period):
         # Lenses average over their width.
         height = 0.45 * np.sinc(1 / period)

@@ -13,7 +13,7 @@ COSINE = 0.16
 
 
 @pytest.mark.parametrize("change", [{"mla_focal_length": 0.512}, {"mla_fill": 0.8}], ids=["focal length", "fill"])
-@pytest.mark.parametrize("name", ["square", "hexagonal", "circles"])
+@pytest.mark.parametrize("name", ["square", pytest.param("hexagonal", marks=pytest.mark.slow), "circles"])
 def test_tables_of_derivatives_against_differences_of_orders(name, change):
     parameters = {
         "square": {},

@@ -20,8 +20,6 @@ from mitsuba_plenoptic.runtime.jobs import Job
 
 SMALL = small_camera()
 
-cameras = pytest.mark.parametrize("camera", [small_camera(**changes) for changes in CAMERAS.values()], ids=CAMERAS)
-
 
 def half_open(cells=16):
     """Return pupil weights of which the half at +x is open."""
@@ -145,10 +143,18 @@ def test_a_job_that_fails_leaves_nothing_under_way():
 # -- linear, with an adjoint -------------------------------------------------------------------------
 
 
-@cameras
-@pytest.mark.parametrize("accuracy", [0, 0.01])
-def test_adjoint(camera, accuracy):
+@pytest.mark.parametrize(
+    ("accuracy", "name"),
+    [
+        # A camera is quickly tested at one accuracy, and the next camera at the other.
+        pytest.param(accuracy, name, marks=[pytest.mark.slow] * ((number + bool(accuracy)) % 2))
+        for accuracy in (0, 0.01)
+        for number, name in enumerate(CAMERAS)
+    ],
+)
+def test_adjoint(name, accuracy):
     """<A x, y> = <x, A' y> to 1e-5 of |x| |A' y|, for three channels of mixed signs."""
+    camera = small_camera(**CAMERAS[name])
     _check_adjoint(camera, scattered(6), accuracy=accuracy, weighted=accuracy > 0)
 
 
@@ -293,7 +299,7 @@ def test_radiators_share_only_with_those_of_equal_pupil_weights():
 @pytest.mark.parametrize(
     ("name", "distance"),
     [
-        ("square", 210.0),
+        pytest.param("square", 210.0, marks=pytest.mark.slow),
         ("square", 240.0),
         pytest.param("hexagonal", 240.0, marks=pytest.mark.slow),
         pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow),

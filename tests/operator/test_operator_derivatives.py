@@ -54,8 +54,8 @@ def test_reverse_equals_forward(name):
 @pytest.mark.parametrize(
     ("name", "step", "limit"),
     [
-        ("focal_length", 4e-3, 0.005),
-        ("mla_pitch", 7e-5, 0.005),
+        pytest.param("focal_length", 4e-3, 0.005, marks=pytest.mark.slow),
+        pytest.param("mla_pitch", 7e-5, 0.005, marks=pytest.mark.slow),
         pytest.param("mla_rotation", 0.1, 0.005, marks=pytest.mark.slow),
         ("detector_width", 2e-4, 0.025),
         pytest.param("aperture_radius", 9e-3, 0.025, marks=pytest.mark.slow),

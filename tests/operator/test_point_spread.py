@@ -27,7 +27,7 @@ OTHER = PlenopticCamera(
     [
         (SMALL, (0.4, -0.3, 240.0), 633),
         pytest.param(SMALL, (0.2, 0.1, 215.0), 633, marks=pytest.mark.slow),
-        (SMALL, (-0.3, 0.5, 270.0), 450),
+        pytest.param(SMALL, (-0.3, 0.5, 270.0), 450, marks=pytest.mark.slow),
         (OTHER, (0.5, 0.4, 175.0), 532),
         pytest.param(OTHER, (-0.2, 0.6, 190.0), 700, marks=pytest.mark.slow),
     ],
@@ -49,7 +49,9 @@ def test_patch_against_full_field(camera, position, wavelength):
         pytest.param(small_camera(4, aperture_radius=0.7), 215.0, marks=pytest.mark.slow),
         pytest.param(PlenopticCamera(detector_width=0.128, resolution=(512, 512)), 230.0, marks=pytest.mark.slow),
         (small_camera(16, mla_focal_length=5.4, detector_distance=5.4), 240.0),
-        (PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0),
+        pytest.param(
+            PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0, marks=pytest.mark.slow
+        ),
         pytest.param(small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0, marks=pytest.mark.slow),
         pytest.param(small_camera(4, mla_fill=0.25), 240.0, marks=pytest.mark.slow),
     ],
@@ -73,7 +75,7 @@ def test_gaps_between_microlenses_at_the_default_accuracy(fill):
     assert error(capture(camera, many, np.ones(len(many))), exact) < 0.01
 
 
-@pytest.mark.parametrize("cells", [2, 16])
+@pytest.mark.parametrize("cells", [2, pytest.param(16, marks=pytest.mark.slow)])
 def test_hidden_cells_of_the_pupil(cells):
     """Their borders do not depend on where the samples of the pupil lie."""
     camera, position = small_camera(6), np.array([0.06, -0.05, 230.0])

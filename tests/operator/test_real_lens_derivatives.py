@@ -42,7 +42,7 @@ def difference(camera, step, **changes):
 @pytest.mark.parametrize(
     ("name", "lens", "step", "limit"),
     [
-        ("focal_length", "double_gauss", 3.5e-3, 0.005),
+        pytest.param("focal_length", "double_gauss", 3.5e-3, 0.005, marks=pytest.mark.slow),
         pytest.param("mla_distance", "double_gauss", 8e-3, 0.005, marks=pytest.mark.slow),
         # Nothing of it depends on the main lens.
         pytest.param("mla_rotation", "double_gauss", 0.1, 0.005, marks=pytest.mark.slow),

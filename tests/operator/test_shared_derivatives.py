@@ -25,7 +25,9 @@ def operator_of(lattice):
     return CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.1), np.linspace(0.3, 1, len(points))
 
 
-@pytest.mark.parametrize("lattice", [{}, LATTICES["stretched"]], ids=["square", "hexagonal, turned"])
+@pytest.mark.parametrize(
+    "lattice", [{}, pytest.param(LATTICES["stretched"], marks=pytest.mark.slow)], ids=["square", "hexagonal, turned"]
+)
 def test_copies_change_as_points_of_their_own(many, monkeypatch, lattice):
     """Without what tells copies from their spreads the derivative by the pitch is off by more than itself."""
     operator, weights = operator_of(lattice)

@@ -177,16 +177,21 @@ def test_a_given_wavelength_is_that_of_a_film_of_colours():
     ("radiance", "board", "message"),
     [
         (1.0, "emitter", "wavelength = 850: emitter board has light from 360 to 830 nm only"),
-        ({"type": "rgb", "value": [1, 1, 1]}, "emitter", "emitter board has light from 360 to 830 nm only"),
-        ({"type": "d65"}, "emitter", "emitter board has light from 360 to 830 nm only"),
-        ({"type": "blackbody", "temperature": 3000}, "emitter", "emitter board has light from 360 to 830 nm only"),
+        *(
+            pytest.param(light, "emitter", "emitter board has light from 360 to 830 nm only", marks=pytest.mark.slow)
+            for light in (
+                {"type": "rgb", "value": [1, 1, 1]},
+                {"type": "d65"},
+                {"type": "blackbody", "temperature": 3000},
+            )
+        ),
         (1.0, 0.5, "emitter sky has light from 360 to 830 nm only"),
         (
             {"type": "uniform", "value": 1.0},
             "table",
             "the reflectance of surface board is a table from 400 to 700 nm",
         ),
-        ({"type": "uniform", "value": 1.0}, "emitter", None),
+        pytest.param({"type": "uniform", "value": 1.0}, "emitter", None, marks=pytest.mark.slow),
         ({"type": "uniform", "value": 1.0}, 0.5, None),
     ],
 )
@@ -206,7 +211,7 @@ def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
+@pytest.mark.parametrize("variant", [pytest.param("llvm_ad_mono", marks=pytest.mark.slow), "llvm_ad_rgb"])
 def test_numbers_are_as_bright_in_the_infrared_as_in_the_visible(variant):
     """Without spectra a number as radiance holds at every wavelength."""
     mi.set_variant(variant)

@@ -39,9 +39,12 @@ def require_equal(computed, stored, columns=None):
     assert abs(np.vdot(made, given) - np.vdot(weights, products)) < 1e-5 * scale
 
 
-@pytest.mark.parametrize("changes", CAMERAS.values(), ids=CAMERAS)
-def test_equals_the_operator_that_computes(changes):
-    camera = small_camera(**changes)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n in ("hexagonal, turned", "focused"))) for n in CAMERAS],
+)
+def test_equals_the_operator_that_computes(name):
+    camera = small_camera(**CAMERAS[name])
     require_equal(*both(camera, scattered(3), wavelength=WAVELENGTH, accuracy=0))
 
 

@@ -118,7 +118,16 @@ class TestPointSpreads:
             CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
         assert 0 < shares["patch_loss"] < 0.02
 
-    @pytest.mark.parametrize("change", [{}, {"mla_lattice": "hexagonal"}, {"mla_aperture": "circle"}])
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {},
+            *(
+                pytest.param(c, marks=pytest.mark.slow)
+                for c in ({"mla_lattice": "hexagonal"}, {"mla_aperture": "circle"})
+            ),
+        ],
+    )
     def test_what_gaps_between_the_lenses_stop_is_no_loss(self, change):
         """The closed form of a wide blur: the lenses' fraction of the area is behind the apertures."""
         camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5, **change)
@@ -149,7 +158,7 @@ class TestPointSpreads:
 class TestReconstruction:
     CAMERA = PlenopticCamera(**SMALL)
 
-    @pytest.mark.parametrize("interleave", [1, "auto"])
+    @pytest.mark.parametrize("interleave", [pytest.param(1, marks=pytest.mark.slow), "auto"])
     def test_grey_is_no_capture_and_one_warning_says_so(self, interleave):
         """Light beside the micro-images: 1 - pi/4 (43 / 64)^2 = 65 % of it, and three channels still warn once."""
         with pytest.warns(PhysicsWarning) as caught:

@@ -46,7 +46,7 @@ def test_gradient_of_contrast_against_differences(name):
     assert found == pytest.approx(difference(figure, **{name: step}), rel=0.06)
 
 
-@pytest.mark.parametrize("name", ["focal_length", "wavefront"])
+@pytest.mark.parametrize("name", [pytest.param("focal_length", marks=pytest.mark.slow), "wavefront"])
 def test_gradient_of_depth_against_differences(name):
     figure = DepthInformation(POINT, 3000.0)
     step = 4e-3 if name == "focal_length" else spherical(0.02)
@@ -71,7 +71,7 @@ def test_deviation_is_that_of_estimates_from_noise():
     assert np.std(found) == pytest.approx(figure.deviations(CAMERA)[0], rel=0.12)
 
 
-@pytest.mark.parametrize("g", [82.0, 240.0])
+@pytest.mark.parametrize("g", [pytest.param(82.0, marks=pytest.mark.slow), 240.0])
 def test_deviation_of_depth_is_that_of_differences_refined(g):
     """Plain differences by X, Y and g of captures, of two steps each, from which Richardson's rule takes the error."""
     camera, point = small_camera(4, aperture_radius=1.0), np.array([0.0004, 0.0001, 1.0]) * g

@@ -204,8 +204,8 @@ def test_the_same_bits_every_time_on_any_lattice():
 @pytest.mark.parametrize(
     "lattice",
     [
-        {**HEXAGONAL, "mla_rotation": "11", "mla_aperture": "circle"},
-        {"mla_pitch": "0.064, 0.06"},
+        pytest.param({**HEXAGONAL, "mla_rotation": "11", "mla_aperture": "circle"}, marks=pytest.mark.slow),
+        pytest.param({"mla_pitch": "0.064, 0.06"}, marks=pytest.mark.slow),
         {**HEXAGONAL, "mla_pitch": "0.064, 0.06"},
     ],
     ids=str,

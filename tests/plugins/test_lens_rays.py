@@ -80,8 +80,11 @@ def test_the_corner_of_that_camera_is_vignetted():
 @pytest.mark.parametrize(
     "numbers",
     [
-        {},
-        {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_aperture": "circle", "mla_fill": 0.9},
+        pytest.param({}, marks=pytest.mark.slow),
+        pytest.param(
+            {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_aperture": "circle", "mla_fill": 0.9},
+            marks=pytest.mark.slow,
+        ),
         {"mla_lattice": "hexagonal", "mla_focal_length": (0.6, 0.55, 0.5), "detector_distance": 0.45},
         {"mla_tilt": (0.4, -0.2)},
         {"lens_model": "parabolic"},

@@ -27,6 +27,7 @@ def scene_of(camera, *things):
     return mi.load_dict({"type": "scene", "camera": camera.to_sensor(), "integrator": {"type": "direct"}} | shapes)
 
 
+@pytest.mark.slow
 def test_a_scene_is_that_by_rays_and_that_of_the_thin_lens():
     """A disk, partly hidden by another nearer one, refocused to where it stands."""
     images = {}

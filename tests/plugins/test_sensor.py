@@ -249,15 +249,17 @@ def test_a_smearing_filter_and_a_missing_film_are_refused_with_the_line_to_add(c
 @pytest.mark.parametrize(
     ("parameter", "integrator", "numbers"),
     [
-        ("focal_length", "path", {}),
-        ("mla_distance", "path", {}),
+        pytest.param("focal_length", "path", {}, marks=pytest.mark.slow),
+        pytest.param("mla_distance", "path", {}, marks=pytest.mark.slow),
         ("mla_distance", "direct", {}),
         ("mla_rotation", "path", {}),
-        ("mla_pitch", "path", {}),
+        pytest.param("mla_pitch", "path", {}, marks=pytest.mark.slow),
         # Of several numbers the last.
-        ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_aperture": "circle"}),
+        pytest.param(
+            "mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_aperture": "circle"}, marks=pytest.mark.slow
+        ),
         ("mla_pitch", "path", {"mla_pitch": "0.064, 0.06", "mla_lattice": "hexagonal"}),
-        ("mla_offset", "path", {"mla_lattice": "hexagonal"}),
+        pytest.param("mla_offset", "path", {"mla_lattice": "hexagonal"}, marks=pytest.mark.slow),
         ("wavefront", "path", {"wavefront": "0, 0.4, 0, 1.5"}),
     ],
 )

@@ -36,7 +36,9 @@ def by_signed_rays(scene, spp=64, **options):
     return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
 
 
-@pytest.mark.parametrize("place", [(0.3, -0.2, 210.0), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)])
+@pytest.mark.parametrize(
+    "place", [pytest.param((0.3, -0.2, 210.0), marks=pytest.mark.slow), (-0.1, 0.2, 240.0), (0.2, 0.4, 280.0)]
+)
 def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
     # So many points that a source of 10 um is met a few times; only those that shine cost time.
     scene = scene_of(camera_dict(resolution=256, detector_width=0.512), point=disk(place, 0.005))
@@ -158,7 +160,15 @@ def test_a_film_of_luminance_adds_the_wavelengths_up_and_names_none(camera_dict)
     assert by_signed_rays(scene, spp=4, wavelength=549.1).wavelength == 549.1
 
 
-@pytest.mark.parametrize("variant", [name for name in mi.variants() if name.startswith("llvm")])
+@pytest.mark.parametrize(
+    "variant",
+    [
+        # Colours are told apart above, too.
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("llvm_ad_rgb", "llvm_ad_mono_polarized")))
+        for name in mi.variants()
+        if name.startswith("llvm")
+    ],
+)
 def test_every_variant_records_the_same_light(variant, camera_dict):
     mi.set_variant(variant)
     coloured = variant == "llvm_ad_rgb"

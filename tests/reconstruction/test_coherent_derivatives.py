@@ -38,7 +38,13 @@ def lit(camera):
     return (rng.uniform(0.5, 1.5, camera.shape) / (1 + np.exp(20 * (pupil - 0.8)))).astype(np.float32)
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * ("finer" in name)) for name in CAMERAS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("square", "subsets, finer bins", "focused")))
+        for name in CAMERAS
+    ],
+)
 def test_values_transpose_and_differences(name):
     """The image is that of `reconstruct`, <J x, y> = <x, J' y> to 1e-5, and J x is what differences give."""
     numbers, options = CAMERAS[name]
@@ -75,7 +81,7 @@ def test_pixels_below_zero_and_dark_ones():
     ("name", "strips"),
     [
         ("square", 1),
-        ("hexagonal, turned, gaps", 3),
+        pytest.param("hexagonal, turned, gaps", 3, marks=pytest.mark.slow),
         pytest.param("square", 3, marks=pytest.mark.slow),
         pytest.param("hexagonal, turned, gaps", 1, marks=pytest.mark.slow),
     ],

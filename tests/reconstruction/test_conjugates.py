@@ -53,7 +53,9 @@ def of_point(camera, place, distance):
     return np.maximum(capture, 0)  # rounding
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [pytest.param(method, marks=[pytest.mark.slow] * (method != "partial")) for method in METHODS]
+)
 def test_a_point_comes_back_to_its_place(method):
     """Out of focus, where the pupils' places stretch the image: bins count from the principal planes."""
     camera, distance, place = real_camera(), 108.0, np.array([0.144, -0.08])

@@ -46,7 +46,8 @@ def exact_capture(camera, cells, index, values, distance, parts):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("hexagonal", "three types"))) for name in CAMERAS]
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("turned, moved, two pitches", "crop"))) for n in CAMERAS],
 )
 def test_response_is_that_of_exact_point_spreads(name):
     camera = CAMERAS[name]
@@ -67,7 +68,11 @@ def test_response_is_that_of_exact_point_spreads(name):
 
 @pytest.mark.parametrize("wavelength", [WAVELENGTH, None])
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "three types")) for name in CAMERAS]
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("hexagonal", "three types", "focused")))
+        for name in CAMERAS
+    ],
 )
 def test_adjoint_is_the_transpose(name, wavelength):
     response = response_of(CAMERAS[name], wavelength=wavelength)
@@ -104,7 +109,14 @@ def test_volume_is_the_sum_of_its_planes():
     assert np.linalg.norm(alone - both.forward([dark[0], values[1]])) <= 0.02 * np.linalg.norm(alone)
 
 
-@pytest.mark.parametrize("name", ["square", "hexagonal", "turned, moved, two pitches", "three types"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "square",
+        "turned, moved, two pitches",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "three types")),
+    ],
+)
 def test_bins_are_upright_whatever_the_lattice(name):
     camera, oversample = CAMERAS[name], 4
     response = response_of(camera, oversample=oversample, wavelength=None)
@@ -195,7 +207,7 @@ def sources(distance, camera=SMALL):
     return q, Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
 
 
-@pytest.mark.parametrize("distance", [226.0, 253.0])
+@pytest.mark.parametrize("distance", [226.0, pytest.param(253.0, marks=pytest.mark.slow)])
 def test_points_come_back(distance):
     q, capture = sources(distance)
     result = reconstruct(capture, distance, method="deconvolved", oversample=4, iterations=60)

@@ -39,7 +39,7 @@ def transfer(camera, distance, fractions):
 @pytest.mark.parametrize(
     "distance", [275.0, *(pytest.param(distance, marks=pytest.mark.slow) for distance in (226.0, 256.0))]
 )
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", ["square", pytest.param("hexagonal", marks=pytest.mark.slow)])
 def test_contrast_ends_at_the_stated_limit(name, distance):
     """Sparrow's limit is 0.94 of where a single square lens passes nothing: at it some hundredths are left.
 

@@ -18,7 +18,7 @@ def capture():
     return image / image.max() + 0.02
 
 
-@pytest.mark.parametrize("model", WAYS)
+@pytest.mark.parametrize("model", [pytest.param("ray model", marks=pytest.mark.slow), "wave model"])
 def test_values_transpose_and_differences(model, capture):
     """The image is that of `reconstruct`, <J x, y> = <x, J' y> to 1e-5, and J x is what differences give."""
     wavelength, rng = WAYS[model], np.random.default_rng(1)

@@ -48,7 +48,7 @@ def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
     np.testing.assert_allclose(down, -2)
 
 
-@pytest.mark.parametrize("distance", [150.0, 1000.0])
+@pytest.mark.parametrize("distance", [150.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def test_a_ramp_that_interference_displaces_is_drawn_back(monkeypatch, distance):
     """Divided by white alone, by hand, it is off to first order, as the gentle slope shows; drawn back it is not."""
     monkeypatch.setattr(walls, "SLOPE", 0.1)

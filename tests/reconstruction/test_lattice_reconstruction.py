@@ -70,9 +70,11 @@ def test_lenses_out_of_focus_take_half_as_many_samples(blur, monkeypatch):
     assert sharp == shown > blurred
 
 
-@pytest.mark.parametrize("lattice", LATTICES.values(), ids=LATTICES)
-def test_single_lenses_are_full_fields_of_one_lens(lattice):
-    camera = SMALL.replace(**lattice)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("circles", "hexagonal", "gaps"))) for n in LATTICES]
+)
+def test_single_lenses_are_full_fields_of_one_lens(name):
+    camera = SMALL.replace(**LATTICES[name])
     px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
     i, j = camera.lattice.cell(0.09, -0.12)
     cx, cy = camera.lattice.centre(i, j)
@@ -91,7 +93,12 @@ def test_single_lenses_are_full_fields_of_one_lens(lattice):
     ("camera", "distances", "interference"),
     [
         (small_camera(24, **HALF), (111.5, 120.0), (0.06, 0.12)),
-        (PlenopticCamera(**OTHER, detector_width=1.2, resolution=(640, 560)), (162.75, 175.0), (0.06, 0.12)),
+        pytest.param(
+            PlenopticCamera(**OTHER, detector_width=1.2, resolution=(640, 560)),
+            (162.75, 175.0),
+            (0.06, 0.12),
+            marks=pytest.mark.slow,
+        ),
         (small_camera(20, **HALF, **LATTICES["hexagonal"]), (114.0, 120.0), (0.02, 0.03)),
         *(
             pytest.param(
@@ -115,7 +122,8 @@ def test_a_white_capture_reads_one(camera, distances, interference):
 
 
 @pytest.fixture(
-    scope="module", params=["hexagonal", "three focal lengths", pytest.param("turned", marks=pytest.mark.slow)]
+    scope="module",
+    params=["hexagonal", *(pytest.param(name, marks=pytest.mark.slow) for name in ("three focal lengths", "turned"))],
 )
 def points(request):
     """Return a camera, and its captures of points: distance, centre of the lens that a point is seen at, spread."""

@@ -62,10 +62,19 @@ def test_every_pixel_has_the_label_of_its_lens_on_any_lattice(lattice):
         np.testing.assert_allclose(away, nearest, atol=1e-9)
 
 
-@pytest.mark.parametrize("lattice", [{}, LATTICES["hexagonal"]], ids=["square", "hexagonal"])
-@pytest.mark.parametrize("period", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("period", "lattice"),
+    [
+        (1, "hexagonal"),
+        (2, "square"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in ((1, "square"), (2, "hexagonal"), (3, "square"), (3, "hexagonal"))
+        ),
+    ],
+)
 def test_interleaved_labels_are_interleave(period, lattice):
-    camera = small_camera(8, **HALF, **lattice)
+    camera = small_camera(8, **HALF, **LATTICES.get(lattice, {}))
     capture = scene_of(camera)
     found = partial(capture, partition=interleaved(camera, period))
     expected = partial(capture, interleave=period)
@@ -186,10 +195,10 @@ def white():
     ("step", "labels"),
     [
         ((1, 1, 0), lambda i, j: 0 * i),
-        ((2, 2, 0), lambda i, j: i % 2 + 2 * (j % 2)),
-        ((2, 1, 1), lambda i, j: (i - j) % 2),
+        pytest.param((2, 2, 0), lambda i, j: i % 2 + 2 * (j % 2), marks=pytest.mark.slow),
+        pytest.param((2, 1, 1), lambda i, j: (i - j) % 2, marks=pytest.mark.slow),
         ((5, 1, 2), lambda i, j: (i - 2 * j) % 5),
-        ((7, 1, 4), lambda i, j: (i - 4 * j) % 7),
+        pytest.param((7, 1, 4), lambda i, j: (i - 4 * j) % 7, marks=pytest.mark.slow),
     ],
 )
 def test_predicted_interference_is_that_of_white(step, labels, white):
@@ -202,6 +211,7 @@ def test_predicted_interference_is_that_of_white(step, labels, white):
     assert found == pytest.approx(predicted, rel=0.45, abs=0.004)
 
 
+@pytest.mark.slow
 def test_the_best_sublattice_of_four_interferes_less_than_every_second_lens(white):
     capture, limit = white
     left = {

@@ -32,8 +32,13 @@ METHODS = {
     "auto": {"method": "partial", "interleave": "auto"},
 }
 
-cameras = pytest.mark.parametrize("camera", [SMALL, OTHER], ids=["paper", "other"])
+cameras = pytest.mark.parametrize(
+    "camera", [SMALL, pytest.param(OTHER, marks=pytest.mark.slow)], ids=["paper", "other"]
+)
 wave_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
+MOSTLY = [pytest.param(options, marks=[pytest.mark.slow] * (name == "K2")) for name, options in METHODS.items()]
+"""Of tests in which every second lens takes the longest and tells the least."""
+most_methods = pytest.mark.parametrize("options", MOSTLY, ids=METHODS.keys())
 all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
 
 
@@ -104,7 +109,7 @@ def test_a_lit_lens_goes_where_geometry_says(options, lens):
         np.testing.assert_allclose(centroid(light), [k + 0.5 for k in lens], atol=0.1)
 
 
-@wave_methods
+@most_methods
 @pytest.mark.parametrize(("middle", "offset"), [((0, 0), (2, -2)), ((-3, 3), (0, 0))], ids=["axis", "off"])
 def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options, middle, offset):
     # A lattice in phase sends light to multiples of the angle lambda / D2 only: two pixels are one, where a lens is 25
@@ -135,7 +140,7 @@ def points():
 
 @pytest.mark.parametrize(
     "options",
-    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *METHODS.values()],
+    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *MOSTLY],
     ids=["ray", "point", *METHODS.keys()],
 )
 def test_forward_then_back_peaks_in_the_radiators_bin(options, points):
@@ -225,7 +230,7 @@ def test_a_period_of_one_is_coherent():
     assert np.array_equal(a, b)
 
 
-@wave_methods
+@most_methods
 def test_many_distances_share_the_way_and_change_little(options):
     image = lit_inside(SMALL, 250, 390)
     for result in refocus(image, [105.0, 140.0], **options):
@@ -251,7 +256,7 @@ def test_finer_bins_add_up_to_the_coarse_ones(options):
     np.testing.assert_allclose(means, coarse.image, atol=5e-3 * coarse.image.max())
 
 
-@wave_methods
+@most_methods
 def test_a_crop_lands_on_the_full_grid_of_bins(options):
     image = lit_inside(SMALL, 181, 300)
     crop = SMALL.replace(crop_offset=(80, 170), crop_size=(240, 250))
@@ -266,7 +271,7 @@ def test_a_crop_lands_on_the_full_grid_of_bins(options):
     assert whole[~reached].sum() < 0.05 * whole.sum()
 
 
-@wave_methods
+@most_methods
 def test_pixels_below_zero_leave_no_light_on_average(options):
     """Noise of mean zero beside a lit square: cut off at zero it would be light."""
     dark = np.random.default_rng(1).normal(0, 0.02, SMALL.shape).astype(np.float32)
@@ -279,7 +284,7 @@ def test_pixels_below_zero_leave_no_light_on_average(options):
     np.testing.assert_allclose(noisy[8:12, 8:12], without[8:12, 8:12], rtol=0.1)
 
 
-@pytest.fixture(scope="module", params=[500.0, math.inf])
+@pytest.fixture(scope="module", params=[pytest.param(500.0, marks=pytest.mark.slow), math.inf])
 def far_point(request):
     """Return a point's distance, the camera before which it is, and its capture by waves."""
     camera = wave_cases.small_camera(8, **HALF)

@@ -222,6 +222,7 @@ def test_what_is_missing_is_named(tmp_path, monkeypatch):
         sweep(RAYS, {"distance": [240]}, tmp_path / "out.png")
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_what_was_there(tmp_path):
     """Here a limit on the size of files stands in for it; HDF5 left alone crashes at the end of the process."""
     words = [*SWEEP, "-o", str(tmp_path / "out.nc"), "--vary", "aperture_radius=4,5"]

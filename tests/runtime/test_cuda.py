@@ -76,6 +76,8 @@ ADJOINTS = {
 """They hand parts of the image to their batches, or the bins between steps, through the host."""
 PLANNED = {"sum on a turned array"}
 """The orders of an array that is no product of two axes are transformed on the host, once for each optical system."""
+LONG = {"sum of all", "sum on a turned array", "coherent", "partially coherent", "adjoint", "deconvolved"}
+"""Run by `make slow`."""
 
 
 @pytest.fixture
@@ -97,7 +99,7 @@ def device(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "deconvolved")) for name in (*WORKS, *ADJOINTS)]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in (*WORKS, *ADJOINTS)]
 )
 def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, request):
     work = (WORKS | ADJOINTS)[name]

@@ -137,8 +137,12 @@ def test_two_variants_in_one_process(python):
     "prologue",
     [
         "import mitsuba_plenoptic, mitsuba as mi; mi.set_variant('llvm_ad_mono')",
-        "import mitsuba as mi; import mitsuba_plenoptic; mi.set_variant('llvm_ad_mono')",
-        "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); import mitsuba_plenoptic",
+        pytest.param(
+            "import mitsuba as mi; import mitsuba_plenoptic; mi.set_variant('llvm_ad_mono')", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); import mitsuba_plenoptic", marks=pytest.mark.slow
+        ),
         "import drjit; import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import mitsuba_plenoptic;"
         "mi.set_variant('llvm_ad_mono')",
     ],

@@ -32,7 +32,7 @@ def by_pairs(camera, distance, column, row, radiance, count=48):
     return (weight * radiance(slope)).sum() / weight.sum()
 
 
-@pytest.mark.parametrize("distance", [150.0, 1000.0, np.inf])
+@pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (150.0, 1000.0)), np.inf])
 def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(distance):
     image = expected(CAMERA, distance, WAVELENGTH, "ramp")
     known = walls.known_radiance(CAMERA, "ramp")
