@@ -12,9 +12,10 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.optics.waves import in_millimetres
-from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, spot_slopes, view_slopes
+from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, view_slopes
 
 from .. import Row, at_most, case
+from .wavefront_sensors import cells, spots
 
 WAVELENGTH = 633.0
 STAR = (0.0, 0.0, 1e9)
@@ -109,38 +110,36 @@ class ShackHartmann(_Sensor):
         self.pupil = hcipy.make_uniform_grid([FINER * LENSES * PIXELS] * 2, [DIAMETER] * 2)
         centres = (np.arange(LENSES) - (LENSES - 1) / 2) * pitch
         lattice = hcipy.CartesianGrid(hcipy.SeparatedCoords((centres, centres)))
-        self._pitch, self._focal_length = pitch, 2 * pitch**2 / (PIXELS * in_millimetres(WAVELENGTH))
-        self._array = hcipy.MicroLensArray(self.pupil, lattice, self._focal_length)
-        self._to_detector = hcipy.FresnelPropagator(self.pupil, self._focal_length)
+        focal_length = 2 * pitch**2 / (PIXELS * in_millimetres(WAVELENGTH))
+        self._array = hcipy.MicroLensArray(self.pupil, lattice, focal_length)
+        self._to_detector = hcipy.FresnelPropagator(self.pupil, focal_length)
 
     def image(self, phase: np.ndarray) -> np.ndarray:
         """Return the fraction of the star's light in each pixel."""
         return _binned(self._to_detector(self._array(self.start(phase))).power)
 
-    def slopes(self, image: np.ndarray) -> Any:
-        """Return the slopes of the spots."""
-        return spot_slopes(
-            image, pixels_per_lens=PIXELS, pixel_size=self._pitch / PIXELS, focal_length=self._focal_length
-        )
 
+class SpotTerms:
+    """Terms from the positions of all spots, by the sensor's answer to 0.02 waves of each mode."""
 
-def spot_matrix(sensor: ShackHartmann, basis: np.ndarray) -> np.ndarray:
-    """Return what makes terms from the slopes of all spots, by the sensor's answer to 0.02 waves of each mode."""
-    columns = []
-    for mode in basis[1:]:
-        plus, minus = (sensor.slopes(sensor.image(side * 0.04 * math.pi * mode)) for side in (1, -1))
-        columns.append((plus.slope - minus.slope).ravel() / 0.04)
-    flat = sensor.slopes(sensor.image(0 * basis[0]))
-    weight = np.sqrt(np.repeat(flat.light, 2))
-    return np.linalg.pinv(np.array(columns).T * weight[:, None]) * weight
+    def __init__(self, sensor: ShackHartmann, basis: np.ndarray) -> None:
+        flat = sensor.image(0 * basis[0])
+        light = cells(flat, PIXELS).sum((2, 3))
+        self._lit = light > 0.3 * light.max()
+        self._flat = self._positions(flat)
+        columns = []
+        for mode in basis[1:]:
+            plus, minus = (self._positions(sensor.image(side * 0.04 * math.pi * mode)) for side in (1, -1))
+            columns.append((plus - minus) / 0.04)
+        weight = np.sqrt(np.tile(light[self._lit], 2))
+        self._matrix = np.linalg.pinv(np.array(columns).T * weight[:, None]) * weight
 
+    def find(self, image: np.ndarray) -> np.ndarray:
+        """Return the terms of a capture."""
+        return np.concatenate([[0.0], self._matrix @ (self._positions(image) - self._flat)])
 
-def spot_terms(sensor: ShackHartmann, matrix: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return the terms by the slopes of the spots; a spot without light has none."""
-    flat, seen = sensor.slopes(sensor.image(np.zeros(sensor.pupil.size))), sensor.slopes(image)
-    known = {tuple(place): slope for place, slope in zip(seen.pupil.round(6), seen.slope, strict=True)}
-    moved = np.array([known.get(tuple(place), own) for place, own in zip(flat.pupil.round(6), flat.slope, strict=True)])
-    return np.concatenate([[0.0], matrix @ (moved - flat.slope).ravel()])
+    def _positions(self, image: np.ndarray) -> np.ndarray:
+        return spots(image, PIXELS)[:, self._lit].ravel()
 
 
 def atmosphere(ratio: float, modes: int, seed: int) -> np.ndarray:
@@ -166,7 +165,7 @@ def rms(terms: np.ndarray) -> float:
 @case(
     "wavefronts.stars",
     "Zernike terms of atmospheres from one capture of a star: residuals in waves, root mean square over the pupil, "
-    "of a plenoptic camera (slopes of views; fit to pixels) and of a Shack-Hartmann sensor (slopes of spots) "
+    "of a plenoptic camera (slopes of views; fit to pixels) and of a Shack-Hartmann sensor (positions of spots) "
     "with as many lenses, pixels and photons; all captures simulated by HCIPy",
     {
         "D / r0": "{ratio:g}", "photons per lens": "{photons:g}", "wavefront": "{true:.3f}", "views": "{views:.3f}",
@@ -191,17 +190,17 @@ def stars(
 
     The screen has `modes_of_screen`: those that are found, or more, which then remain in the captures.
     """
-    camera, spots = telescope(), ShackHartmann()
+    camera, pupil_sensor = telescope(), ShackHartmann()
     sensor = ArrayInFocus(camera)
-    basis, spot_basis = sensor.basis(modes_of_screen), spots.basis(modes_of_screen)
-    matrix = spot_matrix(spots, spot_basis[:modes])
+    basis, pupil_basis = sensor.basis(modes_of_screen), pupil_sensor.basis(modes_of_screen)
+    spot_terms = SpotTerms(pupil_sensor, pupil_basis[:modes])
     lit = math.pi / 4 * LENSES**2
     for ratio in ratios:
         screens = [atmosphere(ratio, modes_of_screen, seed + 1) for seed in range(seeds)]
         means = [
             [
                 each.image(2 * math.pi * np.tensordot(terms, own, 1))
-                for each, own in ((sensor, basis), (spots, spot_basis))
+                for each, own in ((sensor, basis), (pupil_sensor, pupil_basis))
             ]
             for terms in screens
         ]
@@ -221,8 +220,8 @@ def stars(
                         rms(views - terms),
                         rms(np.array(found.camera.wavefront) - terms),
                         float(np.linalg.norm(list(found.deviations.values()))),
-                        rms(spot_terms(spots, matrix, spot_image) - terms),
-                        rms(spot_terms(spots, matrix, spot_mean) - terms),
+                        rms(spot_terms.find(spot_image) - terms),
+                        rms(spot_terms.find(spot_mean) - terms),
                     )
                 )
             true, views, fitted, stated, own, noiseless = np.sqrt(np.mean(np.square(errors), axis=0)).tolist()
