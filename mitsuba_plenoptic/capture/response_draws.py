@@ -16,7 +16,7 @@ from ..camera import PlenopticCamera
 from ..lenses.base import Pair
 from ..system.optical_system import RayPupil
 from ..system.photodiodes import NEAR, lens_centre
-from ..system.response_tables import PhotodiodeResponses, Window
+from ..system.response_tables import PhotodiodeResponses, TableWindow
 from .signed_draws import chances_of
 
 _TURNS = tuple(int(step * 2**32) for step in 1.1673039782614187 ** -np.arange(1.0, 5.0))
@@ -122,7 +122,7 @@ class Tables:
         low, high = dr.minimum(*cell) - window.first, dr.maximum(*cell) - window.first
         return self._values(self._far[number], window, first, cell, (low >= 0) & (high < window.lenses))
 
-    def _values(self, table: Any, window: Window, first: Any, cell: Pair, active: Any) -> list[Any]:
+    def _values(self, table: Any, window: TableWindow, first: Any, cell: Pair, active: Any) -> list[Any]:
         x, y = (mi.UInt32((each - window.first) * window.samples) for each in cell)
         index, result = first + y * window.across + x, []
         for packet in range(self._packets):
@@ -163,7 +163,7 @@ class Tables:
         return y * len(zones.x) + x
 
 
-def _quantiles_of(window: Window) -> int:
+def _quantiles_of(window: TableWindow) -> int:
     """Return the count of quantiles from which cells of a window are drawn, more than it has cells."""
     return 1 << math.ceil(math.log2(2 * window.lenses**2))
 

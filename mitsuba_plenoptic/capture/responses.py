@@ -65,7 +65,7 @@ class Rays(NamedTuple):
     counts: Any
 
 
-class Grid(NamedTuple):
+class LensGrid(NamedTuple):
     """A rectangle of lenses."""
 
     # Lattice indices of the first lens.
@@ -74,9 +74,9 @@ class Grid(NamedTuple):
     columns: int
     rows: int
 
-    def within(self, margin: int) -> Grid:
+    def within(self, margin: int) -> LensGrid:
         """Return the rectangle with a margin around it."""
-        return Grid(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
+        return LensGrid(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
         """Return the lattice indices of the lenses, row by row, and a number of each that no other lens has."""
@@ -159,7 +159,7 @@ class ResponseSum:
             top, rows = self._blocks[number], int(self.items[number]) // columns
             seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
             with busy_drjit():
-                sums = self._captured(Grid(self._columns[0], top, columns, rows), seeds)
+                sums = self._captured(LensGrid(self._columns[0], top, columns, rows), seeds)
             pixels = np.stack([np.stack([value.numpy() for value in diodes], -1) for diodes in sums])
             pixels = pixels.reshape(-1, rows, columns, size, size).swapaxes(2, 3)
             camera = self._camera
@@ -187,7 +187,7 @@ class ResponseSum:
         seconds = []
         (left, right), (top, bottom) = self._columns, self._rows
         columns, rows = min(_TIMED, right - left), min(_TIMED, bottom - top)
-        grid = Grid((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
+        grid = LensGrid((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
         for seed in range(3):
             start = time.perf_counter()
             with busy_drjit():
@@ -228,7 +228,7 @@ class ResponseSum:
         dr.eval(sums, counts)
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
-    def _captured(self, grid: Grid, seeds: Sequence[int]) -> list[list[Any]]:
+    def _captured(self, grid: LensGrid, seeds: Sequence[int]) -> list[list[Any]]:
         """Return the values of the photodiodes of each lens for each channel, means of a capture for each seed."""
         result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
         for seed in seeds:
@@ -240,7 +240,7 @@ class ResponseSum:
             dr.eval(result)
         return result
 
-    def _gathered(self, grid: Grid, rays: Rays, seed: int) -> list[list[Any]]:
+    def _gathered(self, grid: LensGrid, rays: Rays, seed: int) -> list[list[Any]]:
         """Return the values of the photodiodes of each lens for each image, from the rays of all lenses around."""
         tables, count, size = self._tables, self._rays, self._across**2
         around = grid.within(tables.margin)
@@ -283,7 +283,9 @@ class ResponseSum:
         dr.eval(result)
         return result
 
-    def _near_sums(self, grid: Grid, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]) -> list[Any]:
+    def _near_sums(
+        self, grid: LensGrid, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
+    ) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         tables, size = self._tables, self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
@@ -305,7 +307,7 @@ class ResponseSum:
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
-    def _far_sums(self, grid: Grid, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+    def _far_sums(self, grid: LensGrid, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables, size, margin = self._tables, self._across**2, self._tables.margin
         around = grid.within(margin)

@@ -63,7 +63,7 @@ class Conjugate:
 
 
 @dataclass(frozen=True)
-class Zone:
+class FieldZone:
     """A part of the field whose light is taken to pass the pupil as that of its middle does, less the tilt.
 
     `bounds` are the fractions of the width and of the height of the bins between which it lies; None is the whole
@@ -103,9 +103,9 @@ class ThinConjugates:
         b, g = (dr.opaque(type(x), length) for length in (self.camera.mla_distance, min(distance, FAR)))
         return self._light((-x * g / b, -y * g / b, g))
 
-    def zones(self, distance: float) -> Iterator[Zone]:
+    def zones(self, distance: float) -> Iterator[FieldZone]:
         """Yield the whole field: what changes over it is neglected, see `planning`."""
-        yield Zone(self._light((0.0, 0.0, distance)))
+        yield FieldZone(self._light((0.0, 0.0, distance)))
 
     def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
         return Conjugate(self.system.lens, point, self.system.wavelength)
@@ -161,7 +161,7 @@ class RealConjugates:
         """Return the conjugates of the centres of some lenses, as `ThinConjugates.at` does."""
         return Conjugate(self._bound(positions, distance, lens), _NO_POINT, self.wavelength)
 
-    def zones(self, distance: float) -> Iterator[Zone]:
+    def zones(self, distance: float) -> Iterator[FieldZone]:
         """Yield zones so small that the path of the middle of each serves all of it."""
         bins = np.array(self.camera.bin_count) * self.camera.mla_pitch
         for count in range(1, _MOST_ZONES + 1):
@@ -178,7 +178,7 @@ class RealConjugates:
             tilt = [float(c[0, 0]) for c in self._bound(middle[None], distance).cosines(_MIDDLE, _NO_POINT)]
             light = self._bound(middle[None], distance, middle_only)
             bounds = None if count == 1 else tuple((i / count, (i + 1) / count) for i in (column, row))
-            yield Zone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
+            yield FieldZone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
 
     def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
         """Return how far, on the MLA, rays of the corners of zones go astray by the path of the zone's middle."""

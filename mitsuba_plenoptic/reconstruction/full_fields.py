@@ -23,7 +23,7 @@ from ..runtime.limits import require_memory
 from ..system.microlenses import is_separable, transmission
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, ThinConjugates, Zone
+from .conjugates import Conjugates, FieldZone, ThinConjugates
 from .methods import Progress, portion
 from .passages import (
     BinSums,
@@ -200,11 +200,11 @@ class BackwardFields:
                 )
             yield field
 
-    def to_object(self, field: Field, zone: Zone, step: Directions) -> Rows:
+    def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
         """Yield the field at the directions of an object plane, of one just before the main lens."""
         return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
-    def vjp(self, gradients: Iterable[Field], zone: Zone, step: Directions) -> NDArray[np.float64]:
+    def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
         """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
         workspace, camera, wavelength = self._workspace, self._camera, self._wavelength
         arrays = workspace.libraries.arrays
@@ -279,7 +279,7 @@ class BackwardFields:
         return field
 
 
-def _main_lens(step: Directions, zone: Zone) -> ThinElement:
+def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
     """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
     light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
 

@@ -17,7 +17,7 @@ from ..errors import refuse_if
 from ..lens_data import image_distance
 from .framing import Canvas, show
 from .images import Brightness
-from .preview_views import View, view_of
+from .preview_views import PreviewView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
 # objective, which takes more.
@@ -47,7 +47,7 @@ class Preview:
     points : (rows, columns, 3) array
         What the middle of the lens sees in the camera's frame, x to the left, y up and z the distance; NaN where there
         is nothing.
-    view : View
+    view : PreviewView
         The camera's view.
     scale : float
         Lengths of the camera's scene over those of the given one.
@@ -55,7 +55,7 @@ class Preview:
 
     picture: np.ndarray
     points: np.ndarray
-    view: View
+    view: PreviewView
     scale: float = 1.0
 
     @property

@@ -22,7 +22,7 @@ _RAYS_PER_PASS = 2**22
 
 
 @dataclass(frozen=True)
-class View(ABC):
+class PreviewView(ABC):
     """What a camera sees; distances are from the main lens, behind an objective from the native object plane."""
 
     camera: PlenopticCamera
@@ -84,7 +84,7 @@ class View(ABC):
         return f"{distance * self.per_millimetre:.4g}"
 
 
-class LensView(View):
+class LensView(PreviewView):
     """The view through a thin lens of the camera's aperture."""
 
     @property
@@ -141,7 +141,7 @@ class LensView(View):
         return {0.0: "lens", self.focus: self.in_units(self.focus)}
 
 
-class MicroscopeView(View):
+class MicroscopeView(PreviewView):
     """The view through an objective, as a microscope without an array has it: by telecentric rays from the stop."""
 
     unit = "um"
@@ -229,7 +229,7 @@ class MicroscopeView(View):
         return rays, to_world
 
 
-def view_of(camera: PlenopticCamera) -> View:
+def view_of(camera: PlenopticCamera) -> PreviewView:
     """Return how a camera sees."""
     return LensView(camera) if camera.objective is None else MicroscopeView(camera)
 

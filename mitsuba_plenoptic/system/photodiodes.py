@@ -137,7 +137,7 @@ class Zones:
 
 
 @dataclass(frozen=True)
-class PlaneWaves:
+class PlaneWaveResponses:
     """The light of plane waves in the photodiodes of one lens, one per pixel under it, at one wavelength."""
 
     camera: PlenopticCamera

@@ -24,7 +24,7 @@ from scipy.interpolate import make_interp_spline
 
 from ..errors import refuse_if
 from ..runtime.limits import single_threaded_blas
-from .photodiodes import NEAR, PlaneWaves, displacement
+from .photodiodes import NEAR, PlaneWaveResponses, displacement
 
 _OVERSAMPLING = 1.4
 """Samples across a window over those that its highest frequency requires."""
@@ -50,7 +50,7 @@ _ALIKE = 1e-6
 """Relative difference that mirror images may have."""
 
 
-class Window(NamedTuple):
+class TableWindow(NamedTuple):
     """A window of x, in cells of a lens each, whose samples divide each cell evenly."""
 
     lenses: int
@@ -93,7 +93,7 @@ class ResponseTable(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PhotodiodeResponses(PlaneWaves):
+class PhotodiodeResponses(PlaneWaveResponses):
     """The responses of the photodiodes of one lens to rays, at one wavelength in all zones."""
 
     @property
@@ -102,9 +102,9 @@ class PhotodiodeResponses(PlaneWaves):
         return math.floor(self.reach / (self.step * self.stride)) + 1
 
     @property
-    def near(self) -> Window:
+    def near(self) -> TableWindow:
         """The near window."""
-        return Window(NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * self._near_pairs + 1) / (2 * NEAR)))
+        return TableWindow(NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * self._near_pairs + 1) / (2 * NEAR)))
 
     @property
     def _finer(self) -> int:
@@ -113,9 +113,9 @@ class PhotodiodeResponses(PlaneWaves):
         return max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
 
     @property
-    def far(self) -> Window:
+    def far(self) -> TableWindow:
         """The far window."""
-        return Window(NEAR * self.stride * self._finer, _FAR_SAMPLES)
+        return TableWindow(NEAR * self.stride * self._finer, _FAR_SAMPLES)
 
     @property
     def _far_pairs(self) -> int:
@@ -204,7 +204,9 @@ class PhotodiodeResponses(PlaneWaves):
         place = self.zones.x[column], self.zones.y[row]
         return np.array(displacement(self.camera, self.count, *place)) / self.camera.mla_pitch
 
-    def _mirrored(self, values: NDArray[np.float16], window: Window, flips: tuple[slice, ...]) -> NDArray[np.float16]:
+    def _mirrored(
+        self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
+    ) -> NDArray[np.float16]:
         """Mirror values (nodes, y, x, photodiodes) in a window."""
         for axis, flip in enumerate(flips, 1):
             if flip == _REVERSED:
@@ -217,7 +219,7 @@ class PhotodiodeResponses(PlaneWaves):
         modes: NDArray[np.complex64],
         finer: int,
         stride: int,
-        window: Window,
+        window: TableWindow,
         overlap: NDArray[np.float32],
         used: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
@@ -283,7 +285,7 @@ class _Pupil:
     mass: NDArray[np.float64]
 
     @classmethod
-    def of(cls, plan: PlaneWaves, x: float, y: float, multiple: int) -> _Pupil:
+    def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
         """Sample the pupil as seen from a lens; the samples per step are a multiple of a given number."""
         n, step = 2 * plan.across + 1, multiple * math.ceil(_SUBSAMPLES / multiple)
         far = (2 * plan.across + plan.stride) * step
@@ -328,7 +330,7 @@ class _Pupil:
         return result.reshape(n, n, len(lags), len(lags))
 
 
-def _fold(near: Window, far: Window) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return matrices from samples of the far window to those of the near one (near.across, far.across).
 
     The first folds the far window into the near one, and the second interpolates within the near one.
@@ -349,7 +351,7 @@ def _fold(near: Window, far: Window) -> tuple[NDArray[np.float32], NDArray[np.fl
     return every.astype(np.float32), own.astype(np.float32)
 
 
-def _blurred(near: Window, far: Window, pairs: int) -> NDArray[np.float32]:
+def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:
     """Return the matrix from samples within the near window to those of the far one at its resolution."""
     lag = np.arange(-pairs, pairs + 1)
     gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2

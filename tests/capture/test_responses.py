@@ -6,7 +6,7 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.response_draws import _from_half, _quantiles
-from mitsuba_plenoptic.capture.responses import Grid, ResponseSum
+from mitsuba_plenoptic.capture.responses import LensGrid, ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.microlens import Conic, Sampled
 from mitsuba_plenoptic.system import photodiodes, response_tables
@@ -122,7 +122,7 @@ def test_far_sums_have_the_mean_of_all_rays():
     wall = Wall(camera, 550.0, 4.0)
     work = ResponseSum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], spp=16, seed=0)
     window, margin, size = plan.far, work._tables.margin, plan.far.across
-    grid = Grid(-1, -1, 2, 2)
+    grid = LensGrid(-1, -1, 2, 2)
     rays = work._traced(*grid.within(margin).lenses(), 0)
     table = np.pad(plan.table.far[0].astype(float), [(0, 1), (0, 0), (0, 0), (0, 0)]).reshape(-1, 4)
     light, first = rays.lights[0].numpy(), rays.far[0].numpy()

@@ -24,7 +24,7 @@ from mitsuba_plenoptic.capture.responses import ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.jobs import SumTask
-from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses, Window
+from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses, TableWindow
 
 from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison
@@ -175,7 +175,9 @@ class Wall:
         return image[..., 0].astype(float)
 
 
-def _hats(low: NDArray[np.float64], high: NDArray[np.float64], window: Window, limit: float) -> NDArray[np.float64]:
+def _hats(
+    low: NDArray[np.float64], high: NDArray[np.float64], window: TableWindow, limit: float
+) -> NDArray[np.float64]:
     """Return the integrals between bounds (lenses,) of the functions by which samples are interpolated linearly.
 
     Positions are lenses, within a limit and the window.
