@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from sphinx.ext.autodoc.mock import _MockObject
+
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE / "_extensions"))
 PROJECT = tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]
@@ -31,6 +33,8 @@ extensions = [
 ]
 # The reference of the modules for them needs no PyTorch or JAX.
 autodoc_mock_imports = ["hcipy", "jax", "torch"]
+# Rules of derivatives are entered into JAX's tables.
+_MockObject.__setitem__ = lambda *_: None  # type: ignore[attr-defined]
 exclude_patterns = ["_extensions", "**/.ipynb_checkpoints"]
 default_role = "py:obj"
 
