@@ -30,8 +30,8 @@ from .score import TASKS
 
 
 def make_benchmark(
-    folder: str | Path,
     recipe: BenchmarkRecipe,
+    folder: str | Path,
     *,
     batch_map: BatchMap | None = None,
     progress: Progress | None = None,
@@ -40,10 +40,10 @@ def make_benchmark(
 
     Parameters
     ----------
-    folder : path
-        Where it is to lie; made if it is not there.
     recipe : BenchmarkRecipe
         What `benchmark_recipe` returned.
+    folder : path
+        Where it is to lie; made if it is not there.
     batch_map, progress : callable, optional
         As for `make_dataset`.
 

@@ -56,7 +56,7 @@ def make(
     wanted = benchmark_recipe(seed, scene or tuple(SCENES), SIZES[require_choice("size", size, SIZES)])
     with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
         try:
-            made = make_benchmark(output, wanted, batch_map=batch_map, progress=progress)
+            made = make_benchmark(wanted, output, batch_map=batch_map, progress=progress)
         except KeyboardInterrupt:
             _log.info("stopped at %.0f %%: the same command resumes", 100 * progress.fraction)
             raise

@@ -53,7 +53,7 @@ def two_cameras():
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, two_cameras):
     mi.set_variant("llvm_ad_mono")
-    return make_benchmark(tmp_path_factory.mktemp("bench") / "made", benchmark_recipe(3, ["mirror"], TINY))
+    return make_benchmark(benchmark_recipe(3, ["mirror"], TINY), tmp_path_factory.mktemp("bench") / "made")
 
 
 @pytest.fixture
@@ -97,11 +97,11 @@ def test_a_run_that_was_killed_twice_ends_with_the_same_bits(made, tmp_path, mon
     monkeypatch.setattr(production, "write_samples", stopping)
     for _ in range(2):
         with pytest.raises(KilledError):
-            make_benchmark(tmp_path / "again", benchmark_recipe(3, ["mirror"], TINY))
-    make_benchmark(tmp_path / "again", benchmark_recipe(3, ["mirror"], TINY))
+            make_benchmark(benchmark_recipe(3, ["mirror"], TINY), tmp_path / "again")
+    make_benchmark(benchmark_recipe(3, ["mirror"], TINY), tmp_path / "again")
     assert files(tmp_path / "again") == files(made.folder)
     with pytest.raises(InputError, match=r"recipe\.seed was 3, is 4"):
-        make_benchmark(tmp_path / "again", benchmark_recipe(4, ["mirror"], TINY))
+        make_benchmark(benchmark_recipe(4, ["mirror"], TINY), tmp_path / "again")
 
 
 def test_samples_hold_what_the_card_says(made):
