@@ -106,15 +106,16 @@ def test_screens_in_files_and_scenes(tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
     fits.writeto(tmp_path / "waves.fits", screen.waves)
     assert PhaseScreen(tmp_path / "waves.fits", screen.width) == screen
+    (tmp_path / "bad.fits").write_text("no FITS")
+    with pytest.raises(InputError, match="it is no FITS file"):
+        PhaseScreen(tmp_path / "bad.fits", 10)
 
 
 def test_bad_screens_are_refused(tmp_path):
-    (tmp_path / "waves.fits").write_text("no FITS")
     for arguments, message in (
         (([[0, 1], [1, 0]], 10), r"^waves of shape \(2, 2\)"),
         ((np.full((8, 8), np.nan), 10), "^waves: its numbers must be finite"),
         ((np.zeros((8, 8)), -1), "^width = -1"),
-        ((tmp_path / "waves.fits", 10), "it is no FITS file"),
         (("waves.txt", 10), r"waves\.txt"),
     ):
         with pytest.raises(InputError, match=message):
