@@ -42,12 +42,18 @@ def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -
     return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
 
+_FARTHEST = 1e12
+"""Distance up to which the truth is seen, in units of the scene."""
+
+
 def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, int], **lens: Any) -> Any:
     """Return a sensor of Mitsuba with the camera's field, at the position of the scene's first sensor."""
     width = camera.bin_count[0] * camera.mla_pitch
     return mi.load_dict(
         {
             "to_world": mi.ScalarTransform4f(scene.sensors()[0].world_transform().matrix.numpy()[..., 0]),
+            # Mitsuba's own cameras see up to 10,000 units by default.
+            "far_clip": _FARTHEST,
             **lens,
             "fov": math.degrees(2 * math.atan(width / (2 * camera.mla_distance))),
             "film": {

@@ -20,6 +20,9 @@ from .experiment import photograph, photographic_sensor
 
 _RAYS_PER_PASS = 2**22
 
+_FAR = 1e5
+"""Distance in focal lengths that represents infinity."""
+
 
 @dataclass(frozen=True)
 class PreviewView(ABC):
@@ -93,11 +96,11 @@ class LensView(PreviewView):
         camera = self.camera
         distance = design.best_distances(camera)[0]
         refuse_if(
-            not camera.focal_length < distance < math.inf,
+            not camera.focal_length < distance,
             f"mla_distance = {camera.mla_distance:g}: no plane beyond the focal length {camera.focal_length:g} is in "
             "focus",
         )
-        return distance
+        return min(distance, _FAR * camera.focal_length)
 
     def sharp_range(self) -> tuple[float, float]:
         """Return the ends of `design.depth_ranges` of all types."""

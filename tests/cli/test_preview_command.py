@@ -37,5 +37,11 @@ def test_microscopes(tmp_path, run):
     assert "ray capture: about" in text and "the native object plane in its middle" in text
 
 
+def test_a_telescope_focused_at_infinity_sees_a_planet_farther_than_mitsubas_cameras_do_by_default(tmp_path, run):
+    text = run("preview", "telescope", "-o", tmp_path / "look.png")
+    assert "made sharp by refocusing: 488.3 to infinity" in text
+    assert "nothing of the scene is in the picture" not in text
+
+
 def test_refused(tmp_path, complaint):
     assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png or .pdf")
