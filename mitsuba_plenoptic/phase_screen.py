@@ -7,20 +7,17 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import (
-    NO_RECORD,
     WAVEFRONT_UNIT,
     InputError,
     naming,
     put,
     refuse_if,
-    refusing,
     require_count,
     require_known,
     require_number,
@@ -28,7 +25,7 @@ from .errors import (
     short_repr,
     suggest_keywords,
 )
-from .io.files import require_file
+from .io.files import read_json_value
 from .microlens.sampled_grid import SampledGrid, known_samples, read_samples
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
@@ -140,12 +137,7 @@ def known_screen(value: Any, resolve: Callable[[str], str] = str) -> PhaseScreen
     if value is None or isinstance(value, PhaseScreen):
         return value
     with naming("phase_screen"):
-        if isinstance(value, (str, Path)):
-            text = str(value)
-            if not text.lstrip().startswith("{"):
-                text = require_file(Path(resolve(text))).read_text()
-            with refusing("it must be a JSON object:", *NO_RECORD):
-                value = json.loads(text)
+        value = read_json_value(value, resolve)
         if not isinstance(value, dict):
             raise InputError(f"{short_repr(value)}: it must be a PhaseScreen, a dictionary, or a JSON file")
         require_known("", value, ("waves", "width"))

@@ -6,13 +6,14 @@ import contextlib
 import errno
 import glob
 import io
+import json
 import math
 import os
 import re
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..errors import InputError, naming, refuse_if, refusing, require_module, short_repr
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -290,3 +291,14 @@ def stored_array(group: Any, name: str) -> Any:
         f"{name} is stored in chunks of {stored.chunks}, larger than itself",
     )
     return stored
+
+
+def read_json_value(value: Any, resolve: Callable[[str], str]) -> Any:
+    """Return plain data from a JSON file, named as `resolve` finds it, or from its text; other values as they are."""
+    if not isinstance(value, (str, Path)):
+        return value
+    text = str(value)
+    if not text.lstrip().startswith("{"):
+        text = require_file(Path(resolve(text))).read_text()
+    with refusing("it must be a JSON object:", *NO_RECORD):
+        return json.loads(text)

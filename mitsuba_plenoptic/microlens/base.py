@@ -8,23 +8,20 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ..errors import (
-    NO_RECORD,
     InputError,
     did_you_mean,
     naming,
     refuse_if,
-    refusing,
     require_choice,
     require_wavelength,
     short_repr,
 )
-from ..io.files import require_file
+from ..io.files import read_json_value
 from ..lattice import Lattice
 from ..lens_data import SINGLE
 from ..prescription import Glass
@@ -148,12 +145,7 @@ def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensSha
     if value is None or isinstance(value, MicrolensShape):
         return value
     with naming("mla_shape"):
-        if isinstance(value, (str, Path)):
-            text = str(value)
-            if not text.lstrip().startswith("{"):
-                text = require_file(Path(resolve(text))).read_text()
-            with refusing("it must be a JSON object:", *NO_RECORD):
-                value = json.loads(text)
+        value = read_json_value(value, resolve)
         if not isinstance(value, dict) or "form" not in value:
             raise InputError(
                 f"{short_repr(value)}: it must be a shape, a dictionary with an entry form, or a JSON file"
