@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..runtime.batches import Box, Part, add
-from ..runtime.fft import resting_drjit, worker_count
-from ..system.sampling import fast_length
+from ..runtime.fft import fast_length, resting_drjit, worker_count
 
 _TAIL = 8
 """Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""

@@ -20,10 +20,10 @@ from ..lenses.telecentric import TelecentricLens
 from ..optics import guards
 from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
 from ..runtime.backend import backend
-from ..runtime.fft import Field, as_field, fft, fft2, pack, resting_drjit, rows_and_columns
+from ..runtime.fft import Field, as_field, fast_length, fft, fft2, pack, resting_drjit, rows_and_columns
 from ..system.microlenses import diffraction, scattering
 from ..system.optical_system import OpticalSystem
-from ..system.sampling import Footprint, bundle_footprint, check_memory, fast_length, footprint
+from ..system.sampling import Footprint, bundle_footprint, check_memory, footprint
 from .pupil_weights import PupilWeights
 
 _WINDOW_MARGIN = 1.2
@@ -195,6 +195,7 @@ def pupil_field(
     if incident is not None:
         turned = as_field(pack(phasor(lens.path(pupil, point, system.wavelength))), (count, count))
         entering = interpolated(incident, grids.wide_origin, pitch, (count, count)) / np.float32(incident.power**0.5)
+        guards.check(guards.APERTURE, 1 - power(entering) * pitch**2)
         return SampledField(entering * turned, grids.wide_origin, pitch)
     # The edge is softened over one sample to make it round; the normalisation is that of the hard edge.
     cover = types.Float(soft_edge(lens.inside(pupil) / step))
@@ -204,12 +205,12 @@ def pupil_field(
         passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
         density *= types.Float64(passed)
         cover *= amplitude
-    power = dr.sum(density)[0] * pitch**2
+    passing = dr.sum(density)[0] * pitch**2
     refuse_if(
-        not 0 < power < math.inf,
+        not 0 < passing < math.inf,
         f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart",
     )
-    field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(power))
+    field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(passing))
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 

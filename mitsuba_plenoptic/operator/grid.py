@@ -18,10 +18,11 @@ from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..lenses.base import MainLens
 from ..optics.waves import in_millimetres
+from ..runtime.fft import check_samples, fast_length
 from ..system.microlens_orders import MicrolensArray
 from ..system.microlenses import diffraction, scattering, upright
 from ..system.optical_system import OpticalSystem
-from ..system.sampling import check_samples, fast_length, footprint
+from ..system.sampling import footprint
 
 _PITCH_PER_PIXEL = 1.1
 """Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""

@@ -18,8 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime.fft import Field, fft
-from ..system.sampling import fast_length
+from ..runtime.fft import Field, fast_length, fft
 from .arrival import blocks
 
 _WIDTH = 8

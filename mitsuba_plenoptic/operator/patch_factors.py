@@ -21,9 +21,8 @@ from ..lenses.base import Light, MainLens
 from ..lenses.lens_changes import VaryingLens, VaryingLight
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
 from ..runtime.backend import array_module
-from ..runtime.fft import split
+from ..runtime.fft import fast_length, split
 from ..system.microlens_orders import ArrayFactor, VaryingArrayFactor
-from ..system.sampling import fast_length
 from .grid import Grid, Placement
 from .pupil_weights import PupilWeights
 

@@ -37,7 +37,8 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
     """
     with refusing(f"values = {short_repr(values)}: they must be numbers, (planes, rows, columns)", *NO_ARRAY):
         grid = np.array(values, np.float64)
-    if isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
+    # Mitsuba has its types once a variant is set.
+    if mi.variant() and isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]
     refuse_if(
         grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all(),

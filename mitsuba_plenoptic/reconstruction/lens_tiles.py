@@ -13,9 +13,8 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..optics.waves import advance, in_millimetres, phasor
 from ..runtime.backend import backend
-from ..runtime.fft import Field
+from ..runtime.fft import Field, fast_length
 from ..system.optical_system import OpticalSystem
-from ..system.sampling import fast_length
 from .conjugates import behind_thin_lens
 from .planning import GUARD, field_subsamples
 

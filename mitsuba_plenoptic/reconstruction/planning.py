@@ -32,9 +32,9 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics import rays
 from ..optics.waves import in_millimetres
+from ..runtime.fft import fast_length
 from ..runtime.limits import memory_limit, require_memory
 from ..system.microlenses import bend
-from ..system.sampling import fast_length
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
+import math
 import os
 import threading
 from collections.abc import Iterator
@@ -27,10 +28,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..errors import refuse_if
 from .backend import backend_of
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
+
+_LONGEST = 2**31
+"""Largest number of samples of a field along an axis."""
 
 _rest = threading.Lock()
 _resting = 0
@@ -242,3 +247,15 @@ def blur(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
     """Return the part of the convolution that lies on the image, with the kernel's middle on each sample."""
     rows, columns = ((k - 1) // 2 for k in kernel.shape)
     return convolve(image, kernel)[rows : rows + image.shape[0], columns : columns + image.shape[1]]
+
+
+def fast_length(minimum: float, multiple: int = 1) -> int:
+    """Return the smallest fast FFT length that is at least `minimum` and a multiple of `multiple`."""
+    check_samples(minimum, "along an axis")
+    return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
+
+
+def check_samples(count: float, where: str) -> None:
+    """Refuse a field with more samples along an axis than memory can hold, before conversion to integers."""
+    # Written so that NaN is refused.
+    refuse_if(not count <= _LONGEST, f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")

@@ -1,4 +1,4 @@
-r"""Diffraction by the microlens array: kernels of a capture's images, and the polynomials over a lens.
+r"""Diffraction by the microlens array: kernels of a capture's images, and the functions over a lens.
 
 Behind the array, of transmission T in units of the lens that the ray meets, a ray that meets it at m lands on the
 detector at an offset p from the position of the ray model, with the signed density
@@ -7,8 +7,9 @@ detector at an offset p from the position of the ray model, with the signed dens
           \int T(m + \xi/2)\, T^*(m - \xi/2)\, e^{-2 \pi i \xi \cdot p / \lambda z}\, d^2\xi.
 
 Pairs of points in two neighbouring lenses are included: they describe the interference of the neighbours' fields.
-Projected on polynomials :math:`P_n` of m that are orthonormal over the aperture, :math:`K_a(m, p) \approx \sum_n a_n(m)
-\varphi_n(p)`. Coordinates of microlens points are relative to the centre of the lens.
+With functions :math:`a_n` of m that are chosen for the camera (`lens_functions`),
+:math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`. Coordinates of microlens points are relative to the centre of
+the lens.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import Lattice
 from ..optics.waves import in_millimetres
-from ..runtime.limits import single_threaded_blas
+from ..runtime.limits import require_memory, single_threaded_blas
+from .lens_functions import LensFunctions
 from .lens_kinds import Kind, LensKinds
 from .microlenses import aperture_points
 
@@ -38,10 +40,14 @@ _KEPT = 2.0
 """Samples per cycle of the highest frequency of a lens's diffraction; two samples represent it completely."""
 
 SPECTRUM_SAMPLES = 256
-"""Samples across a lens for the Fourier coefficients of its polynomials."""
+"""Samples across a lens for the Fourier coefficients of its functions."""
+
+_HIGHER, _COARSE, _LAGS = 4, 24, 16
+"""Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
+across an aperture and lags on either side for which the functions are the best."""
 
 MOST_PHASE = 8.0
-"""Largest defocus in radians at a lens's edge for which polynomials describe where rays land."""
+"""Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class ArrayKernels:
     # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
     camera: PlenopticCamera
     wavelength: float
-    # Total degree of the polynomials over a lens, of which there are (degree + 1) (degree + 2) / 2.
+    # There are at most as many functions over a lens as polynomials of this degree, (degree + 1) (degree + 2) / 2.
     degree: int = 4
     # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
     shortest: float | None = None
@@ -81,8 +87,8 @@ class ArrayKernels:
     def by_points(self) -> bool:
         """Whether each ray lands by its own point of the lens, and not by the lens's centre.
 
-        Far from the microlenses' focus polynomials do not describe the difference. The spread by the pupil is then
-        taken as that of the whole pupil for all of its points.
+        Far from the microlenses' focus a few functions do not suffice for the difference. The spread by the pupil is
+        then taken as that of the whole pupil for all of its points.
         """
         return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
 
@@ -97,9 +103,31 @@ class ArrayKernels:
         return LensKinds(self.camera).every
 
     @cached_property
-    def exponents(self) -> list[tuple[int, int]]:
-        """Powers of u and v of the monomial that each polynomial adds to the previous ones."""
-        return [(i, total - i) for total in range(self.degree + 1) for i in range(total, -1, -1)]
+    @single_threaded_blas()
+    def functions(self) -> LensFunctions:
+        """The functions of a ray's point on a lens; polynomials if each ray lands by its own point, or of degree 0."""
+        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
+        higher = 0 if self.by_points or self.degree == 0 else _HIGHER
+        scale = float(self.lattice.aperture_reach)
+        polynomials = LensFunctions.polynomials(u[inside], v[inside], self.degree + higher, scale)
+        if not higher:
+            return polynomials
+        u, v, inside = self.aperture_grid(math.ceil(_COARSE * self.lattice.pitches[0] / self.lattice.aperture_width))
+        images = np.concatenate(
+            [self._images(polynomials, kind) for kind in self.kinds[: len(self.camera.mla_focal_lengths)]], axis=1
+        )
+        return polynomials.best((self.degree + 1) * (self.degree + 2) // 2, (u[inside], v[inside]), images)
+
+    def _images(self, polynomials: LensFunctions, kind: Kind) -> NDArray[np.float64]:
+        """Return the spectra (polynomials, values) of a kind's kernels of polynomials, as pixels record them."""
+        scale = in_millimetres(self.wavelength) * kind.distance
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        farthest = min(2 * _TRANSFER_SAMPLES, int(scale / (2 * self.camera.pixel_size * fine)))
+        every = max(1, farthest // _LAGS)
+        lags = np.arange(-_LAGS, _LAGS + 1) * every
+        weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
+        spectra = self._transfer(lags, kind, polynomials, polynomials.functions) * (weights[:, None] * weights)
+        return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
     def aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
@@ -110,28 +138,12 @@ class ArrayKernels:
         v, u = np.meshgrid(along, along, indexing="ij")
         return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
 
-    @cached_property
-    def triangle(self) -> NDArray[np.float64]:
-        """Coefficients of the orthonormal polynomials in monomials of u and v over the pitch, by Gram-Schmidt."""
-        u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
-        monomials = self._monomials(u[inside], v[inside])
-        gram = monomials.T @ monomials / len(monomials)
-        return np.linalg.inv(np.linalg.cholesky(gram)).T
-
-    def _monomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        pitch = self.lattice.pitches[0]
-        return np.stack([(u / pitch) ** i * (v / pitch) ** j for i, j in self.exponents], axis=-1)
-
-    def polynomials(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of the polynomials, which are orthonormal over the aperture."""
-        return self._monomials(u, v) @ self.triangle
-
     def mirrored(self, values: Sequence[Any], across: Any, up: Any) -> list[Any]:
-        """Return the values of polynomials at positions mirrored along u, along v, or both."""
+        """Return the values of the functions at positions mirrored along u, along v, or both."""
         signs = dr.select(across, -1.0, 1.0), dr.select(up, -1.0, 1.0)
         return [
-            value * (signs[0] if i % 2 else 1.0) * (signs[1] if j % 2 else 1.0)
-            for (i, j), value in zip(self.exponents, values, strict=False)
+            value * (signs[0] if i else 1.0) * (signs[1] if j else 1.0)
+            for (i, j), value in zip(self.functions.odd, values, strict=False)
         ]
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
@@ -141,11 +153,32 @@ class ArrayKernels:
         """
         key = step, reach, kind
         if key not in self._kept:
+            self._require_memory(step, reach, kind)
             if self.by_points:
                 self._kept[key] = self._cell_kernels(step, reach, self.kinds[kind])
             else:
                 self._kept[key] = self.sampled_kernels(step, self.kernel_samples(step, reach, kind), kind)
         return self._kept[key]
+
+    def _require_memory(self, step: float, reach: float, kind: int) -> None:
+        """Refuse kernels of pixels far larger than a lens's diffraction, which would not fit into memory."""
+        if self.by_points:
+            # Transforms of the aperture, their products, and the kernels themselves.
+            count, each = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind]), 32.0
+        else:
+            count, each = 2 * self.kernel_samples(step, reach, kind)[2] + 1, 8.0
+        spot = in_millimetres(self.wavelength) * self.kinds[kind].distance / float(self.lattice.aperture_width)
+        require_memory(
+            each * self.functions.count * float(count) ** 2,
+            f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm behind lenses "
+            f"whose diffraction spreads {self.wavelength:g} nm by {spot:.2g} mm, need kernels of {count} x {count} "
+            "samples",
+        )
+
+    def _cell_parts(self, step: float, kind: Kind) -> int:
+        """Return the count of samples across a cell that resolve a lens's diffraction."""
+        scale = in_millimetres(self.wavelength) * kind.distance
+        return math.ceil(_KEPT * step * float(self.lattice.aperture_width) / scale)
 
     @cached_property
     def _kept(self) -> dict[tuple[float, float, int], NDArray[np.float64]]:
@@ -166,9 +199,11 @@ class ArrayKernels:
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every, farthest, count = samples
-        transfer = self._transfer(np.arange(-farthest, farthest + 1) * every, self.kinds[kind])
-        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * (every * fine)
-        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (every * fine * step / scale)
+        functions = self.functions
+        lags = np.arange(-farthest, farthest + 1) * every
+        transfer = self._transfer(lags, self.kinds[kind], functions, functions.duals)
+        place = np.arange(-count, count + 1) * step
+        waves = np.exp(-2j * np.pi * np.outer(place, lags * fine) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
     def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -194,23 +229,24 @@ class ArrayKernels:
         power.
         """
         lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
-        parts = math.ceil(_KEPT * step * float(lattice.aperture_width) / scale)
+        parts = self._cell_parts(step, kind)
         count = math.ceil(reach / step)
         fine, far = step / parts, (count + 1) * parts - 1
         x, y, _ = self.aperture_grid(SPECTRUM_SAMPLES)
         along, spacing = x[0], x[0, 1] - x[0, 0]
         inside = lattice.in_aperture(x, y)
-        u, v = (place / lattice.pitches[0] for place in lattice.to_frame(x, y))
+        functions = self.functions
+        u, v = (place / functions.scale for place in lattice.to_frame(x, y))
         waves = np.exp(-2j * np.pi * np.outer(np.arange(-far, far + 1) * fine, along) / scale)
-        fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in self.exponents}
+        fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in functions.exponents}
         products = []
-        for i, j in self.exponents:
+        for i, j in functions.exponents:
             both = np.zeros(fields[0, 0].shape)
             for a, b in itertools.product(range(i + 1), range(j + 1)):
                 weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
                 both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
             products.append(both)
-        kernels = np.einsum("mn,myx->nyx", self.triangle, products) * (spacing * fine / scale) ** 2 / inside.sum()
+        kernels = np.einsum("mn,myx->nyx", functions.combined, products) * (spacing * fine / scale) ** 2 / inside.sum()
         tent = np.convolve(np.ones(parts), np.ones(parts)) / parts
         for axis in (1, 2):
             kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
@@ -230,8 +266,13 @@ class ArrayKernels:
         parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
         return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
 
-    def _transfer(self, lags: NDArray[np.int64], kind: Kind) -> NDArray[np.complex64]:
-        """Return the integrals of polynomial times T T* over a cell at given lags in steps, the same along x and y."""
+    def _transfer(
+        self, lags: NDArray[np.int64], kind: Kind, polynomials: LensFunctions, coefficients: NDArray[np.float64]
+    ) -> NDArray[np.complex64]:
+        """Return the integrals of combinations of polynomials, times T T*, over a cell at given lags in steps.
+
+        `coefficients` are those of the combinations (polynomials, n). The lags are the same along x and y.
+        """
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
         step = lattice.pitches[0] / _TRANSFER_SAMPLES
@@ -257,24 +298,32 @@ class ArrayKernels:
             phase += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
         inside = lattice.in_aperture(x - cx, y - cy)
         T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
-        # Polynomials are undefined outside the aperture, where rays have no coefficients.
-        own = np.asarray((i == kind.lens_type) & (j == 0) & inside, np.float32)
+        # Functions are undefined outside the aperture, where rays have no coefficients.
+        own = np.asarray((i == kind.lens_type) & (j == 0) & inside, np.float64)
         # Points on a border belong half to either side.
-        weights = self.polynomials(*lattice.to_frame(x, y)) * ((own + own[::-1, ::-1]) / 2)[..., None]
-        result = np.zeros((len(self.exponents), len(lags), len(lags)), np.complex64)
+        own, places = (own + own[::-1, ::-1]) / 2, lattice.to_frame(x, y)
+        result = np.zeros((coefficients.shape[1], len(lags), len(lags)), np.complex64)
         middle = len(lags) // 2
-        for row, b in enumerate(lags[middle:].tolist(), middle):
-            for odd in range(2):
-                (places,) = np.nonzero((lags + odd) % 2 == 0)
-                if not len(places):
-                    continue
-                # Midpoints at whole steps, between samples of T, within the cell including its border.
-                rows, columns = (reach + 1 - each % 2 + 2 * np.arange(-half, half + 1) for each in (b, odd))
-                weight = weights[np.ix_(rows, columns)].reshape(-1, len(self.exponents)).astype(np.float32)
-                index = (columns + lags[places, None])[:, None]
+        # Midpoints at whole steps, between samples of T, within the cell including its border.
+        midpoints = [reach + 1 - odd + 2 * np.arange(-half, half + 1) for odd in range(2)]
+        for odd_row, odd in itertools.product(range(2), repeat=2):
+            (columns_at,) = np.nonzero((lags + odd) % 2 == 0)
+            (rows_at,) = np.nonzero((lags + odd_row) % 2 == 0)
+            rows_at = rows_at[rows_at >= middle]
+            if not len(columns_at) or not len(rows_at):
+                continue
+            rows, columns = midpoints[odd_row], midpoints[odd]
+            some = np.ix_(rows, columns)
+            values, part = polynomials.values(*(place[some].ravel() for place in places)), own[some].ravel()[:, None]
+            # On these samples, too, the integrals are exact for polynomials.
+            exact = np.linalg.solve(values.T @ (values * part), coefficients) * part.sum()
+            weight = ((values * part) @ exact).astype(np.float32)
+            index = (columns + lags[columns_at, None])[:, None]
+            for row in rows_at.tolist():
+                b = lags[row]
                 product = T[(rows + b)[:, None], index] * T[(rows - b)[:, None], index[::-1]].conj()
-                product = product.reshape(len(places), -1)
-                result[:, row, places] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
+                product = product.reshape(len(columns_at), -1)
+                result[:, row, columns_at] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
         # The weights are real.
         result[:, :middle] = result[:, :middle:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.

@@ -45,9 +45,9 @@ from ..camera import PlenopticCamera
 from ..lattice import Lattice, turn
 from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module, backend_of
-from ..runtime.fft import Field, array_types, as_field, pack, split, unpack, worker_count
+from ..runtime.fft import Field, array_types, as_field, fast_length, pack, split, unpack, worker_count
 from .microlenses import from_centre, is_separable, transmission
-from .sampling import check_memory, fast_length
+from .sampling import check_memory
 
 _FLAT = 1e4
 """Focal length, in millimetres, of a lens without noticeable phase."""

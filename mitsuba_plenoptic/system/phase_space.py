@@ -8,8 +8,9 @@ point P keeps P, and meets the array at m + x instead of m, with the signed dens
           O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
 
 Behind the *array* it lands on the detector at an offset p from the position of the ray model, with a signed density
-:math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`, where :math:`a_n` combines polynomials of m over a lens: see
-`array_kernels`. A capture becomes a ray capture of a few values per ray, followed by one convolution for each value:
+:math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`, where :math:`a_n` are functions of m over a lens: see
+`array_kernels` and `lens_functions`. A capture becomes a ray capture of a few values per ray, followed by one
+convolution for each value:
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, A_n, \qquad A_n(m, P) = \int K_p(P, x)\, a_n(m + x)\, d^2x .
 
@@ -55,8 +56,8 @@ _SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOp
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
-_TABLES = 8
-"""Number of tables, of some 35 MiB each, that are cached for further plans."""
+_TABLES = 16
+"""Number of tables, of some 35 MiB each, that are cached: all that a spectrum of as many nodes takes."""
 
 _tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
 
@@ -143,29 +144,32 @@ class PhaseSpace(ArrayKernels):
             made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
 
-    @cached_property
+    @property
     def table(self) -> list[NDArray[np.float32]]:
-        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, polynomials).
+        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, functions).
 
-        Cameras that differ only in parameters that do not affect it, such as their detectors, share the table.
+        Cameras that differ only in parameters that do not affect it, such as their detectors, share the table. Plans
+        keep none: those of many cameras, as of the steps of a fit, would fill the memory.
         """
         camera = self.camera
         key = (
             *(camera.mla_lattice, camera.mla_pitches, camera.mla_aperture, camera.mla_fill),
-            *(camera.pupil_radius, camera.pupil_distance, self.wavelength, self.degree, *self.nodes),
+            *(camera.pupil_radius, camera.pupil_distance, self.wavelength, *self.nodes),
+            self.functions.combined.tobytes(),
         )
         if key not in _tables:
             while len(_tables) >= _TABLES:
                 del _tables[next(iter(_tables))]
-            _tables[key] = self._tabulated()
+            _tables[key] = self.tabulated()
         return _tables[key]
 
     @single_threaded_blas()
-    def _tabulated(self) -> list[NDArray[np.float32]]:
+    def tabulated(self) -> list[NDArray[np.float32]]:
         """Compute the table that `table` caches."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
-        values = np.where(inside[..., None], self.polynomials(u, v), 0) * (u[0, 1] - u[0, 0]) ** 2
+        functions = self.functions
+        values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
         table = []
         for radial, node in enumerate(self.nodes):
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
@@ -179,7 +183,7 @@ class PhaseSpace(ArrayKernels):
                 orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
                 lags.append(np.asarray(order * (reach / side), np.float64))
             spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
-            part = np.empty((node.angular + 1, *reversed(node.counts), len(self.exponents)), np.float32)
+            part = np.empty((node.angular + 1, *reversed(node.counts), self.functions.count), np.float32)
             for angle in range(node.angular + 1):
                 overlap = self._overlap(
                     radial,
@@ -226,8 +230,9 @@ class PhaseSpace(ArrayKernels):
         return (total / scale).astype(np.float32)
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
-        """Return the plan of a slightly different camera, whose table has the same nodes."""
+        """Return the plan of a slightly different camera, with the same functions, whose table has the same nodes."""
         plan = replace(self, camera=camera)
+        vars(plan)["functions"] = self.functions
         scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
         vars(plan)["nodes"] = [
             node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
@@ -264,7 +269,8 @@ class RayCoefficients:
 
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
-        count, self._packets = len(plan.exponents), -(-len(plan.exponents) // 4)
+        count = plan.functions.count
+        self._packets = -(-count // 4)
         # Coefficients are gathered four at a time.
         parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
         self._table = mi.Float(np.concatenate(parts))
@@ -337,14 +343,14 @@ class Polynomials:
 
     def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the values of the polynomials at points of a lens."""
-        plan = self.plan
-        u, v = (place / plan.lattice.pitches[0] for place in plan.lattice.to_frame(*point))
+        plan, functions = self.plan, self.plan.functions
+        u, v = (place / functions.scale for place in plan.lattice.to_frame(*point))
         powers = [[mi.Float(1)], [mi.Float(1)]]
         for _ in range(plan.degree):
             for each, place in zip(powers, (u, v), strict=True):
                 each.append(each[-1] * place)
-        monomials = [powers[0][i] * powers[1][j] for i, j in plan.exponents]
+        monomials = [powers[0][i] * powers[1][j] for i, j in functions.exponents]
         return [
             sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
-            for column in plan.triangle.T
+            for column in functions.combined.T
         ]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -21,9 +20,6 @@ from ..runtime.limits import memory_limit, require_memory
 
 MEMORY_LIMIT = 4 * 2**30
 """Largest memory in bytes for one propagation."""
-
-_LONGEST = 2**31
-"""Largest number of samples of a field along an axis."""
 
 _FARTHEST = 1e16
 """Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
@@ -102,18 +98,6 @@ def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprin
     """Return the bounding boxes of positions and direction cosines, (2, n, rays)."""
     low, high, first, last = place.min(-1).T, place.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
     return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
-
-
-def fast_length(minimum: float, multiple: int = 1) -> int:
-    """Return the smallest fast FFT length that is at least `minimum` and a multiple of `multiple`."""
-    check_samples(minimum, "along an axis")
-    return multiple * int(scipy.fft.next_fast_len(max(1, math.ceil(minimum / multiple)), real=True))
-
-
-def check_samples(count: float, where: str) -> None:
-    """Refuse a field with more samples along an axis than memory can hold, before conversion to integers."""
-    # Written so that NaN is refused.
-    refuse_if(not count <= _LONGEST, f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
 
 
 def check_positions(

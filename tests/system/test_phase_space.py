@@ -1,6 +1,7 @@
 """Signed rays against closed forms of apertures, and against exact sums of point spreads."""
 
 import math
+import weakref
 
 import mitsuba as mi
 import numpy as np
@@ -133,3 +134,21 @@ def test_cameras_that_it_does_not_know_are_refused():
     camera = PlenopticCamera(detector_distance=1.0)
     with pytest.raises(InputError, match=r"detector_distance = .*: for signed rays it must be closer to the micro"):
         PhaseSpace(camera, 633.0)
+
+
+def test_plans_of_many_cameras_keep_a_bounded_number_of_tables(monkeypatch):
+    """As those of the steps of a fit, of which other caches keep the plans."""
+    made = []
+
+    def tabulated(plan):
+        table = np.zeros(1)
+        made.append(weakref.ref(table))
+        return [table]
+
+    monkeypatch.setattr("mitsuba_plenoptic.system.phase_space._tables", {})
+    monkeypatch.setattr(PhaseSpace, "tabulated", tabulated)
+    plans = [PhaseSpace(PlenopticCamera(), 500.0 + k, degree=1, radial=2) for k in range(20)]
+    for plan in plans:
+        assert plan.table is plan.table
+    assert len(made) == 20
+    assert sum(each() is not None for each in made) == 16

@@ -27,10 +27,9 @@ from ...operator.full_field import FullFieldPlan
 from ...operator.units import radiance_weight
 from ...optics.waves import in_millimetres
 from ...runtime.backend import backend
-from ...runtime.fft import fft, irfft, resting_drjit, rfft
+from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
 from ...runtime.jobs import Job
 from ...system.optical_system import OpticalSystem
-from ...system.sampling import fast_length
 from .kernels import StoredResponse, require_response_memory
 from .variation import TotalVariation
 

@@ -1,0 +1,110 @@
+r"""The functions of a ray's point on a lens that describe where the lens diffracts the ray's light.
+
+The light L(m) that a lens receives gives the image :math:`\int L(m) K(m, p)\, dm` on the detector. Functions
+:math:`a_n` and kernels :math:`\varphi_n` approximate :math:`K(m, p) \approx \sum_n a_n(m) \varphi_n(p)`. The functions
+chosen here leave, for their number, the smallest mean square error of the images of random light (reduced-rank
+regression: Izenman, J. Multivar. Anal. 5, 248 (1975)). This light has edges at random places in random directions, so
+that its covariance falls in proportion to the distance.
+
+The functions are combinations of polynomials that are orthonormal over the aperture of a lens. The first one is 1, and
+the others have the mean 0, so that even light is exact. The kernels are the integrals of K with the duals
+:math:`d_n` of the functions, for which :math:`\int d_n a_k\, dm = \delta_{nk}`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TIED = 1e-3
+"""Relative difference of the errors that two functions remove below which both or neither are used, as they differ by
+the symmetry of a lens."""
+
+
+@dataclass(frozen=True)
+class LensFunctions:
+    """Functions over a lens, as combinations of orthonormal polynomials."""
+
+    # Length by which coordinates are divided in the monomials.
+    scale: float
+    # Powers of u and v of the monomial that each polynomial adds to the previous ones.
+    exponents: list[tuple[int, int]]
+    # Coefficients (monomials, polynomials).
+    triangle: NDArray[np.float64]
+    # Coefficients (polynomials, functions) of the functions and of their duals.
+    functions: NDArray[np.float64]
+    duals: NDArray[np.float64]
+    # Whether each function is odd in u, and in v.
+    odd: list[tuple[bool, bool]]
+
+    @classmethod
+    def polynomials(cls, u: NDArray[np.float64], v: NDArray[np.float64], degree: int, scale: float) -> LensFunctions:
+        """Return polynomials that are orthonormal over an aperture of points u and v, by Gram-Schmidt."""
+        exponents = [(i, total - i) for total in range(degree + 1) for i in range(total, -1, -1)]
+        monomials = _monomials(u, v, exponents, scale)
+        triangle = np.linalg.inv(np.linalg.cholesky(monomials.T @ monomials / len(monomials))).T
+        unit = np.eye(len(exponents))
+        return cls(scale, exponents, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in exponents])
+
+    def values(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of the polynomials."""
+        return np.asarray(_monomials(u, v, self.exponents, self.scale) @ self.triangle)
+
+    @property
+    def count(self) -> int:
+        """The number of functions."""
+        return self.functions.shape[1]
+
+    @cached_property
+    def combined(self) -> NDArray[np.float64]:
+        """Coefficients (monomials, functions) of the functions."""
+        return np.asarray(self.triangle @ self.functions)
+
+    def best(self, count: int, points: tuple[NDArray[np.float64], ...], images: NDArray[np.float64]) -> LensFunctions:
+        """Return at most `count` combinations of polynomials that approximate the images of edges best.
+
+        Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
+        the polynomials with K, in an orthonormal basis of the detector.
+        """
+        expected, products = self._expected(*points), images @ images.T
+        odd = np.array(self.odd)
+        found = []
+        for parity in ((False, False), (True, False), (False, True), (True, True)):
+            (own,) = np.nonzero((odd == parity).all(1) & (np.arange(len(odd)) > 0))
+            if not len(own):
+                continue
+            own_products, root = products[np.ix_(own, own)], np.linalg.cholesky(expected[np.ix_(own, own)])
+            removed, directions = np.linalg.eigh(root.T @ own_products @ root)
+            for error, function in zip(removed, (own_products @ root @ directions).T, strict=True):
+                whole = np.zeros(len(odd))
+                whole[own] = function / np.linalg.norm(function)
+                found.append((float(error), parity, whole))
+        found.sort(key=lambda each: -each[0])
+        most = min(count - 1, len(found))
+        while 0 < most < len(found) and found[most - 1][0] < found[most][0] * (1 + _TIED):
+            most -= 1
+        first = np.eye(len(odd))[:, :1]
+        functions = np.column_stack([first, *(whole for _, _, whole in found[:most])])
+        others = functions[:, 1:]
+        duals = np.column_stack([first, expected @ others @ np.linalg.inv(others.T @ expected @ others)])
+        parities = [(False, False), *(parity for _, parity, _ in found[:most])]
+        return LensFunctions(self.scale, self.exponents, self.triangle, functions, duals, parities)
+
+    def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance of the polynomials' coefficients of light with random edges, without its mean."""
+        values = self.values(u, v)
+        values -= values.mean(0)
+        apart = np.hypot(u[:, None] - u, v[:, None] - v)
+        return np.asarray(-(values.T @ apart @ values) / (self.scale * len(u) ** 2))
+
+
+def _monomials(
+    u: NDArray[np.float64], v: NDArray[np.float64], exponents: Sequence[tuple[int, int]], scale: float
+) -> NDArray[np.float64]:
+    powers = [np.polynomial.polynomial.polyvander(place / scale, max(map(sum, exponents))) for place in (u, v)]
+    i, j = np.transpose(exponents)
+    return np.asarray(powers[0][..., i] * powers[1][..., j])
