@@ -8,13 +8,11 @@ computed again in the reverse pass.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Protocol
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,6 +67,35 @@ class SmoothFunction(Protocol):
 
     def shape(self, given: Shape) -> Shape:
         """Return the shape of the value from that of the first array."""
+
+
+class Latest:
+    """A function that remembers its latest value with what the derivatives need."""
+
+    def __init__(
+        self,
+        function: SmoothFunction,
+        copied: Callable[[Any], Any],
+        equal: Callable[[Any, Any], bool],
+        # What the function takes, of an array of the library that calls.
+        taken: Callable[[Any], Any],
+    ) -> None:
+        self.taken, self.shape = taken, function.shape
+        self._function, self._copied, self._equal = function, copied, equal
+        self._given: list[Any] = []
+        self._value: Value | None = None
+
+    def at(self, given: Sequence[Any]) -> Value:
+        """Return the value at some arrays."""
+        if self._value is None or not all(map(self._equal, given, self._given)):
+            # Their owners may use the memory of the arrays for others.
+            self._given = [self._copied(each) for each in given]
+            self._value = self._function.at(*map(self.taken, self._given))
+        return self._value
+
+
+ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
+"""What is told who differentiates twice."""
 
 
 def working_array(array: Array) -> Array:
@@ -148,7 +175,8 @@ class CameraCapture:
         """Capture points with weights by a camera with some values."""
         weights, *values = given
         changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
-        return CameraValue(self._make(self._camera.replace(**changed)), self._names, weights, values)
+        camera = self._camera.replace(**changed)
+        return CameraValue(self._make(camera), camera, self._names, weights, values)
 
     def shape(self, given: Shape) -> Shape:
         """Return the shape of images from that of weights."""
@@ -159,10 +187,19 @@ class CameraValue:
     """Captures of points, and their derivatives by the weights and by parameters of the camera."""
 
     def __init__(
-        self, operator: CaptureOperator, names: tuple[str, ...], weights: Array, values: Sequence[Array]
+        self,
+        operator: CaptureOperator,
+        camera: PlenopticCamera,
+        names: tuple[str, ...],
+        weights: Array,
+        values: Sequence[Array],
     ) -> None:
         self._operator, self._names, self._weights = operator, names, weights
         self._shapes = [np.shape(value) for value in values]
+        # A list of one number may stand for all parts, too.
+        self._for_all = [
+            value.size == 1 and np.ndim(getattr(camera, name)) == 0 for name, value in zip(names, values, strict=True)
+        ]
         self.value = _images(operator, weights)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
@@ -186,15 +223,15 @@ class CameraValue:
                 found = self._operator.gradient(factors, image, names)
                 total = {name: total[name] + found[name] for name in names}
         by_values = [
-            _shaped(total[name], shape) if name in total else None
-            for name, shape in zip(self._names, self._shapes, strict=True)
+            _shaped(total[name], shape, for_all) if name in total else None
+            for name, shape, for_all in zip(self._names, self._shapes, self._for_all, strict=True)
         ]
         return [_products(self._operator, gradient) if needed[0] else None, *by_values]
 
 
-def _shaped(gradient: Array, shape: Shape) -> Array:
+def _shaped(gradient: Array, shape: Shape, for_all: bool) -> Array:
     """Return the gradient by the parts of a parameter as one by its value, which may be one number for all parts."""
-    return gradient[: math.prod(shape)].reshape(shape) if shape else np.asarray(gradient.sum())
+    return np.reshape(gradient.sum() if for_all else gradient[: math.prod(shape)], shape)
 
 
 # -- reconstructions ---------------------------------------------------------------------------------
@@ -250,92 +287,3 @@ def _together(function: Callable[[Array], Array], captures: Array) -> Array:
     )
     made = function(np.moveaxis(captures.reshape(-1, *captures.shape[-2:]), 0, -1))
     return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*captures.shape[:-2], *made.shape[:2])
-
-
-# -- scenes ------------------------------------------------------------------------------------------
-
-
-_NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"
-
-
-def rendering(scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> Callable[..., Any]:
-    """Return the function of Dr.Jit's tensors, one for each name, that renders a scene with these parameters."""
-    parameters = mi.traverse(scene)
-    require_known("values: ", shapes, list(parameters.keys()))
-    refuse_if(not shapes, "values: give at least one parameter of the scene")
-    for name, shape in shapes.items():
-        kind = type(parameters[name])
-        refuse_if(
-            not dr.is_diff_v(kind) or not dr.is_float_v(kind), f"{name}: it is {kind.__name__}: {_NO_DERIVATIVES}"
-        )
-        expected = np.shape(np.array(parameters[name]))
-        # One number may have no axis.
-        refuse_if(
-            tuple(shape) != expected and not math.prod(shape) == math.prod(expected) == 1,
-            f"{name} of shape {tuple(shape)}: it must be {expected}",
-        )
-
-    def image(*tensors: Any) -> Any:
-        for name, tensor in zip(shapes, tensors, strict=True):
-            kind = type(parameters[name])
-            parameters[name] = kind(tensor) if dr.is_tensor_v(kind) else dr.unravel(kind, tensor.array, order="C")
-        parameters.update()
-        return mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed)
-
-    return image
-
-
-class Rendering:
-    """The image of a scene as a function of some of its parameters."""
-
-    def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
-        self._image = rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
-        self._sensor, self._integrator = scene.sensors()[0], integrator or scene.integrator()
-
-    def at(self, *given: Array) -> RenderedValue:
-        """Render the scene with some values."""
-        return RenderedValue(self._image, given)
-
-    def shape(self, _: Shape) -> Shape:
-        """Return the shape of the image."""
-        film = self._sensor.film()
-        film.prepare(self._integrator.aov_names())
-        columns, rows = film.crop_size()
-        return int(rows), int(columns), int(film.bitmap().channel_count())
-
-
-class RenderedValue:
-    """The image of a scene, and its derivatives by some of its parameters."""
-
-    def __init__(self, image: Callable[..., Any], given: Sequence[Array]) -> None:
-        self._given = list(map(_tensor, given))
-        dr.enable_grad(self._given)
-        self._image = image(*self._given)
-        self.value = np.array(self._image)
-
-    def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the image; see `Value`."""
-        for tensor, change in zip(self._given, changes, strict=True):
-            if change is not None:
-                dr.set_grad(tensor, _tensor(change))
-        return self._traverse(dr.ADMode.Forward, self._given, [self._image])[0]
-
-    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradient by each value that needs it; see `Value`."""
-        dr.set_grad(self._image, _tensor(gradient))
-        found = self._traverse(dr.ADMode.Backward, [self._image], self._given)
-        return [each if one else None for each, one in zip(found, needed, strict=True)]
-
-    def _traverse(self, mode: Any, start: list[Any], end: list[Any]) -> list[Array]:
-        """Return the gradients at the end of a pass, and keep what another pass needs."""
-        dr.enqueue(mode, start)
-        dr.traverse(mode, flags=dr.ADFlag.ClearInterior)
-        found = [np.array(dr.grad(each)) for each in end]
-        for each in (*start, *end):
-            dr.clear_grad(each)
-        return found
-
-
-def _tensor(array: Array) -> Any:
-    """Return an array as a tensor of Dr.Jit."""
-    return mi.TensorXf(np.ascontiguousarray(array, np.float32))

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .array_functions import (
+    ONCE,
     CameraCapture,
+    Latest,
     LinearFunction,
     Refocus,
-    Rendering,
     SmoothFunction,
-    Value,
     points,
     refocusing,
     working_array,
@@ -29,6 +29,7 @@ from .camera import PlenopticCamera
 from .errors import InputError, refuse_if
 from .operator.operator import CaptureOperator
 from .runtime.backend import one_at_a_time
+from .scene_functions import Rendering
 
 try:
     import jax
@@ -122,7 +123,7 @@ def capture(
     InputError
         If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
     """
-    function = _Latest(CameraCapture(make, camera, tuple(parameters)))
+    function = _latest(CameraCapture(make, camera, tuple(parameters)))
     values = (_required(name, value) for name, value in parameters.items())
     return _smooth.bind(_required("weights", weights), *values, function=function)
 
@@ -154,14 +155,14 @@ def refocus(by: Refocus, captures: Any) -> Any:
     function = refocusing(by, captures.shape[-2:])
     if isinstance(function, LinearFunction):
         return _linear.bind(captures, function=function)
-    return _smooth.bind(captures, function=_Latest(function))
+    return _smooth.bind(captures, function=_latest(function))
 
 
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
     """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
 
     Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The parameters of the scene change.
+    The scene keeps the values; its derivatives give it those of their image again.
 
     Parameters
     ----------
@@ -184,11 +185,11 @@ def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp
     Raises
     ------
     InputError
-        If no value is given, a name is unknown, or a value has another shape.
+        If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
     """
     given = [_required(name, value) for name, value in values.items()]
     shapes = {name: value.shape for name, value in zip(values, given, strict=True)}
-    return _smooth.bind(*given, function=_Latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))
+    return _smooth.bind(*given, function=_latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))
 
 
 def _required(name: str, value: Any) -> Any:
@@ -201,21 +202,9 @@ def _required(name: str, value: Any) -> Any:
     return array
 
 
-class _Latest:
-    """A function that remembers its latest value with what the derivatives need."""
-
-    def __init__(self, function: SmoothFunction) -> None:
-        self._function, self.shape = function, function.shape
-        self._given: list[NDArray[Any]] = []
-        self._value: Value | None = None
-
-    def at(self, given: Sequence[NDArray[Any]]) -> Value:
-        """Return the value at some arrays."""
-        if self._value is None or not all(map(np.array_equal, given, self._given)):
-            # JAX may use the memory of the arrays for others.
-            self._given = [each.copy() for each in given]
-            self._value = self._function.at(*self._given)
-        return self._value
+def _latest(function: SmoothFunction) -> Latest:
+    """Return a function that remembers its latest value."""
+    return Latest(function, np.copy, np.array_equal, np.asarray)
 
 
 # -- primitives of JAX -------------------------------------------------------------------------------
@@ -307,7 +296,7 @@ def _split(given: Sequence[Any], which: tuple[bool, ...]) -> tuple[Sequence[Any]
     return given[: len(which)], [next(changes) if one else None for one in which]
 
 
-def _changed(given: Sequence[Any], *, function: _Latest, which: tuple[bool, ...]) -> NDArray[Any]:
+def _changed(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> NDArray[Any]:
     arrays, changes = _split(given, which)
     return function.at(arrays).jvp(changes)
 
@@ -318,7 +307,7 @@ _change = _primitive(
 )
 
 
-def _gradients(given: Sequence[Any], *, function: _Latest, which: tuple[bool, ...]) -> list[Any]:
+def _gradients(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> list[Any]:
     found = function.at(given[:-1]).vjp(given[-1], which)
     return [each for each in found if each is not None]
 
@@ -332,14 +321,14 @@ _gradient = _primitive(
 )
 
 
-def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: _Latest) -> tuple[Any, Any]:
+def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: Latest) -> tuple[Any, Any]:
     which = tuple(type(each) is not ad.Zero for each in changes)
     known = [each for each, one in zip(changes, which, strict=True) if one]
     value = _smooth.bind(*given, function=function)
     return value, _change.bind(*given, *known, function=function, which=which)
 
 
-def _change_transpose(gradient: Any, *given: Any, function: _Latest, which: tuple[bool, ...]) -> list[Any]:
+def _change_transpose(gradient: Any, *given: Any, function: Latest, which: tuple[bool, ...]) -> list[Any]:
     arrays = given[: len(which)]
     if type(gradient) is ad.Zero:
         return [None] * len(given)
@@ -347,9 +336,7 @@ def _change_transpose(gradient: Any, *given: Any, function: _Latest, which: tupl
 
 
 def _once(*_: Any, **__: Any) -> Any:
-    raise InputError(
-        "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
-    )
+    raise InputError(ONCE)
 
 
 for _each in (_smooth, _change, _gradient):

@@ -2,31 +2,35 @@
 
 Axes before those that a function names are a batch. Results have the type, which must be of floating point, and the
 device of the tensor given. Tensors in the processor's memory share it with NumPy; others are copied to it and back,
-except by `render`, whose tensors go to the device of Dr.Jit by DLPack.
+except by `render`, whose tensors go to the device of Dr.Jit by DLPack. All functions have derivatives in reverse and in
+forward mode, and can be used in the transforms of ``torch.func``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from .array_functions import (
+    ONCE,
     CameraCapture,
+    Latest,
     LinearFunction,
     Refocus,
     SmoothFunction,
     points,
     refocusing,
-    rendering,
     working_array,
 )
 from .camera import PlenopticCamera
 from .errors import InputError, refuse_if, short_repr
 from .operator.operator import CaptureOperator
+from .scene_functions import Rendering
 
 try:
     import torch
@@ -120,7 +124,8 @@ def capture(
     InputError
         If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
     """
-    return _Smooth.apply(CameraCapture(make, camera, tuple(parameters)), weights, *parameters.values())
+    values = map(_required, parameters.values())
+    return _Smooth.apply(_latest(CameraCapture(make, camera, tuple(parameters))), _required(weights), *values)
 
 
 def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
@@ -147,18 +152,18 @@ def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
         If the captures have a wrong shape.
     """
     function = refocusing(by, _required(captures).shape[-2:])
-    return (
-        _Linear.apply(captures, function) if isinstance(function, LinearFunction) else _Smooth.apply(function, captures)
-    )
+    if isinstance(function, LinearFunction):
+        return _Linear.apply(captures, function)
+    return _Smooth.apply(_latest(function), captures)
 
 
 def render(
     scene: Any, values: Mapping[str, torch.Tensor], *, integrator: Any = None, spp: int = 0, seed: int = 0
 ) -> torch.Tensor:
-    """Render a scene with some parameters: ``mi.render``, differentiable by these in reverse, once.
+    """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
 
     Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The parameters of the scene change.
+    The scene keeps the values; its derivatives give it those of their image again.
 
     Parameters
     ----------
@@ -171,7 +176,7 @@ def render(
     spp : int
         Samples per pixel. 0: those of the scene's sampler.
     seed : int
-        Seed of the random numbers. The reverse pass draws others.
+        Seed of the random numbers. Derivatives draw others.
 
     Returns
     -------
@@ -181,20 +186,24 @@ def render(
     Raises
     ------
     InputError
-        If no value is given, a name is unknown, or a value has another shape.
+        If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
     """
     shapes = {name: tuple(_required(value).shape) for name, value in values.items()}
-    image = rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
-    return dr.wrap(source="torch", target="drjit")(image)(*(value.float() for value in values.values()))
+    function = Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
+    remembering = Latest(function, torch.clone, torch.equal, _drjit)
+    return _Smooth.apply(remembering, *(value.float() for value in values.values()))
 
 
 class _Linear(torch.autograd.Function):
     """A linear map between arrays, with its transpose."""
 
     @staticmethod
-    def forward(ctx: Any, given: torch.Tensor, function: LinearFunction) -> torch.Tensor:
-        ctx.function = function
+    def forward(given: torch.Tensor, function: LinearFunction) -> torch.Tensor:
         return _tensor(function.straight(_array(given)), given)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        _, ctx.function = inputs
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
@@ -204,37 +213,106 @@ class _Linear(torch.autograd.Function):
     def jvp(ctx: Any, change: torch.Tensor, _: None) -> torch.Tensor:
         return _Linear.apply(change, ctx.function)
 
+    @staticmethod
+    def vmap(_: Any, axes: tuple[int, None], given: torch.Tensor, function: LinearFunction) -> tuple[torch.Tensor, int]:
+        return _Linear.apply(given.movedim(axes[0], 0), function), 0
 
-class _Smooth(torch.autograd.Function):
+
+class _RowByRow(torch.autograd.Function):
+    """A function that ``torch.vmap`` applies to one row after the other."""
+
+    @classmethod
+    def vmap(cls, info: Any, axes: tuple[int | None, ...], *given: Any) -> tuple[Any, Any]:
+        pairs = list(zip(given, axes, strict=True))
+        rows = [
+            cls.apply(*(each if axis is None else each.select(axis, row) for each, axis in pairs))
+            for row in range(info.batch_size)
+        ]
+        if isinstance(rows[0], torch.Tensor):
+            return torch.stack(rows), 0
+        return tuple(map(torch.stack, zip(*rows, strict=True))), (0,) * len(rows[0])
+
+
+class _Smooth(_RowByRow):
     """A function of arrays with derivatives, which are those at the arrays of the forward pass."""
 
     @staticmethod
-    def forward(ctx: Any, function: SmoothFunction, *given: torch.Tensor) -> torch.Tensor:
-        ctx.at = function.at(*map(_array, given))
-        # Derivatives are taken at the memory of these tensors: PyTorch refuses them once it has been overwritten.
-        ctx.save_for_backward(*given)
-        ctx.save_for_forward(*given)
-        return _tensor(ctx.at.value, given[0])
+    def forward(function: Latest, *given: torch.Tensor) -> torch.Tensor:
+        return _tensor(function.at(given).value, given[0])
 
     @staticmethod
-    @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        ctx.function, *given = inputs
+        # PyTorch refuses derivatives at tensors that have been overwritten.
+        ctx.save_for_backward(*given)
+        ctx.save_for_forward(*given)
+
+    @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        given = ctx.saved_tensors
-        found = ctx.at.vjp(_array(gradient), ctx.needs_input_grad[1:])
-        pairs = zip(found, given, strict=True)
-        return None, *(None if each is None else _tensor(each, like) for each, like in pairs)
+        needed = ctx.needs_input_grad[1:]
+        found = iter(_Gradients.apply(ctx.function, _where(needed), gradient, *ctx.saved_tensors))
+        return None, *(next(found) if one else None for one in needed)
 
     @staticmethod
     def jvp(ctx: Any, _: None, *changes: torch.Tensor | None) -> torch.Tensor:
-        made = ctx.at.jvp([None if each is None else _array(each) for each in changes])
-        return _tensor(made, ctx.saved_tensors[0])
+        known = [each for each in changes if each is not None]
+        which = _where([each is not None for each in changes])
+        return _Change.apply(ctx.function, which, *known, *ctx.saved_tensors)
+
+
+class _Once(_RowByRow):
+    """A derivative, which has none itself."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        """Keep nothing."""
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        raise InputError(ONCE)
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        raise InputError(ONCE)
+
+
+class _Change(_Once):
+    """The change of a function's value with those of some of the arrays."""
+
+    @staticmethod
+    def forward(function: Latest, which: frozenset[int], *tensors: torch.Tensor) -> torch.Tensor:
+        changes, given = iter(tensors[: len(which)]), tensors[len(which) :]
+        taken = [function.taken(next(changes)) if k in which else None for k in range(len(given))]
+        return _tensor(function.at(given).jvp(taken), given[0])
+
+
+class _Gradients(_Once):
+    """The gradients by some of the arrays."""
+
+    @staticmethod
+    def forward(
+        function: Latest, needed: frozenset[int], gradient: torch.Tensor, *given: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
+        found = function.at(given).vjp(function.taken(gradient), [k in needed for k in range(len(given))])
+        return tuple(_tensor(each, like) for each, like in zip(found, given, strict=True) if each is not None)
+
+
+def _where(which: Iterable[bool]) -> frozenset[int]:
+    """Return where something holds, as a set, into which PyTorch's transforms do not look."""
+    return frozenset(k for k, one in enumerate(which) if one)
+
+
+def _latest(function: SmoothFunction) -> Latest:
+    """Return a function that remembers its latest value."""
+    return Latest(function, torch.clone, torch.equal, _array)
 
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
     """Return the memory of a tensor, or a copy of it on the processor."""
     given = _required(tensor).detach().cpu()
-    # NumPy has no type for bfloat16.
-    return working_array((given.float() if given.dtype == torch.bfloat16 else given).resolve_neg().numpy())
+    # NumPy has no types for bfloat16 and for a quarter of the precision.
+    known = given if given.dtype in (torch.float32, torch.float64) else given.float()
+    return working_array(known.resolve_neg().numpy())
 
 
 def _required(value: Any) -> torch.Tensor:
@@ -250,4 +328,9 @@ def _required(value: Any) -> torch.Tensor:
 
 def _tensor(array: Any, like: torch.Tensor) -> torch.Tensor:
     """Return an array as a tensor of the type and device of another."""
-    return torch.from_numpy(np.asarray(array)).to(like)
+    return (array.torch() if dr.is_tensor_v(array) else torch.from_numpy(np.asarray(array))).to(like)
+
+
+def _drjit(tensor: torch.Tensor) -> Any:
+    """Return a tensor as one of Dr.Jit, by DLPack."""
+    return mi.TensorXf(tensor.detach().contiguous())

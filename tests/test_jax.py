@@ -186,6 +186,30 @@ def test_captures_of_scenes():
     assert float(first[0] + 0.5 * second[0]) == pytest.approx(float((forward * felt).sum()), rel=1e-4)
 
 
+def test_captures_of_scenes_keep_their_values_for_the_reverse_pass():
+    """Though the scene has others by then; in another variant they are refused."""
+    mi.set_variant("llvm_ad_mono")
+    small = {"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
+    scene, integrator = load_scene("letters", parameters=small), mi.load_dict({"type": "plenoptic_wave"})
+
+    def image(distance, radiance):
+        values = {"camera.mla_distance": distance, "f.emitter.radiance.value": radiance}
+        return bridge.render(scene, values, integrator=integrator, spp=8)
+
+    felt = random(32, 32, 1, low=0)
+    figure = lambda *values: (image(*values) * felt).sum()  # noqa: E731
+    first, second = [np.array([120.0]), np.array([1.0])], [np.array([120.6]), np.array([1.5])]
+    alone = [*jax.grad(figure, (0, 1))(*first), *jax.grad(figure, (0, 1))(*second)]
+    both = jax.grad(lambda a, b, c, d: figure(a, b) + figure(c, d), (0, 1, 2, 3))(*first, *second)
+    np.testing.assert_allclose(both, alone, rtol=1e-5)
+    _, back = jax.vjp(image, *first)
+    mi.set_variant("llvm_ad_rgb")
+    with pytest.raises(Exception, match="scene: it is of the variant llvm_ad_mono, but llvm_ad_rgb is active"):
+        back(felt)
+    mi.set_variant("llvm_ad_mono")
+    np.testing.assert_allclose(back(felt)[0], alone[0], rtol=1e-5)
+
+
 def test_types():
     operator = stored()
     half = bridge.forward(operator, np.ones(3, np.float16))

@@ -3,12 +3,13 @@
 import importlib
 import sys
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 from wave_cases import WAVELENGTH, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene
+from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene, volume_points
 from mitsuba_plenoptic.reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 torch = pytest.importorskip("torch")
@@ -138,6 +139,13 @@ def test_tensors_of_other_types_and_layouts():
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
 
 
+def test_a_quarter_of_the_precision():
+    made = bridge.forward(stored(), torch.ones(3).to(torch.float8_e5m2))
+    assert made.dtype == torch.float8_e5m2
+    expected = bridge.forward(stored(), torch.ones(3))
+    torch.testing.assert_close(made.float(), expected, rtol=0.13, atol=0.01 * float(expected.max()))
+
+
 def test_exchange_with_other_libraries_by_dlpack():
     """Without copies: what NumPy owns, a tensor made of it, and the results."""
     operator, owned = stored(), np.ones(3)
@@ -146,6 +154,105 @@ def test_exchange_with_other_libraries_by_dlpack():
     owned[:] = 2
     torch.testing.assert_close(bridge.forward(operator, weights), 2 * image)
     assert np.from_dlpack(image).__array_interface__["data"][0] == image.data_ptr()
+
+
+# -- forward mode ------------------------------------------------------------------------------------
+
+
+def along(function, given, change, step):
+    """Return the change of a function in a direction, by its forward mode and by central differences, and a dot test.
+
+    The last two are the products of the change with a random image, and of the direction with the reverse pass by it.
+    """
+    _, made = torch.func.jvp(function, given, change)
+    ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
+    felt = torch.tensor(np.random.default_rng(9).uniform(size=made.shape), dtype=made.dtype)
+    leaves = [each.clone().requires_grad_() for each in given]
+    gradients = torch.autograd.grad((function(*leaves) * felt).sum(), leaves)
+    reverse = sum(float((g.double() * c).sum()) for g, c in zip(gradients, change, strict=True))
+    return made, (ahead - back) / (2 * step), float((made.double() * felt).sum()), reverse
+
+
+def require_close(made, expected, limit):
+    assert float((made - expected).norm() / expected.norm()) < limit
+
+
+PLANE = [(x, y, 236.0) for x in (-0.02, 0.0, 0.02) for y in (-0.01, 0.01)]
+VOLUME = volume_points(np.ones((2, 2, 2)), (-0.02, -0.02, 230.0), (0.02, 0.02, 242.0))[0]
+
+
+@pytest.mark.parametrize("points", [POINTS, PLANE, VOLUME], ids=["points", "plane", "volume"])
+@pytest.mark.parametrize("kind", [CaptureOperator, StoredOperator])
+def test_forward_mode_of_points(points, kind):
+    operator = kind(CAMERA, points, wavelength=WAVELENGTH)
+    weights, change = (random(2, len(points)).detach().float() + shift for shift in (0, 0.5))
+    made, difference, *products = along(lambda w: bridge.forward(operator, w), (weights,), (change,), 0.5)
+    require_close(made, difference, 1e-5)
+    assert products[0] == pytest.approx(products[1], rel=1e-5)
+    images = random(2, *CAMERA.shape).detach().float()
+    made, difference, *products = along(lambda y: bridge.adjoint(operator, y), (images,), (images + 0.5,), 0.5)
+    require_close(made, difference, 1e-4)
+    assert products[0] == pytest.approx(products[1], rel=1e-5)
+
+
+OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_forward_mode_of_refocusing(kind):
+    by = kind(CAMERA, 225.0, **OPTIONS[kind])
+    captures = bridge.forward(stored(), random(2, 3, low=0.5)).detach() + 1e-4
+    change = random(2, *CAMERA.shape, low=0).detach() * captures
+    refocus = lambda c: bridge.refocus(by, c)  # noqa: E731
+    made, difference, *products = along(refocus, (captures,), (change,), 1e-2)
+    require_close(made, difference, 1e-3)
+    assert products[0] == pytest.approx(products[1], rel=1e-5)
+    # Rows that `torch.vmap` takes one by one are those of a batch.
+    rows = torch.vmap(lambda c, d: torch.func.jvp(refocus, (c,), (d,))[1])(captures, change)
+    torch.testing.assert_close(rows, made, rtol=1e-5, atol=1e-6 * float(made.abs().max()))
+
+
+def test_transforms_of_derivatives():
+    """Of PyTorch, which map changes, gradients, and arrays."""
+    start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([0.5], dtype=torch.float64)
+    make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
+
+    def halves(distance, weights):
+        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, weights)
+        return image.reshape(2, -1).square().sum(-1)
+
+    ahead, back = (mode(halves, (0, 1))(start, weights) for mode in (torch.func.jacfwd, torch.func.jacrev))
+    for one, other in zip(ahead, back, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=0)
+    slope = torch.func.grad(lambda distance, weights: halves(distance, weights).sum())
+    rows = torch.vmap(slope, (0, None))(torch.stack([start + 0.1, start]), weights)
+    torch.testing.assert_close(rows[1], ahead[0].sum(), rtol=1e-4, atol=0)
+    assert float(rows[0]) != float(rows[1])
+    operator, many = stored(), random(4, 2, 3).detach()
+    mapped = torch.vmap(lambda w: bridge.forward(operator, w), 1, 1)(many)
+    torch.testing.assert_close(mapped, bridge.forward(operator, many))
+
+
+def derived_twice():
+    """Yield functions that have first derivatives only, and a tensor for them."""
+    one = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
+    weights, refocus = torch.ones(3, dtype=torch.float64), CoherentRefocus(CAMERA, 225.0, WAVELENGTH)
+    yield lambda d: bridge.capture(one, CAMERA, {"mla_distance": d}, weights[:1]).sum(), torch.tensor(120.0)
+    yield lambda c: bridge.refocus(refocus, c).sum(), bridge.forward(computing(CAMERA), weights).float() + 1e-4
+
+
+@pytest.mark.parametrize(("function", "at"), list(derived_twice()), ids=["capture", "refocus"])
+def test_derivatives_of_derivatives_are_refused(function, at):
+    """Also where the gradient that comes from above is constant, which PyTorch would take for a constant result."""
+    given = at.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(function(given), given, create_graph=True)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: captures by a camera's parameters, refoc"):
+        (gradient.square().sum() + given.square().sum()).backward()
+    once = torch.func.grad(function)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        torch.func.grad(lambda x: once(x).sum())(at)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        torch.func.jvp(once, (at,), (at,))
 
 
 # -- cameras -----------------------------------------------------------------------------------------
@@ -196,6 +303,17 @@ def test_cameras_in_forward_mode():
     assert float(forward) == pytest.approx(float(ahead - back) / (2 * step), rel=1e-3)
 
 
+def test_a_list_of_one_number_for_all_parts():
+    """As of both pitches; of aberrations it is the first."""
+    weights = torch.tensor([0.5], dtype=torch.float64)
+    make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
+    pitch, phases = torch.tensor([CAMERA.mla_pitch], dtype=torch.float64), torch.tensor([0.1, 0.2, 0.3])
+    for name, value in (("mla_pitch", pitch), ("wavefront", phases[:1]), ("wavefront", phases)):
+        captured = lambda value, name=name: bridge.capture(make, CAMERA, {name: value}, weights)  # noqa: E731
+        _, _, forward, reverse = along(captured, (value,), (torch.ones_like(value),), 1e-5)
+        assert forward == pytest.approx(reverse, rel=1e-5, abs=1e-6)
+
+
 def test_tensors_that_were_overwritten_are_refused():
     weights = torch.ones(3, requires_grad=True)
     distance = torch.tensor(120.0, requires_grad=True)
@@ -242,25 +360,99 @@ def test_steps_of_deconvolution():
 # -- scenes ------------------------------------------------------------------------------------------
 
 
-def test_captures_of_scenes():
+RADIANCES = ("f.emitter.radiance.value", "hash.emitter.radiance.value")
+
+
+@pytest.fixture(scope="module")
+def letters():
+    """Return the capture of two letters as a function of values and the seed, with their names and first values."""
     mi.set_variant("llvm_ad_mono")
-    scene = load_scene(
-        "letters", parameters={"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
-    )
-    integrator, key = mi.load_dict({"type": "plenoptic_wave"}), "f.emitter.radiance.value"
-    start = torch.tensor(np.array(mi.traverse(scene)[key]))
+    small = {"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
+    scene, integrator = load_scene("letters", parameters=small), mi.load_dict({"type": "plenoptic_wave"})
 
-    def image(value, seed=0):
-        return bridge.render(scene, {key: value}, integrator=integrator, spp=8, seed=seed)
+    def image(*values, names=RADIANCES, seed=0):
+        made = dict(zip(names, values, strict=True))
+        return bridge.render(scene, made, integrator=integrator, spp=8, seed=seed)
 
-    felt = torch.tensor(np.random.default_rng(3).uniform(size=(32, 32, 1)), dtype=torch.float32)
-    value = start.clone().requires_grad_()
-    (image(value) * felt).sum().backward()
-    # The reverse pass draws from another seed, which Mitsuba derives from the first.
+    image.scene = scene
+    return image
+
+
+def test_captures_of_scenes(letters):
+    start, change = [torch.ones(1), torch.ones(1)], [torch.ones(1), 0.5 * torch.ones(1)]
+    # Derivatives draw from another seed, which Mitsuba derives from the first.
     other = int(mi.sample_tea_32(0, 1)[0])
+    made, _, forward, reverse = along(letters, tuple(start), tuple(change), 0.02)
+    ahead, back = (
+        letters(*(a + step * c for a, c in zip(start, change, strict=True)), seed=other) for step in (0.02, -0.02)
+    )
+    require_close(made, (ahead - back) / 0.04, 1e-3)
+    assert forward == pytest.approx(reverse, rel=1e-5)
+
+
+def test_captures_of_scenes_by_the_camera_in_forward_mode(letters):
+    """As Dr.Jit has them, and as in reverse."""
+    name, start = "camera.mla_distance", torch.tensor([120.0])
+    by_camera = lambda value: letters(value, names=(name,))  # noqa: E731
+    made, _, forward, reverse = along(by_camera, (start,), (torch.ones(1),), 0.01)
+    assert forward == pytest.approx(reverse, rel=1e-5)
+    parameters, integrator = mi.traverse(letters.scene), mi.load_dict({"type": "plenoptic_wave"})
+    parameters[name] = mi.Float(120.0)
+    dr.enable_grad(parameters[name])
+    dr.set_grad(parameters[name], 1.0)
+    parameters.update()
+    dr.forward(parameters[name], dr.ADFlag.ClearEdges)
+    expected = dr.forward_to(mi.render(letters.scene, parameters, integrator=integrator, spp=8))
+    np.testing.assert_allclose(made, expected.numpy(), rtol=1e-5, atol=1e-6)
+
+
+def test_captures_of_scenes_keep_their_values_for_the_reverse_pass(letters):
+    """Though the scene has others by then; and the scene keeps no gradients."""
+    felt = torch.tensor(np.random.default_rng(3).uniform(size=(32, 32, 1)), dtype=torch.float32)
+    names = ("camera.mla_distance", RADIANCES[0])
+
+    def leaves(scale):
+        return [torch.tensor([120.0 * scale], requires_grad=True), torch.tensor([scale], requires_grad=True)]
+
+    def gradients(values):
+        return [each.grad for each in values]
+
+    alone = []
+    for scale in (1.0, 1.005):
+        values = leaves(scale)
+        (letters(*values, names=names) * felt).sum().backward()
+        alone += gradients(values)
+    first, second = leaves(1.0), leaves(1.005)
+    images = letters(*first, names=names), letters(*second, names=names)
+    ((images[0] + images[1]) * felt).sum().backward()
+    torch.testing.assert_close(gradients(first) + gradients(second), alone, rtol=1e-5, atol=0)
+    assert not any(dr.grad_enabled(mi.traverse(letters.scene)[name]) for name in names)
+    image = letters(*first, names=names)
     with torch.no_grad():
-        difference = ((image(start + 0.1, other) - image(start - 0.1, other)) * felt).sum() / 0.2
-    assert float(value.grad.sum()) == pytest.approx(float(difference), rel=1e-3)
+        first[0] += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+def test_captures_of_scenes_are_derived_once(letters):
+    values = [torch.ones(1, requires_grad=True) for _ in RADIANCES]
+    (gradient, _) = torch.autograd.grad(letters(*values).sum(), values, create_graph=True)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        (gradient + values[0] ** 2).sum().backward()
+
+
+def test_scenes_of_another_variant(letters):
+    value = torch.ones(1, requires_grad=True)
+    image = letters(value, torch.ones(1))
+    mi.set_variant("llvm_ad_rgb")
+    for work in (lambda: image.sum().backward(), lambda: letters(value, torch.ones(1))):
+        with pytest.raises(
+            InputError, match=r"^scene: it is of the variant llvm_ad_mono, but llvm_ad_rgb is active; set llvm_ad_mono$"
+        ):
+            work()
+    mi.set_variant("llvm_ad_mono")
+    image.sum().backward()
+    assert float(value.grad) > 0
 
 
 @pytest.mark.parametrize(
@@ -294,6 +486,8 @@ def test_mistakes():
             InputError, match=r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating point"
         ):
             bridge.forward(stored(), wrong)
+    with pytest.raises(InputError, match=r"^120\.0: it must be a tensor of PyTorch$"):
+        bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3))
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
     for shape in ((3,), (0, *CAMERA.shape)):

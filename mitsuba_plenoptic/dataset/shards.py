@@ -172,6 +172,9 @@ def checksum(path: Path) -> str:
 
 _FACTS, _DIGESTS = "facts", "digests"
 
+_MOST_OPEN = 32
+"""Files that a data set keeps open: systems allow a process a few hundred, and large data sets have thousands."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -331,5 +334,8 @@ class DataSet:
             # HDF5's handles are those of the process that opened them.
             self._files, self._process = {}, os.getpid()
         if number not in self._files:
+            if len(self._files) >= _MOST_OPEN:
+                # It is closed once no other thread reads it.
+                del self._files[next(iter(self._files))]
             self._files[number] = open_shard(self._layout.shard(number))
         return self._files[number]

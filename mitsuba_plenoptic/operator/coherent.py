@@ -38,10 +38,9 @@ _TOGETHER = 2**14
 
 def require_coherent(camera: PlenopticCamera) -> None:
     """Refuse a camera whose points do not all see the same pupil."""
-    camera.require_no_objective("coherent fields are computed")
     refuse_if(
-        bool(camera.lens_data.traced_surfaces),
-        f"main_lens = {camera.main_lens}: coherent fields need a thin main lens, whose pupil all points see",
+        not camera.lens_data.is_thin,
+        f"main_lens = {camera.lens_data.label}: coherent fields need a thin main lens, whose pupil all points see",
     )
 
 

@@ -131,6 +131,10 @@ class CaptureOperator(CoherentPoints):
         """Return the fields of the points at the operator's only wavelength, or refuse them."""
         wavelengths = [part.wavelength for part in self._channels.parts(1)]
         refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
+        refuse_if(
+            self.spectrum is not None and self.spectrum.matrix().tolist() != [[1]],
+            "spectrum: a coherent field has no channels and no response; give the wavelength",
+        )
         refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
         return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
 

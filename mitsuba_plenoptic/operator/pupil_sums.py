@@ -49,8 +49,17 @@ _TRIED = 64
 _BASIS = 2048
 """Largest number of points of a layer from which its products are found."""
 
-_TOGETHER = 2**14
-"""Number of points whose factors are computed together."""
+_TOGETHER = 2**22
+"""Number of factors that are computed together, which limits their memory."""
+
+_MISSED = 5e-5
+"""Error of a single point's separated field beyond which products are added for it."""
+
+_ADDED = 256
+"""Largest number of such points from which products are found together."""
+
+_FARTHEST = 1e20
+"""Largest distance of the middle of a layer, in millimetres."""
 
 _RINGS, _SPOKES = 8, 24
 """Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
@@ -78,7 +87,9 @@ class Layer:
     def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
         vergence = 1 / points[:, 2]
-        distance = 1 / ((vergence.min() + vergence.max()) / 2)
+        middle = (vergence.min() + vergence.max()) / 2
+        # Finite where points before the lens and behind it have opposite distances.
+        distance = 1 / math.copysign(max(abs(middle), 1 / _FARTHEST), middle)
         tilt = points[:, :2] * vergence[:, None]
         self._middle = np.append((tilt.min(0) + tilt.max(0)) / 2 * distance, distance)
         frequencies = self._cosines(points) - self._cosines(self._middle[None])
@@ -88,18 +99,20 @@ class Layer:
         self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
         x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
-        factors = self._remainder(x, y, points[some], frequencies[some])
-        basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
-        tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
-        self.rank = max(1, int(np.count_nonzero(tail > _TOLERANCE)))
-        basis = basis[:, : self.rank]
+        basis = _principal(self._remainder(x, y, points[some], frequencies[some]))
+        parts = []
+        step = max(1, _TOGETHER // len(x))
+        for first in range(0, len(points), step):
+            part = slice(first, first + step)
+            factors = self._remainder(x, y, points[part], frequencies[part])
+            basis, found = _completed(basis, factors)
+            parts.append(found)
+        self.rank = basis.shape[1]
         self._on_pupil = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
         shift = np.exp(2j * math.pi * (frequencies @ grid.middle))
-        self._of_points = np.empty((self.rank, len(points)), np.complex64)
-        for first in range(0, len(points), _TOGETHER):
-            part = slice(first, first + _TOGETHER)
-            self._of_points[:, part] = basis.conj().T @ self._remainder(x, y, points[part], frequencies[part])
-        self._of_points *= shift
+        # Points before the last completion do without the products that came later.
+        padded = [np.pad(part, ((0, self.rank - len(part)), (0, 0))) for part in parts]
+        self._of_points = (np.concatenate(padded, 1) * shift).astype(np.complex64)
 
     def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
         """Add the field of points with these amplitudes (n,) to samples of the grid."""
@@ -209,6 +222,40 @@ def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.floa
     amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
     area = math.pi * lens.pupil_radius**2
     return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
+
+
+def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the orthonormal functions (m, k) that represent some factors (m, n) within the tolerance."""
+    basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
+    tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
+    return np.asarray(basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))])
+
+
+def _completed(
+    basis: NDArray[np.complex128], factors: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return a basis with the functions added that single ones of some factors (m, n) need, and their coefficients.
+
+    Points that are far from most others have such factors.
+    """
+    power = _squares(factors)
+    while True:
+        found = basis.conj().T @ factors
+        error = 1 - _squares(found) / power
+        worst = np.argsort(error)[-_ADDED:]
+        worst = worst[error[worst] > _MISSED**2]
+        if not len(worst):
+            return basis, found
+        missed = factors[:, worst] - basis @ found[:, worst]
+        added, strength, _ = np.linalg.svd(missed, full_matrices=False)
+        added = added[:, strength > 0.5 * _MISSED * math.sqrt(power[worst].min())]
+        # Orthogonal to the others in spite of rounding; those stay as they are.
+        basis = np.hstack([basis, np.linalg.qr(added - basis @ (basis.conj().T @ added))[0]])
+
+
+def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Return the squared norm of each column."""
+    return np.asarray((columns.real**2 + columns.imag**2).sum(0))
 
 
 def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:

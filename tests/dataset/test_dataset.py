@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 
 import h5py
 import mitsuba as mi
@@ -20,7 +21,7 @@ from dataset_cases import small
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe, production
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe, production, shards
 
 
 def files(folder):
@@ -216,6 +217,21 @@ def test_what_is_asked_for_and_not_there_is_named(made):
     with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, digests, facts"):
         DataSet(made, ["wave"])[0]
     assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
+
+
+def test_few_files_are_open_at_once(made, monkeypatch):
+    opened, open_shard = [], shards.open_shard
+
+    def noting(path):
+        file = open_shard(path)
+        opened.append(weakref.ref(file))
+        return file
+
+    monkeypatch.setattr(shards, "_MOST_OPEN", 1)
+    monkeypatch.setattr(shards, "open_shard", noting)
+    samples = DataSet(made, ["ray"])
+    assert [samples[index].index for index in (0, 2, 4, 3, 1)] == [0, 2, 4, 3, 1]
+    assert [each() is not None for each in opened] == [False] * 4 + [True]
 
 
 def test_pytorch_reads_tensors(made):

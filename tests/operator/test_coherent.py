@@ -6,6 +6,7 @@ from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.operator import pupil_sums
 from mitsuba_plenoptic.operator.nonuniform import PlaneWaves
 from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields
@@ -41,8 +42,8 @@ def direct_pupil(camera, points, given, x, y):
             np.pi * radius**2 * np.mean((g / ((r * np.cos(angle) - X) ** 2 + (r * np.sin(angle) - Y) ** 2 + g**2)) ** 2)
         )
         square = (x - X) ** 2 + (y - Y) ** 2 + g**2
-        path = np.sqrt(square) - np.sqrt(X**2 + Y**2 + g**2) - (x**2 + y**2) / (2 * f1)
-        total += amplitude * g / square / np.sqrt(power) * np.exp(1j * k * path)
+        path = np.sign(g) * (np.sqrt(square) - np.sqrt(X**2 + Y**2 + g**2)) - (x**2 + y**2) / (2 * f1)
+        total += amplitude * abs(g) / square / np.sqrt(power) * np.exp(1j * k * path)
     if any(camera.wavefront):
         # Noll 4, defocus, over the unit pupil
         waves = camera.wavefront[3] * np.sqrt(3) * (2 * (x**2 + y**2) / radius**2 - 1)
@@ -64,6 +65,34 @@ def test_pupil_against_direct_sums(points, wavefront):
     assert error(field.samples.ravel()[some], exact) < 2e-5
     # Nothing outside the pupil.
     assert np.abs(field.samples[np.hypot(x, y) > camera.aperture_radius + 2 * field.pitch]).max() == 0
+
+
+def error_on_pupil(points, given, camera=CAMERA, **options):
+    """Return the error of the field on the pupil against the direct sum of the points that have an amplitude."""
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field", **options)
+    field, lit = operator.field(given, plane="pupil"), np.flatnonzero(given)
+    x, y = np.meshgrid(*(start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin))
+    some = np.flatnonzero(np.hypot(x, y) < camera.aperture_radius - 2 * field.pitch)[::97]
+    exact = direct_pupil(camera, np.array(points)[lit], np.array(given)[lit], x.ravel()[some], y.ravel()[some])
+    return error(field.samples.ravel()[some], exact)
+
+
+def test_a_point_far_from_thousands_of_others(monkeypatch):
+    # The products of a layer are found from a part of its points, to which this one does not belong.
+    monkeypatch.setattr(pupil_sums, "_BASIS", 200)
+    monkeypatch.setattr(pupil_sums, "_TOGETHER", 300 * 36)
+    points = np.column_stack([np.random.default_rng(0).uniform(-0.01, 0.01, (1000, 2)), np.full(1000, 120.0)])
+    points[501] = 2, 2, 120
+    for lit in ([501], [3, 990], [3, 501, 990]):
+        given = np.zeros(1000, complex)
+        given[lit] = amplitudes(len(lit))
+        assert error_on_pupil(points, given) < 2e-5
+
+
+def test_points_of_opposite_distances_are_one_layer():
+    points = [(0, 0, 1e6), (10, 0, -1e6)]
+    with np.errstate(all="raise"):
+        assert error_on_pupil(points, [1, 1j], virtual=True) < 2e-5
 
 
 def test_a_single_point_is_the_full_field():
@@ -92,11 +121,14 @@ def test_squared_fields_are_the_incoherent_capture():
     "changes",
     [
         {},
-        {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "crop_offset": (20, 31), "crop_size": (80, 61)},
+        {
+            "mla_lattice": "hexagonal", "mla_rotation": 7.0, "crop_offset": (20, 31), "crop_size": (80, 61),
+            "mla_medium": 1.5,
+        },
         pytest.param({"mla_jitter": (0.002, 0.002)}, marks=pytest.mark.slow),
     ],
-    ids=["square", "hexagonal, cropped", "irregular"],
-)
+    ids=["square", "hexagonal, cropped, in a medium", "irregular"],
+)  # fmt: skip
 def test_adjoint(plane, changes):
     operator, given = operator_of(DEEP[:3], CAMERA.replace(**changes)), amplitudes(3)
     field = operator.field(given, plane=plane).samples
@@ -134,6 +166,16 @@ def test_plane_waves():
                 CAMERA, NEAR, spectrum=Spectrum([500, 600], [[1, 1]]), method="full_field"
             ).field(np.ones(12)),
             "spectrum of 2 wavelengths: a coherent field has one",
+        ),
+        (
+            lambda: CaptureOperator(CAMERA, NEAR, spectrum=Spectrum([500], [[0.5]])).field(np.ones(12)),
+            "spectrum: a coherent field has no channels and no response",
+        ),
+        (
+            lambda: CaptureOperator(
+                PlenopticCamera.preset("shack_hartmann"), NEAR, wavelength=500, method="full_field"
+            ).field(np.ones(12)),
+            "main_lens = collimator: coherent fields need a thin main lens, whose pupil",
         ),
         (
             lambda: CaptureOperator(CAMERA, NEAR, wavelength=500, pupil_weights=np.ones((12, 4, 4))).field(np.ones(12)),

@@ -79,6 +79,21 @@ def test_derivatives_against_differences_of_the_full_field(name, step, limit):
     assert error(operator.derivative([1.0], {name: 1.0}), (sides[0] - sides[1]) / (2 * step)) < limit
 
 
+def test_the_opening_of_a_fast_stigmatic_lens_against_differences_of_captures():
+    """A step of 2 % of the radius: for smaller ones the captures' own scatter counts, for larger ones the curvature."""
+    camera = PlenopticCamera(
+        focal_length=4.0, aperture_radius=4 / 3.6, mla_distance=4.04, mla_focal_length=0.004, mla_medium=1.5,
+        mla_pitch=0.0028, detector_width=0.0224, resolution=(16, 16),
+    )  # fmt: skip
+    step = 0.02 * camera.aperture_radius
+    operator, *sides = (
+        CaptureOperator(camera.replace(aperture_radius=radius), [(0.1, -0.05, 404.0)], wavelength=550, accuracy=0)
+        for radius in (camera.aperture_radius, camera.aperture_radius + step, camera.aperture_radius - step)
+    )
+    up, down = (side.forward([1.0]) for side in sides)
+    assert error(operator.derivative([1.0], {"aperture_radius": 1.0}), (up - down) / (2 * step)) < 0.02
+
+
 def test_aberrations_against_differences_of_the_full_field():
     camera, point, amounts = small_camera(2, **HALF), np.array((0.03, -0.02, 116.0)), np.zeros(15)
     amounts[[3, 6, 10]] = 1.0, -0.7, 0.5

@@ -1,5 +1,8 @@
 """Volumes of emitters as points, and the built-in scenes that have such volumes."""
 
+import subprocess
+import sys
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -13,6 +16,13 @@ def test_voxels_become_points_in_the_order_of_the_axes():
     points, weights = volume_points(values, (0, 0, -1), (4, 6, 1))
     assert np.array_equal(points, [[3.5, 1, 0.5]])
     assert weights == [5 * 1 * 2 * 1]
+
+
+def test_no_variant_is_needed():
+    """Of Mitsuba, which has no types before one is set."""
+    work = "import mitsuba_plenoptic as mp; print(mp.volume_points([[[2.0]]], (0, 0, 0), (1, 1, 1))[1])"
+    made = subprocess.run([sys.executable, "-c", work], capture_output=True, text=True, check=True)
+    assert made.stdout.strip() == "[2.]"
 
 
 def test_grids_of_mitsuba_are_taken(tmp_path):
