@@ -13,7 +13,7 @@ import numpy as np
 from .camera import PlenopticCamera
 from .camera.plenoptic_camera import require_camera, require_ideal
 from .collimator import Collimator
-from .errors import WAVEFRONT_UNIT, InputError, refuse_if, require_number
+from .errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
 from .far_sources import INFINITY
 from .operator.arrival import SampledField
 from .operator.full_field import full_field
@@ -84,12 +84,15 @@ class CameraOptics(hcipy.OpticalElement):
         Raises
         ------
         InputError
-            If the wavefront is dark or polarised, or its grid is of another kind.
+            If the wavefront is dark or polarised, or its wavelength is out of range or its grid of another kind.
         PhysicsError
-            If too much of the light is lost, or the wavefront is sampled too coarsely (see `optics.guards`).
+            If too much of the light is lost, the wavefront is much wider than the camera's aperture, or it is sampled
+            too coarsely (see `optics.guards`).
         """
+        if not isinstance(wavefront, hcipy.Wavefront):
+            raise InputError(f"wavefront of type {type(wavefront).__name__}: it must be of HCIPy")
         incident = _sampled(wavefront.electric_field)
-        power, wavelength = float(wavefront.total_power), wavefront.wavelength * 1e9
+        power, wavelength = float(wavefront.total_power), _nanometres(wavefront.wavelength)
         refuse_if(not 0 < power < math.inf, f"wavefront of the power {power:g}: it must be greater than 0")
         system = OpticalSystem(self.camera.at_wavelength(wavelength), wavelength)
         with guards.watch():
@@ -125,13 +128,22 @@ def phase_screen(phase: Any, wavelength: float) -> PhaseScreen:
     >>> phase_screen(layer.phase_for(633e-9), 633e-9)
     PhaseScreen(64 x 64 samples, width=11.8125)
     """
-    field, waves = _sampled(phase), require_number("wavelength", wavelength, positive=True) * 1e9 / WAVEFRONT_UNIT
+    field, waves = _sampled(phase), _nanometres(wavelength) / WAVEFRONT_UNIT
+    refuse_if(np.iscomplexobj(field.samples), "phase: its values are complex; give the phase of the field, in radians")
     rows, columns = field.samples.shape
     middle = [start + (count - 1) / 2 * field.pitch for start, count in zip(field.origin, (columns, rows), strict=True)]
     refuse_if(
         max(map(abs, middle)) > 1e-6 * columns * field.pitch, f"phase: its grid's centre is {middle}: it must be 0"
     )
-    return PhaseScreen(field.samples.real * (waves / (2 * math.pi)), (columns - 1) * field.pitch)
+    return PhaseScreen(field.samples * (waves / (2 * math.pi)), (columns - 1) * field.pitch)
+
+
+def _nanometres(wavelength: Any) -> float:
+    """Return a wavelength in nanometres from metres, or refuse it."""
+    metres = require_number("wavelength", wavelength, positive=True)
+    low, high = (bound * 1e-9 for bound in WAVELENGTHS)
+    refuse_if(not low <= metres <= high, f"wavelength = {metres:g}: it must be from {low:g} to {high:g} metres")
+    return metres * 1e9
 
 
 def _sampled(values: Any) -> SampledField:

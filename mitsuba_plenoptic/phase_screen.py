@@ -26,7 +26,7 @@ from .errors import (
     suggest_keywords,
 )
 from .io.files import read_json_value
-from .microlens.sampled_grid import SampledGrid, known_samples, read_samples
+from .microlens.sampled_grid import COUNTS, SampledGrid, known_samples, read_samples
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 """Unit of the samples."""
@@ -186,13 +186,19 @@ def frozen_flow(
     velocity = np.array(require_numbers("wind", wind, count=2))
     interval = require_number("interval", interval, positive=True)
     frames = require_count("frames", frames)
-    count = math.ceil(width / step - 1e-9) + 1
-    travel = np.abs(velocity) * interval * (frames - 1) / step
+    low, high = COUNTS
+    count = math.ceil(min(width / step, 2.0 * high) - 1e-9) + 1
+    refuse_if(
+        not low <= count <= high,
+        f"width = {width:g}: it must be {low - 1} to {high - 1} times the step of {step:g}",
+    )
+    with np.errstate(over="ignore"):
+        travel = np.abs(velocity) * interval * (frames - 1) / step
     needed = count + travel[::-1]
     refuse_if(
         bool((needed > np.array(large.shape) + 1e-9).any()),
         f"waves of {large.shape[0]} x {large.shape[1]} samples: frames and wind need "
-        f"{math.ceil(needed[0])} x {math.ceil(needed[1])}",
+        f"{np.ceil(needed[0]):.6g} x {np.ceil(needed[1]):.6g}",
     )
     return _windows(large, step, count, velocity * interval, frames)
 

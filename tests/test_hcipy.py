@@ -100,6 +100,26 @@ def test_screens_of_atmospheres_and_wavefronts_behind_them_agree(preset):
     assert relative(behind.shaped, operator.forward(weights)) < 0.01
 
 
+def test_powers_and_places_of_pixels():
+    # Columns 10 to 69 and rows 40 to 59 of 128, each 20 um wide.
+    camera = PlenopticCamera.preset("telescope").replace(resolution=(128, 128))
+    crop = CameraOptics(camera.replace(crop_offset=(10, 40), crop_size=(60, 20)))
+    x, y = crop.output_grid.separated_coords
+    assert x[[0, -1]] == pytest.approx([-53.5 * 20e-6, 5.5 * 20e-6])
+    assert y[[0, -1]] == pytest.approx([-23.5 * 20e-6, -4.5 * 20e-6])
+    given = wavefront(hcipy.make_pupil_grid(128, 10.24e-3), 10e-3)
+    one = crop.forward(given)
+    assert relative(one.shaped, CameraOptics(camera).forward(given).shaped[40:60, 10:70]) < 1e-3
+    given.total_power = 3
+    assert relative(crop.forward(given), 3 * one) < 1e-5
+
+
+def test_screens_have_the_path_of_a_phase_at_its_wavelength():
+    grid = hcipy.make_pupil_grid(8, 0.012)
+    screen = phase_screen(hcipy.Field(np.linspace(0, 2 * np.pi, 64), grid), 500e-9)
+    assert screen.path(5.25, 5.25) == pytest.approx(500e-6, rel=1e-5)
+
+
 def test_bad_wavefronts_are_refused():
     optics, grid = CameraOptics(PlenopticCamera.preset("telescope")), hcipy.make_pupil_grid(16, 0.01)
     steep = hcipy.Wavefront(
@@ -107,6 +127,18 @@ def test_bad_wavefronts_are_refused():
     )
     with pytest.raises(mp.PhysicsError, match="under-sampled"):
         optics.forward(steep)
+    # Three times as wide as the telescope's aperture, of which the window holds a part.
+    large = hcipy.make_pupil_grid(64, 0.03)
+    with pytest.raises(mp.PhysicsError, match=r"of the wavefront's power is outside the window"):
+        optics.forward(hcipy.Wavefront(large.ones() + 0j, WAVELENGTH))
+    with pytest.raises(InputError, match=r"^wavelength = 633: it must be from 2e-07 to 2.5e-06 metres"):
+        optics.forward(hcipy.Wavefront(grid.ones() + 0j, 633))
+    with pytest.raises(InputError, match="wavefront of type ndarray: it must be of HCIPy"):
+        optics.forward(np.ones((16, 16)))
+    with pytest.raises(InputError, match=r"^wavelength = 633"):
+        phase_screen(grid.ones(), 633)
+    with pytest.raises(InputError, match=r"^phase: its values are complex"):
+        phase_screen(grid.ones() + 1j, WAVELENGTH)
     with pytest.raises(InputError, match="wavefront of the power 0"):
         optics.forward(hcipy.Wavefront(grid.zeros() + 0j, WAVELENGTH))
     with pytest.raises(InputError, match="it must be scalar"):

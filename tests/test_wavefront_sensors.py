@@ -167,6 +167,26 @@ def test_directions_of_far_sources():
         star((1e9, 0))
 
 
+def test_samples_of_another_kind_are_refused(tmp_path):
+    file = tmp_path / "colours.exr"
+    mi.Bitmap(np.ones((6, 6, 3), np.float32)).write(str(file))
+    with pytest.raises(InputError, match=r"colours.exr: it has 3 channels; it must have one"):
+        extended(file, width=1)
+    for take in (lambda values: extended(values, width=1), lambda values: PhaseScreen(values, 12.0)):
+        with pytest.raises(InputError, match="of type complex128: it must hold real numbers"):
+            take(np.ones((6, 6)) * 1j)
+
+
+def test_flows_of_a_size_that_screens_do_not_have_are_refused_at_once():
+    options = {"step": 1.0, "wind": (0.0, 0.0), "interval": 1.0, "frames": 1}
+    for size, width in ((3, 2.0), (1100, 1030.0), (9, 1e300)):
+        with pytest.raises(InputError, match=r"^width = .*: it must be 3 to 1023 times the step of 1"):
+            frozen_flow(np.zeros((size, size)), **options | {"width": width})
+    assert next(frozen_flow(np.zeros((4, 4)), **options | {"width": 2.5})).waves.shape == (4, 4)
+    with pytest.raises(InputError, match="frames and wind need 6 x inf"):
+        frozen_flow(np.zeros((9, 9)), **options | {"width": 5.0, "wind": (1e300, 0), "interval": 1e300, "frames": 2})
+
+
 def test_a_star_off_axis_is_a_tilt():
     # By its tilt over the pupil, 2 a4 / radius in waves per millimetre.
     step = 1.5 * AIRY_STEP

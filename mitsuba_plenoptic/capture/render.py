@@ -22,12 +22,11 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
-from .noise import PARTS, PassSpread, require_samples
+from .noise import require_samples
+from .passes import RAYS_PER_PASS, render_passes
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 
-# Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one
-# sample each need 0.25 GiB in addition to the film.
-_RAYS_PER_PASS = 2**24
+_FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
 MOST_SAMPLES = 2**24
 """Largest count of samples per pixel."""
@@ -70,7 +69,8 @@ def render_capture(
         ``ray`` replaces a ``plenoptic_wave`` by its child. Default: that of the scene's integrator.
     spp : int, optional
         Samples per pixel, for both models; with method ``points``, points per microlens. Default: the sample count of
-        the sensor's sampler.
+        the sensor's sampler. Ray captures draw them in passes of powers of two, each with a pattern of its own if the
+        sampler has one.
     seed : int
         Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process.
     progress : callable, optional
@@ -111,6 +111,7 @@ def render_capture(
     """
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
+    require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
     require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
@@ -129,7 +130,7 @@ def render_capture(
     with guards.watch() as fractions:
         if wavelengths is None:
             guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
-            image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
+            image, deviation = render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
             if checkpoint:
                 checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
@@ -141,11 +142,6 @@ def render_capture(
     metadata["guards"] = fractions
     if spectrum is not None:
         metadata["spectrum"] = {"wavelengths": spectrum.wavelengths, "responses": spectrum.responses}
-    if image.shape[2] not in (1, 3):
-        raise InputError(
-            f"film: it has {image.shape[2]} channels; a capture needs pixel_format 'luminance' or 'rgb' and an "
-            "integrator without extra outputs"
-        )
     if image.shape[2] == 1:
         image, deviation = image[..., 0], None if deviation is None else deviation[..., 0]
     if wavelengths is None:
@@ -188,6 +184,28 @@ def refuse_by_rays(**given: Any) -> None:
     for name, value in given.items():
         if value is not None:
             raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
+
+
+def require_film(film: Any) -> None:
+    """Refuse films with alpha or in other colours than red, green and blue."""
+    channels = film.base_channels_count()
+    refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
+    # Films show their pixel format only in their description.
+    refuse_if("pixel_format = xyz" in str(film) and channels == 3, f"film: pixel_format = xyz: {_FILM_RULE}")
+
+
+def require_wave_film(film: Any) -> None:
+    """Refuse films that wave captures would not fill as the film describes."""
+    require_film(film)
+    refuse_if(
+        film.class_name() != "HDRFilm",
+        f"plenoptic_wave: film of type {film.class_name()}: it must be an hdrfilm; give responses to the integrator",
+    )
+    refuse_if(
+        not film.rfilter().is_box_filter(),
+        f"plenoptic_wave: the film's filter is {film.rfilter().class_name()}: pixels are integrated exactly, "
+        'use <rfilter type="box"/>',
+    )
 
 
 def sample_count(sensor: Any, spp: int | None) -> int:
@@ -236,7 +254,7 @@ def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
-    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
+    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(RAYS_PER_PASS, pixels * spp), pixels)
 
 
 def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
@@ -251,39 +269,6 @@ def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
         return f"{width} x {max(1, round(width * rows / columns))} pixels" if width else None
 
     require_memory(memory(columns), f"capture of {columns} x {rows} pixels", fitting)
-
-
-def _render_passes(
-    scene: Any,
-    sensor: Any,
-    integrator: Any,
-    camera: PlenopticCamera,
-    spp: int,
-    seed: int,
-    progress: Callable[[int, int], None] | None,
-    noise: bool,
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
-    most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
-    # A power of two: otherwise two threads may share a pixel, and the order in which they add its samples varies.
-    per_pass = spp if spp <= most else 2 ** (most.bit_length() - 1)
-    if noise:
-        per_pass = min(per_pass, -(-spp // PARTS))
-    # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.
-    seeds = np.random.SeedSequence(seed).generate_state(-(-spp // per_pass))
-    image, spread = np.zeros(()), PassSpread()
-    for index, pass_seed in enumerate(seeds):
-        count = min(per_pass, spp - index * per_pass)
-        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
-        part = np.array(integrator.render(scene, sensor, seed=int(pass_seed), spp=count, develop=True))
-        if noise:
-            spread.add(part, count)
-        else:
-            part *= count / spp
-            image = np.add(image, part, out=image) if index else part
-        if progress:
-            progress(min((index + 1) * per_pass, spp), spp)
-    return (spread.image, spread.deviation()) if noise else (image, None)
 
 
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
@@ -364,6 +349,7 @@ def estimate_capture(
     """
     sensor = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(sensor)
+    require_film(sensor.film())
     integrator = chosen_integrator(scene, model, wave)
     require_taken(integrator, batch_map=batch_map)
     spp = sample_count(sensor, spp)

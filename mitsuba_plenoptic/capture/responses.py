@@ -44,6 +44,9 @@ _RAY_BYTES = 120
 _LEAST_RAYS = 8
 """Rays of a lens that are traced at once at the least, if it has as many."""
 
+_BITS = 36
+"""Bits after the point of integers that add up light, in units of the brightest ray; 27 remain before it."""
+
 _DRAWN = 8
 """Lenses of the far window that each ray of a lens draws."""
 
@@ -65,7 +68,7 @@ class Rays(NamedTuple):
     counts: Any
 
 
-class LensGrid(NamedTuple):
+class LensCells(NamedTuple):
     """A rectangle of lenses."""
 
     # Lattice indices of the first lens.
@@ -74,9 +77,9 @@ class LensGrid(NamedTuple):
     columns: int
     rows: int
 
-    def within(self, margin: int) -> LensGrid:
+    def within(self, margin: int) -> LensCells:
         """Return the rectangle with a margin around it."""
-        return LensGrid(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
+        return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
         """Return the lattice indices of the lenses, row by row, and a number of each that no other lens has."""
@@ -159,7 +162,7 @@ class ResponseSum:
             top, rows = self._blocks[number], int(self.items[number]) // columns
             seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
             with busy_drjit():
-                sums = self._captured(LensGrid(self._columns[0], top, columns, rows), seeds)
+                sums = self._captured(LensCells(self._columns[0], top, columns, rows), seeds)
             pixels = np.stack([np.stack([value.numpy() for value in diodes], -1) for diodes in sums])
             pixels = pixels.reshape(-1, rows, columns, size, size).swapaxes(2, 3)
             camera = self._camera
@@ -187,7 +190,7 @@ class ResponseSum:
         seconds = []
         (left, right), (top, bottom) = self._columns, self._rows
         columns, rows = min(_TIMED, right - left), min(_TIMED, bottom - top)
-        grid = LensGrid((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
+        grid = LensCells((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
         for seed in range(3):
             start = time.perf_counter()
             with busy_drjit():
@@ -228,7 +231,7 @@ class ResponseSum:
         dr.eval(sums, counts)
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
-    def _captured(self, grid: LensGrid, seeds: Sequence[int]) -> list[list[Any]]:
+    def _captured(self, grid: LensCells, seeds: Sequence[int]) -> list[list[Any]]:
         """Return the values of the photodiodes of each lens for each channel, means of a capture for each seed."""
         result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
         for seed in seeds:
@@ -240,7 +243,7 @@ class ResponseSum:
             dr.eval(result)
         return result
 
-    def _gathered(self, grid: LensGrid, rays: Rays, seed: int) -> list[list[Any]]:
+    def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list[Any]]:
         """Return the values of the photodiodes of each lens for each image, from the rays of all lenses around."""
         tables, count, size = self._tables, self._rays, self._across**2
         around = grid.within(tables.margin)
@@ -284,7 +287,7 @@ class ResponseSum:
         return result
 
     def _near_sums(
-        self, grid: LensGrid, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
+        self, grid: LensCells, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
     ) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         tables, size = self._tables, self._across**2
@@ -307,7 +310,7 @@ class ResponseSum:
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
-    def _far_sums(self, grid: LensGrid, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+    def _far_sums(self, grid: LensCells, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables, size, margin = self._tables, self._across**2, self._tables.margin
         around = grid.within(margin)
@@ -319,7 +322,11 @@ class ResponseSum:
         row = lens // columns
         x, y = mi.Int(lens - row * columns) - margin, mi.Int(row) - margin
         key = dr.opaque(mi.UInt32, seed)
-        totals = [dr.zeros(mi.Float, grid.rows * grid.columns) for _ in range(size * len(self._images))]
+        # Sums of integers do not depend on the order in which threads add them.
+        whole, double = dr.int64_array_t(mi.Float), dr.float64_array_t(mi.Float)
+        brightest = float(max(dr.max(dr.abs(light))[0] for light in rays.lights))
+        unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - _BITS))
+        totals = [dr.zeros(whole, grid.rows * grid.columns) for _ in range(size * len(self._images))]
 
         def add(k: Any) -> tuple[Any]:
             random = mi.sample_tea_float32(lane, key + k)
@@ -334,12 +341,12 @@ class ResponseSum:
             ]
             made = self._products(change, lambda number: tables.far_values(number, rays.far[number], cell))
             for total, part in zip(totals, made, strict=True):
-                dr.scatter_add(total, part * (1 / _DRAWN), index, active)
+                dr.scatter_add(total, whole(double(part * (1 / _DRAWN)) / unit), index, active)
             return (k + 1,)
 
         dr.while_loop((mi.UInt32(0),), lambda k: k < _DRAWN, add, label="far photodiodes")
         dr.eval(totals)
-        return totals
+        return [mi.Float(double(total) * unit) for total in totals]
 
     def _products(self, change: list[Any], values_of: Callable[[int], list[Any]]) -> list[Any]:
         """Return the light of rays for each image times the responses of the photodiodes at its wavelength."""

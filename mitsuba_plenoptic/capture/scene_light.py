@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -30,6 +30,10 @@ _UNATTACHED = "not attached to the AD graph"
 """Mitsuba's message when the light depends on no parameter that has a gradient."""
 
 
+_NEGATIVE = 0.01
+"""Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero."""
+
+
 @dataclass(frozen=True)
 class SceneLight:
     """The radiance along rays from the main lens into a scene."""
@@ -40,6 +44,9 @@ class SceneLight:
     integrator: Any
     # Wavelength of all rays in nanometres, for spectral variants.
     wavelength: float | None = None
+
+    is_radiance: ClassVar[bool] = True
+    """Whether calls return the radiance of a scene, which is not negative."""
 
     def __call__(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
@@ -79,9 +86,27 @@ def require_finite(radiance: list[Any], *others: Any) -> None:
     refuse_if(not dr.all(finite), "scene: the radiance of some rays is NaN or infinite: all must be finite")
 
 
+def require_light(radiance: list[Any]) -> None:
+    """Refuse radiances of which a considerable part is negative, which would be taken for noise."""
+    if float(min(dr.min(value)[0] for value in radiance)) < 0:
+        lack = -sum(float(dr.sum(dr.minimum(value, 0))[0]) for value in radiance)
+        refuse_negative(lack, sum(float(dr.sum(dr.abs(value))[0]) for value in radiance))
+
+
+def refuse_negative(lack: float, light: float) -> None:
+    """Refuse negative light, unless it is a small part of the whole."""
+    refuse_if(
+        lack > _NEGATIVE * light,
+        f"scene: {lack / max(light, 1e-300):.0%} of the light of some rays is negative: captures by waves need "
+        "radiance of at least 0",
+    )
+
+
 @dataclass(frozen=True)
 class LightDerivatives(SceneLight):
     """Derivatives of the radiance along rays; calling it returns the derivatives along the parameters' tangents."""
+
+    is_radiance: ClassVar[bool] = False
 
     @classmethod
     def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:

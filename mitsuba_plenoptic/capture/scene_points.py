@@ -36,7 +36,7 @@ from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from ..system.optical_system import OpticalSystem
 from .entrance import Entrances, LensWindow
-from .scene_light import SceneLight, world_ray
+from .scene_light import SceneLight, refuse_negative, world_ray
 
 PATHS = 64
 """Light paths averaged for each point: this reduces their noise to an eighth in less time than a point spread takes."""
@@ -213,6 +213,7 @@ class _Finder:
         refuse_if(
             not np.isfinite(radiance).all(), "scene: the radiance of some points is NaN or infinite: all must be finite"
         )
+        refuse_negative(-float(np.minimum(radiance, 0).sum()), float(np.abs(radiance).sum()))
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:

@@ -342,7 +342,7 @@ def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
     """Return the table of the derivatives of coefficients by the logarithm of the width."""
     distance = plan.camera.mla_distance
     sides = [
-        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).table
+        plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).tabulated()
         for side in (_TABLE_STEP, -_TABLE_STEP)
     ]
     return [(a - b) / np.float32(2 * _TABLE_STEP) for a, b in zip(*sides, strict=True)]

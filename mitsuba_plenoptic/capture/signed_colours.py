@@ -32,10 +32,10 @@ FINE = 0.005
 """Accuracy below which finer plans are made."""
 
 _DEGREES, _WINDOWS = (4, 6), (9, 13)
-"""Degrees of the polynomials, and windows, of usual and of finer plans."""
+"""Degrees, which give the number of functions over a lens, and windows, of usual and of finer plans."""
 
 _DEFOCUS = 4.0
-"""Defocus of the microlenses in radians beyond which the degree of the polynomials is increased by two."""
+"""Defocus of the microlenses in radians beyond which the degree is increased by two."""
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
 """Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""

@@ -34,7 +34,7 @@ from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
-from .scene_light import require_finite
+from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Cells, Drawn, Draws, Lot
 
@@ -173,7 +173,7 @@ class SignedRaySum:
 
     def _values_of(self, node: Node) -> int:
         """Return the count of values that a ray has for each image of a node."""
-        return self._sets * len(node.plan.exponents)
+        return self._sets * node.plan.functions.count
 
     def _lots(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield cells of a box with each lens that lights them, in lots."""
@@ -262,6 +262,9 @@ class SignedRaySum:
             radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
             require_finite(radiance, counted)
+            # Any function may be the light; derivatives and band-limited light may be negative.
+            if getattr(self._light, "is_radiance", False):
+                require_light(radiance)
             known, lit = self._known(radiance, counted, count)
             for number in nodes:
                 brought += self._bring(lot.cells, key, radiance, known, lit, number, lanes)

@@ -72,8 +72,7 @@ def preview(
                 lines.append(f"proposal: {scaled}put the camera at {proposal.lookat()}, {before}")
             lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
         draw_preview(target, previews)
-    width, height = (extent * view.per_millimetre for extent in view.field(view.focus))
-    typer.echo(f"field: {width:.4g} x {height:.4g} {view.unit} {where}")
+    typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
     pixels = seen_by.micro_image_pitch / seen_by.pixel_size
     typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.bin_count[0]} x {seen_by.bin_count[1]} of them")

@@ -40,6 +40,9 @@ _WIDER = 3.0
 _RIM = 12
 """Points on the edge of the pupil that must see the lit points."""
 
+_RINGS, _SPOKES = 8, 32
+"""Points of the pupil whose rays determine the width of the blur."""
+
 _LANES = 2**20
 """Number of chief rays that are traced at once."""
 
@@ -72,14 +75,17 @@ class LaserScene:
         window = LensWindow.of(self.system)
         middle, half = (window.low + window.high) / 2, (window.high - window.low) / 2
         coarse = np.stack(np.meshgrid(*[(np.arange(_COARSE) + 0.5) * 2 / _COARSE - 1] * 2), -1).reshape(-1, 2)
-        found, _, _ = self._lit(middle + coarse * half * _WIDER, seed)
+        wide = middle + coarse * half * _WIDER
+        found, _, _ = self._lit(wide, seed)
+        if not len(found):
+            # What is lit may be smaller than the distance of these rays.
+            found = self._seen(wide)
         if not len(found):
             return LitPoints(np.empty((0, 3)), np.empty(0))
-        blur = lens.pupil_radius * np.abs(lens.pupil_distance * lens.convergence(found[:, 2]) - 1).max()
-        half = half + blur
+        half = half + self._blur(found)
         spot = in_millimetres(self.system.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
         count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
-        total = int(count.prod())
+        total = math.prod(count.tolist())
         require_memory(_POINT_BYTES * total, f"points_per_spot = {per_spot:g}: {total} rays to points")
         cell = 2 * half / count
         parts = []
@@ -99,24 +105,49 @@ class LaserScene:
 
         `place` are points (n, 2) of the array.
         """
-        lens, lanes = self.system.lens, len(place)
-        q = tuple(mi.Float(np.ascontiguousarray(place[:, axis], np.float32)) for axis in (0, 1))
-        zero = dr.zeros(mi.Float, lanes)
-        point, slope, _ = lens.ray((zero, zero), q)
-        ray = world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope)
-        hit = self.scene.ray_intersect(ray)
+        hit, lens = self._hit(place), self.system.lens
         radiance = self._radiance(hit, seed)
         lit = np.flatnonzero(radiance > 0)
         if not len(lit):
             return np.empty((0, 3)), np.empty(0), np.empty(0)
         hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
-        positions = (self.sensor.world_transform().inverse() @ hit.p).numpy().T.astype(np.float64)
+        positions = self._in_camera(hit)
         angle = 2 * math.pi * np.arange(_RIM) / _RIM
         hidden = np.zeros(len(lit))
         for x, y in lens.reach * np.stack([np.cos(angle), np.sin(angle)], 1):
             target = self.sensor.world_transform() @ mi.Point3f(float(x), float(y), 0)
             hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
         return positions, radiance[lit], hidden
+
+    def _seen(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where chief rays through points (n, 2) of the array meet surfaces, lit or not."""
+        hit = self._hit(place)
+        return self._in_camera(hit)[hit.is_valid().numpy()]
+
+    def _hit(self, place: NDArray[np.float64]) -> Any:
+        """Return Mitsuba's intersections of chief rays."""
+        q = tuple(mi.Float(np.ascontiguousarray(place[:, axis], np.float32)) for axis in (0, 1))
+        zero = dr.zeros(mi.Float, len(place))
+        point, slope, _ = self.system.lens.ray((zero, zero), q)
+        return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
+
+    def _in_camera(self, hit: Any) -> NDArray[np.float64]:
+        """Return the positions (n, 3) of intersections in the camera frame."""
+        return np.asarray((self.sensor.world_transform().inverse() @ hit.p).numpy().T, np.float64)
+
+    def _blur(self, points: NDArray[np.float64]) -> float:
+        """Return how far from their chief rays the rays of points (n, 3) arrive on the array, by focus and wavefront.
+
+        The displacement is linear in the inverse distance, so that the nearest and the farthest point have the largest.
+        """
+        # A thin lens: `require_coherent` refuses others.
+        lens: Any = self.system.lens
+        radius = lens.pupil_radius * (np.arange(_RINGS) + 1) / _RINGS
+        angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
+        pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
+        near, far = (tuple(points[index, :, None]) for index in (points[:, 2].argmin(), points[:, 2].argmax()))
+        moved = [np.subtract(lens.land(pupil, point), lens.land((0.0, 0.0), point)) for point in (near, far)]
+        return float(max(np.hypot(x, y).max() for x, y in moved))
 
     def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
         """Return the squared modulus of the sum of the lasers' fields, each with the phase of its path."""
@@ -147,6 +178,7 @@ def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
     known = {emitter.id(): emitter for emitter in scene.emitters()}
     found = []
     for name in names:
+        refuse_if(names.count(name) > 1, f"{what}: lasers = {name}: it is given more than once")
         if name not in known:
             raise InputError(
                 f"{what}: lasers = {name}: the scene has no emitter of this id ({', '.join(sorted(known))})"
@@ -154,8 +186,10 @@ def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
             )
         flags = known[name].flags()
         delta = mi.has_flag(flags, mi.EmitterFlags.DeltaPosition) or mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
+        # Mitsuba cannot sample the directional ones among the surfaces that radiate.
+        extended = mi.has_flag(flags, mi.EmitterFlags.Surface)
         refuse_if(
-            not delta,
+            extended or not delta,
             f"{what}: lasers = {name}: an emitter of type {known[name].class_name()} is extended; a laser is a point, "
             "spot, projector or directional emitter",
         )

@@ -115,10 +115,11 @@ def mode_count(
 def angular_modes(source: float, pupil: float) -> float:
     """Return M for a source and a pupil of small angular radii."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    end = min(source, pupil)
-    step = end * (nodes + 1)
+    # In units of the smaller angle, so that small ones do not vanish when they are squared.
+    source, pupil = source / min(source, pupil), pupil / min(source, pupil)
+    step = nodes + 1
     overlap = _overlap(step / (2 * source)) * _overlap(step / (2 * pupil)) ** 2
-    return float(source**2 / 2 / np.sum(weights * end * overlap * step))
+    return float(source**2 / 2 / np.sum(weights * overlap * step))
 
 
 def _overlap(shift: NDArray[np.float64]) -> NDArray[np.float64]:

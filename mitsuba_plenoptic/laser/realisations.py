@@ -26,6 +26,9 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Part, PartialSum
 from ..runtime.jobs import Job, SumTask
 
+_BRIGHTEST = 1e30
+"""Largest power of a point, whose intensities are held in single precision."""
+
 
 @suggest_keywords
 @one_at_a_time
@@ -81,8 +84,11 @@ def coherent_capture(
     >>> mp.laser.coherent_capture(operator, [1, 1], modes=2, seed=3).shape
     (64, 64)
     """
+    if not isinstance(operator, CaptureOperator):
+        raise InputError(f"operator of type {type(operator).__name__}: it must be a CaptureOperator")
     given = _real("weights", weights, len(operator.points))
-    refuse_if((given < 0).any(), f"weights: {given.min():g} is among them: powers must be at least 0")
+    refuse_if((given < 0).any(), f"weights: {given.min(initial=0):g} is among them: powers must be at least 0")
+    refuse_if((given > _BRIGHTEST).any(), f"weights: {given.max(initial=0):g} is among them: at most {_BRIGHTEST:g}")
     count = require_count("modes", modes)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     fields, job = operator.coherent_fields, job or Job()

@@ -14,17 +14,18 @@ from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, 
 from ..io.files import require_file
 from ..runtime.backend import module_of
 
-_LEAST, _MOST = 4, 1024
-"""Samples along an axis."""
+COUNTS = 4, 1024
+"""Least and largest count of samples along an axis."""
 
 
 def known_samples(name: str, value: Any) -> NDArray[np.float64]:
     """Return samples (rows, columns) as `read_samples` does, of a limited count and with decimals that are short."""
     # Single precision is enough for a path, and its decimals are short in files.
     samples = read_samples(name, value).astype(np.float32)
+    low, high = COUNTS
     refuse_if(
-        not all(_LEAST <= size <= _MOST for size in samples.shape),
-        f"{name} of shape {samples.shape}: it must be {_LEAST} to {_MOST} rows of as many columns",
+        not all(low <= size <= high for size in samples.shape),
+        f"{name} of shape {samples.shape}: it must be {low} to {high} rows of as many columns",
     )
     refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
     held = np.array([[float(str(number)) for number in row] for row in samples])
@@ -37,7 +38,9 @@ def read_samples(name: str, value: Any) -> NDArray[np.float64]:
     if isinstance(value, (str, Path)):
         value = _read(require_file(Path(value)))
     with refusing(f"{name} = {short_repr(value)}: it must be rows of numbers", *NO_ARRAY):
-        samples = np.asarray(value, np.float64)
+        given = np.asarray(value)
+        refuse_if(np.iscomplexobj(given), f"{name} of type {given.dtype}: it must hold real numbers")
+        samples = given.astype(np.float64)
     refuse_if(samples.ndim != 2, f"{name} of shape {samples.shape}: it must be rows of as many columns")
     refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
     return samples
@@ -53,7 +56,9 @@ def _read(path: Path) -> Any:
 
         with refusing(f"{path}: it cannot be read as an image", RuntimeError):
             image = np.array(mi.Bitmap(str(path)))
-        return image if image.ndim == 2 else image[..., 0]
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        refuse_if(channels > 1, f"{path}: it has {channels} channels; it must have one")
+        return image.reshape(image.shape[:2])
     if ending in (".fits", ".fit"):
         fits = require_module("astropy.io.fits", f"{path}: FITS needs a package: pip install 'mitsuba-plenoptic[ao]'")
         with refusing(f"{path}: it is no FITS file with an image", OSError, *NO_ARRAY):

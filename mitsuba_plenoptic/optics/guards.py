@@ -134,7 +134,7 @@ OBJECT = Guard(
 CROSSTALK = Guard(
     "crosstalk_missed",
     "of the light comes through microlenses that are too far from a pixel to be tried",
-    "use a smaller aperture or a longer mla_distance",
+    "use a smaller aperture, a longer mla_distance, or lens_model ideal",
     warn=0.002,
     refuse=0.05,
 )
@@ -158,6 +158,17 @@ HIDDEN = Guard(
     "move objects away from lines between lit surfaces and the main lens, or use a smaller aperture",
     warn=0.02,
     refuse=0.2,
+)
+
+
+# The window between pupil and array follows from the camera's aperture. A given wavefront that fits has all of its
+# light there but the less than a hundredth that interpolation spreads; one of twice the diameter loses half.
+APERTURE = Guard(
+    "outside_aperture",
+    "of the wavefront's power is outside the window that the camera's aperture_radius determines",
+    "use an aperture_radius of about the wavefront's aperture",
+    warn=0.01,
+    refuse=0.05,
 )
 
 

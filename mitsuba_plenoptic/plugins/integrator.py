@@ -14,6 +14,7 @@ from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
 from ..capture.crosstalk import mix_deviations, mix_pixels
+from ..capture.render import require_wave_film
 from ..capture.scene import GONE_PARAMETERS
 from ..capture.scene_light import LightDerivatives, SceneLight
 from ..capture.scene_points import PointsCapture, require_matte
@@ -260,17 +261,12 @@ def make_class() -> type:
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
             """Compute the capture, and return the film that holds it."""
+            crosstalk, film = PlenopticCamera.from_sensor(sensor).pixel_crosstalk, sensor.film()
+            require_wave_film(film)
             capture = self._capture(scene, sensor)
-            film = sensor.film()
-            if not film.rfilter().is_box_filter():
-                raise InputError(
-                    f"{NAME}: the film's filter is {film.rfilter().class_name()}: pixels are integrated exactly, "
-                    'use <rfilter type="box"/>'
-                )
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
             channels = image.shape[2] // (2 if noise else 1)
-            crosstalk = PlenopticCamera.from_sensor(sensor).pixel_crosstalk
             if crosstalk:
                 light, deviation = image[..., :channels], image[..., channels:]
                 image = np.concatenate([mix_pixels(light, crosstalk), mix_deviations(deviation, crosstalk)], axis=2)

@@ -119,6 +119,11 @@ def make_class() -> type:
             refuse_if(
                 self.modes is not None and self.source, f"{NAME}: modes, {', '.join(self.source)}: give one of the two"
             )
+            for name, needed in (("source_distance", "source_diameter"), ("roughness", "bandwidth")):
+                refuse_if(
+                    name in self.source and needed not in self.source,
+                    f"{NAME}: {name}: it has a meaning with a {needed} only",
+                )
             points = read_plain(props, "points_per_spot", POINTS_PER_SPOT)
             self.points_per_spot = require_number(f"{NAME}: points_per_spot", points, positive=True)
             nested = [value for _, value in props.objects()]

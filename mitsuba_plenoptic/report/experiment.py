@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..capture.passes import pass_counts
 from ..capture.render import render_capture
 from ..capture.scene import load_scene
 from ..errors import refuse_if
@@ -75,11 +76,10 @@ def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
     # A wave integrator's child sees the scene by rays.
     integrator = getattr(integrator, "child", integrator)
     total = np.zeros((rows, columns))
-    per_pass = min(spp, max(1, _RAYS_PER_PASS // (columns * rows)))
-    for index in range(-(-spp // per_pass)):
-        count = min(per_pass, spp - index * per_pass)
+    counts = pass_counts(sensor, spp, max(1, _RAYS_PER_PASS // (columns * rows)))
+    for index, count in enumerate(counts):
         part = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
-        total += count / spp * np.array(part, dtype=np.float64)[..., 0]
+        total += count / sum(counts) * np.array(part, dtype=np.float64)[..., 0]
     return total
 
 

@@ -67,6 +67,11 @@ class PreviewView(ABC):
     def field(self, distance: float) -> tuple[float, float]:
         """Return width and height of the field at a distance."""
 
+    def field_in_units(self) -> str:
+        """Write width and height of the field in the plane in focus, with their unit."""
+        width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
+        return f"{width:.4g} x {height:.4g} {self.unit}"
+
     @abstractmethod
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
         """Return from which to which distance to draw the field, with what is at some distances."""
@@ -101,6 +106,17 @@ class LensView(PreviewView):
             "focus",
         )
         return min(distance, _FAR * camera.focal_length)
+
+    def in_units(self, distance: float) -> str:
+        """Write a distance with its unit; the distance that represents infinity is named so."""
+        return super().in_units(math.inf if distance >= _FAR * self.camera.focal_length else distance)
+
+    def field_in_units(self) -> str:
+        """Write width and height of the field, at infinity as angles."""
+        if self.in_units(self.focus) != self.in_units(math.inf):
+            return super().field_in_units()
+        width, height = (math.degrees(2 * math.atan(extent / 2)) for extent in self.field(1.0))
+        return f"{width:.4g} x {height:.4g} degrees"
 
     def sharp_range(self) -> tuple[float, float]:
         """Return the ends of `design.depth_ranges` of all types."""

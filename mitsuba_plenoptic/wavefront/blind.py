@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
 from ..fitting import PixelNoise
 from ..operator.stored import StoredOperator
 from ..operator.units import brightness_at
 from ..reconstruction.deconvolution.solver import PlaneEstimates, State, Values, richardson_lucy
 from ..system.optical_system import OpticalSystem
-from .search import COUNTS, Search, Zone, terms_of
+from .search import COUNTS, Search, Zone, known_zones, require_fitted, terms_of
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class CorrectedObject:
 def deconvolve_zones(
     cameras: Sequence[PlenopticCamera],
     image: Any,
-    zones: Sequence[Zone],
+    zones: Zone | Sequence[Zone],
     *,
     wavelength: float = 633.0,
     noise: PixelNoise = COUNTS,
@@ -81,7 +81,7 @@ def deconvolve_zones(
         For each zone the camera with its ``wavefront``.
     image : array (rows, columns)
         Capture.
-    zones : sequence of Zone
+    zones : Zone, or sequence of Zone
         Parts of the field, each with its points; their weights do not matter.
     wavelength : float
         In nanometres.
@@ -101,8 +101,20 @@ def deconvolve_zones(
     InputError
         If an input has a wrong shape or value.
     """
-    refuse_if(not zones or len(cameras) != len(zones), f"zones: {len(zones)} of them need as many cameras")
-    search = Search(cameras[0], image, require_wavelength(wavelength), _counted(noise), require_accuracy(accuracy))
+    zones = known_zones(zones)
+    refuse_if(
+        not isinstance(cameras, Sequence) or len(cameras) != len(zones),
+        f"cameras: give one for each zone, in a list; there are {len(zones)} zones",
+    )
+    search = Search(
+        require_camera(cameras[0], "cameras"), image, require_wavelength(wavelength), _counted(noise),
+        require_accuracy(accuracy),
+    )  # fmt: skip
+    for camera in cameras:
+        refuse_if(
+            require_camera(camera, "cameras").shape != search.image.shape,
+            f"cameras: one of them records {camera.shape}, not the image's {search.image.shape}",
+        )
     zone_sum = _ZoneSum(search, cameras, zones)
     found = zone_sum.improve(None, noise, require_count("iterations", iterations), accelerate=True)
     misfit = _misfit(search, zone_sum.forward(found.values))
@@ -113,7 +125,7 @@ def deconvolve_zones(
 def digital_adaptive_optics(
     camera: PlenopticCamera,
     image: Any,
-    zones: Sequence[Zone],
+    zones: Zone | Sequence[Zone],
     *,
     modes: int = 15,
     held: int = 4,
@@ -129,10 +141,10 @@ def digital_adaptive_optics(
     Parameters
     ----------
     camera : PlenopticCamera
-        The camera; the search starts at its ``wavefront`` in all zones.
+        A camera with a thin main lens; the search starts at its ``wavefront`` in all zones.
     image : array (rows, columns)
         Capture.
-    zones : sequence of Zone
+    zones : Zone, or sequence of Zone
         Parts of the field, each with the points where its object may have light. The object starts with the same light
         everywhere.
     modes : int
@@ -162,7 +174,8 @@ def digital_adaptive_optics(
     InputError
         If an input has a wrong shape or value.
     """
-    refuse_if(not zones, "zones: give at least one")
+    require_fitted(camera)
+    zones = known_zones(zones)
     count = require_count("modes", modes, minimum=2, maximum=66)
     first = require_count("held", held, minimum=1, maximum=count - 1) + 1
     turns, iterations = require_count("turns", turns), require_count("iterations", iterations)
@@ -198,13 +211,15 @@ class _ZoneSum:
 
     def __init__(self, search: Search, cameras: Sequence[PlenopticCamera], zones: Sequence[Zone]) -> None:
         self._search = search
-        self._matrices = []
+        self._matrices: list[NDArray[np.float32]] = []
         for camera, zone in zip(cameras, zones, strict=True):
             stored = StoredOperator(
                 camera, zone.points, wavelength=search.wavelength, accuracy=search.accuracy, dtype="float32"
             )
             system = OpticalSystem(camera.at_wavelength(search.wavelength), search.wavelength)
-            self._matrices.append(stored.to_dense() * brightness_at(system, zone.points).astype(np.float32))
+            matrix = stored.to_dense() * brightness_at(system, zone.points).astype(np.float32)
+            refuse_if(not matrix.any(), f"zones: the detector records no light of zone {len(self._matrices)}")
+            self._matrices.append(matrix)
 
     def forward(self, values: Values) -> NDArray[np.float32]:
         """Return the pixels of some weights."""

@@ -83,13 +83,17 @@ class InteractionMatrix:
         Raises
         ------
         InputError
-            If an input has a wrong value, or captures of the camera have no derivatives.
+            If an input has a wrong value, the detector records no light of the zone, or captures of the camera have
+            no derivatives.
         """
         count = require_count("modes", modes, minimum=2, maximum=36)
         wavelength = require_wavelength(wavelength)
+        if not isinstance(zone, Zone):
+            raise InputError(f"zone of type {type(zone).__name__}: it must be a Zone")
         operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=require_accuracy(accuracy))
         weights = zone.weights * brightness_at(OpticalSystem(camera.at_wavelength(wavelength), wavelength), zone.points)
         image = np.asarray(operator.forward(weights), np.float64)
+        refuse_if(not image.sum() > 0, "zone: the detector records no light of it")
         directions = [{"wavefront": term} for term in np.eye(count)[1:]]
         responses = np.asarray(operator.jacobian(weights, directions), np.float64)
         return cls(camera, image / image.sum(), responses / image.sum())

@@ -8,14 +8,14 @@ their wavefronts nor their brightness change.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import (
     InputError,
     put,
@@ -107,8 +107,8 @@ def fit_wavefronts(
     Parameters
     ----------
     camera : PlenopticCamera
-        The camera. If it has a ``wavefront``, the search starts there in all zones; otherwise at the terms that fit
-        the slopes of the views, for which its main lens must be thin.
+        A camera with a thin main lens. If it has a ``wavefront``, the search starts there in all zones; otherwise at
+        the terms that fit the slopes of the views.
     image : array (rows, columns)
         Capture.
     zones : Zone, or sequence of Zone
@@ -138,8 +138,8 @@ def fit_wavefronts(
     UserWarning
         As `fit`, of the last turn of a single zone; or if the zones have not settled after eight turns.
     """
-    some = [zones] if isinstance(zones, Zone) else list(zones)
-    refuse_if(not some, "zones: give at least one")
+    require_fitted(camera)
+    some = known_zones(zones)
     count = require_count("modes", modes, minimum=2, maximum=66)
     search = Search(camera, image, require_wavelength(wavelength), noise, require_accuracy(accuracy))
     names = [f"wavefront.{term}" for term in range(2, count + 1)]
@@ -231,6 +231,21 @@ class Search:
             warnings.simplefilter("always")
             found = fit(camera, view, names, wavelength=self.wavelength, accuracy=self.accuracy, **options)
         return found, [each.message for each in caught]
+
+
+def known_zones(zones: Any) -> list[Zone]:
+    """Return zones as a list, or refuse them."""
+    some = [zones] if isinstance(zones, Zone) else list(zones) if isinstance(zones, Iterable) else []
+    refuse_if(
+        not some or not all(isinstance(zone, Zone) for zone in some), "zones: give at least one Zone, and no other"
+    )
+    return some
+
+
+def require_fitted(camera: Any) -> None:
+    """Refuse a camera whose ``wavefront`` cannot be fitted."""
+    lens = require_camera(camera).lens_data
+    refuse_if(not lens.is_thin, f"main_lens = {lens.label}: wavefronts are fitted behind thin main lenses only")
 
 
 def terms_of(camera: PlenopticCamera, count: int) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_count, require_length
+from ..errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
 from ..io.captures import as_array, require_pixels
 from ..lenses.common import main_lens
 from ..lenses.thin import Wavefront
@@ -74,7 +74,7 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
     InputError
         If an input has a wrong shape or value, or the capture is black.
     """
-    camera.require_thin("slopes of views are measured", "give fit_wavefronts a camera with a wavefront to start from")
+    camera.require_thin("slopes of views are measured", "use an InteractionMatrix")
     seen = _known_image(image, camera)
     place = main_lens(camera).images(check_positions([point], camera))[0]
     lens, pupil = lenses_of_pixels(camera)
@@ -106,7 +106,8 @@ def spot_slopes(
     focal_length : float
         Distance from the lenses to the detector, in millimetres.
     magnification : float
-        Size of the pupil's image on the lenses over that of the pupil.
+        Size of the pupil's image on the lenses over that of the pupil; negative where the image is upside down, as
+        behind a `Collimator`: -0.32 for the preset ``shack_hartmann``.
 
     Returns
     -------
@@ -124,7 +125,8 @@ def spot_slopes(
     refuse_if(
         bool(rows % n or columns % n), f"image of shape {seen.shape}: its sides must be multiples of {n} pixels a lens"
     )
-    growth = require_length("magnification", magnification)
+    growth = require_number("magnification", magnification)
+    refuse_if(not SHORTEST <= abs(growth) <= LONGEST, f"magnification = {growth:g}: it must be a ratio other than 0")
     spots = seen.reshape(rows // n, n, columns // n, n)
     light = spots.sum((1, 3))
     refuse_if(not light.any(), "image: it is black: nothing can be found by it")
@@ -162,6 +164,8 @@ def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Array:
     count = require_count("modes", modes, minimum=2)
     if slopes.slope.size < count:
         raise InputError(f"modes = {count}: {slopes.slope.size} slopes cannot determine them")
+    known = all(np.isfinite(part).all() for part in (slopes.pupil, slopes.slope, slopes.light))
+    refuse_if(not (known and np.any(slopes.light > 0)), "slopes: they must be finite, and have some light")
     rows = mode_slopes(slopes.pupil, require_length("radius", radius), count)
     weight = np.sqrt(slopes.light)
     found, *_ = np.linalg.lstsq(

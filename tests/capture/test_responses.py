@@ -1,12 +1,13 @@
 """Captures behind lenses of a few wavelengths, against exact sums, rays, and closed forms."""
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture.response_draws import _from_half, _quantiles
-from mitsuba_plenoptic.capture.responses import LensGrid, ResponseSum
+from mitsuba_plenoptic.capture.responses import LensCells, ResponseSum
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.microlens import Conic, Sampled
 from mitsuba_plenoptic.system import photodiodes, response_tables
@@ -122,7 +123,7 @@ def test_far_sums_have_the_mean_of_all_rays():
     wall = Wall(camera, 550.0, 4.0)
     work = ResponseSum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], spp=16, seed=0)
     window, margin, size = plan.far, work._tables.margin, plan.far.across
-    grid = LensGrid(-1, -1, 2, 2)
+    grid = LensCells(-1, -1, 2, 2)
     rays = work._traced(*grid.within(margin).lenses(), 0)
     table = np.pad(plan.table.far[0].astype(float), [(0, 1), (0, 0), (0, 0), (0, 0)]).reshape(-1, 4)
     light, first = rays.lights[0].numpy(), rays.far[0].numpy()
@@ -141,6 +142,25 @@ def test_far_sums_have_the_mean_of_all_rays():
     drawn = drawn.T.reshape(2, 2, 4)
     assert np.linalg.norm(expected) > 0
     assert np.linalg.norm(drawn - expected) < 0.15 * np.linalg.norm(expected)
+
+
+def test_far_sums_have_the_same_bits_in_every_run():
+    """Threads add the light of many rays to a lens, in an order that varies."""
+    camera = camera_of(4.0, 24)
+    wall = Wall(camera, 550.0, 4.0)
+    plan = PhotodiodeResponses(camera, 550.0)
+    work = ResponseSum(camera, wall.light, [Node(plan, (0,), np.ones((1, 1)))], spp=64, seed=0)
+    grid = LensCells(-12, -12, 24, 24)
+    rays = work._traced(*grid.within(work._tables.margin).lenses(), 0)
+    nothing = [[mi.Float(np.zeros(24**2, np.float32))] * 2]
+    threads = dr.thread_count()
+    try:
+        dr.set_thread_count(4)
+        runs = [np.stack([part.numpy() for part in work._far_sums(grid, rays, nothing, 0)]) for _ in range(12)]
+    finally:
+        dr.set_thread_count(threads)
+    assert np.abs(runs[0]).max() > 0
+    assert all(np.array_equal(run, runs[0]) for run in runs)
 
 
 def test_light_passes_to_the_other_side_by_the_orders_of_the_lens():

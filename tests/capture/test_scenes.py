@@ -14,6 +14,7 @@ from built_in_scenes.mesh import flat_mesh
 from make_meshes import write_all
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
+from mitsuba_plenoptic.capture.passes import pass_counts
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("letters", "white", "chart", "still_life", "vitrine", "colour_chart")
@@ -360,7 +361,23 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     """So that no two threads add samples of one pixel, in an order that varies."""
     mi.set_variant("llvm_ad_mono")
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
-    monkeypatch.setattr("mitsuba_plenoptic.capture.render._RAYS_PER_PASS", 28 * 32**2)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.passes.RAYS_PER_PASS", 28 * 32**2)
     for spp in (28, 40):
         render_capture(scene, model="ray", spp=spp, progress=lambda count, total: done.append(count))
-    assert done == [28, 16, 32, 40]
+    assert done == [16, 24, 28, 16, 32, 40]
+    render_capture(scene, model="ray", spp=7, progress=lambda count, total: done.append(count))
+    assert done[6:] == [4, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("sampler", "spp", "counts"),
+    [
+        ("independent", 2**14 + 3, [2**14, 2, 1]),
+        ("stratified", 100, [64, 16, 16, 4]),
+        ("stratified", 3, [1, 1, 1]),
+        ("ldsampler", 5, [4, 4]),
+    ],
+)
+def test_passes_have_counts_that_the_sampler_draws(camera_dict, sampler, spp, counts):
+    sensor = mi.load_dict(camera_dict(resolution=4) | {"sampler": {"type": sampler, "sample_count": 4}})
+    assert pass_counts(sensor, spp, 2**20) == counts

@@ -125,7 +125,7 @@ class HeldRays(CameraTangents):
             place = dr.select(drawn.pupil[axis] < 0, -point[axis], point[axis])
             place = place * count / dr.gather(mi.Float, self.table._sides[axis], radial) + count / 2 - 0.5
             shares.append(place - dr.floor(place))
-        total = [mi.Float(0)] * len(self._nodes[0].plan.exponents)
+        total = [mi.Float(0)] * self._nodes[0].plan.functions.count
         for i, j in np.ndindex(2, 2):
             share = (shares[0] if i else 1 - shares[0]) * (shares[1] if j else 1 - shares[1])
             ends = *drawn.chance[:2], mi.Float(i), mi.Float(j)

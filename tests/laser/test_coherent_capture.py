@@ -36,6 +36,12 @@ def test_modes_average_independent_patterns():
     assert other.sum() == pytest.approx(one.sum(), rel=0.3)
 
 
+def test_a_single_point_has_its_point_spread_whatever_its_phase():
+    operator = operator_of(POINTS[:1])
+    for seed in (0, 1):
+        assert error(laser.coherent_capture(operator, [4.0], modes=2, seed=seed), operator.forward([4.0])) < 1e-4
+
+
 def test_pixels_are_integrals_of_the_squared_field():
     operator, rng = operator_of(), np.random.default_rng((7, 0))
     field = operator.field(np.exp(2j * np.pi * rng.random(20)))
@@ -158,13 +164,17 @@ def test_modes_of_a_spectrum():
 
 
 def test_limits_of_mode_counts():
-    assert angular_modes(1e-6, 0.01) == pytest.approx(1, rel=1e-3)
+    for tiny in (1e-6, 1e-200):
+        assert angular_modes(tiny, 0.01) == pytest.approx(1, rel=1e-3)
     # A source far wider than the pupil: the ratio of the solid angles over the integral of the squared overlap.
     s = np.linspace(0, 1, 100001)
     overlap = 2 / math.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
     integral = np.trapezoid(overlap**2 * s, s) * 8 * math.pi
     assert angular_modes(10, 0.01) == pytest.approx(math.pi * 10**2 / (0.01**2 * integral), rel=0.01)
     assert laser.mode_count(PlenopticCamera(), wavelength=633, distance=240) == 1
+    # In a scene: 2.2 times the ratio of the solid angles of a wide source and the pupil, of a radius of 5 mm.
+    wide = laser.mode_count(PlenopticCamera(), wavelength=633, distance=240, source_diameter=200, source_distance=100)
+    assert wide == pytest.approx(2.2 * (100 / 100) ** 2 / (5 / 240) ** 2, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -172,6 +182,12 @@ def test_limits_of_mode_counts():
     [
         (lambda: laser.coherent_capture(operator_of(), np.ones(3)), r"weights of shape \(3,\): it must be \(20,\)"),
         (lambda: laser.coherent_capture(operator_of(), -np.ones(20)), "weights: -1 is among them"),
+        (lambda: laser.coherent_capture(operator_of(), np.full(20, 1e80)), r"weights: 1e\+80 is among them: at most"),
+        (
+            lambda: laser.coherent_capture(operator_of(np.empty((0, 3))), []),
+            "points: coherent fields need at least one",
+        ),
+        (lambda: laser.coherent_capture(CAMERA, [1]), "operator of type PlenopticCamera: it must be a CaptureOperator"),
         (lambda: laser.coherent_capture(operator_of(), np.ones(20), modes=0), "modes = 0: it must be at least 1"),
         (lambda: laser.coherent_capture(operator_of(), np.ones(20), modes=1.5), "modes = 1.5: it must be a whole"),
         (

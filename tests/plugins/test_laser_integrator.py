@@ -31,14 +31,28 @@ def scene_of(camera=CAMERA, integrator=None, **objects):
     own = {"type": "plenoptic_laser", "lasers": "laser", "points_per_spot": 4.0, **(integrator or {})}
     sensor = camera.to_sensor()
     sensor["sampler"] = {"type": "independent", "sample_count": 4}
-    given = {"wall": wall(), "laser": LASER, **objects}
-    return load_scene({"type": "scene", "integrator": own, "sensor": sensor, **given}, variant="llvm_ad_mono")
+    given = {"sensor": sensor, "wall": wall(), "laser": LASER, **objects}
+    return load_scene({"type": "scene", "integrator": own, **given}, variant="llvm_ad_mono")
 
 
-def lit(scene, per_spot=4.0, names=("laser",)):
-    system = OpticalSystem(CAMERA, WAVELENGTH)
+def posed(turn, **objects):
+    """Return the camera, turned by an angle and moved if it is not 0, and objects that stand before it as given."""
+    pose = mi.ScalarTransform4f()
+    if turn:
+        pose = pose.translate([5, -3, 7]).rotate([0, 0.6, 0.8], turn)
+    placed = {"sensor": {**CAMERA.to_sensor(), "to_world": pose}}
+    for name, given in objects.items():
+        if "position" in given:
+            placed[name] = {**given, "position": list(pose @ mi.ScalarPoint3f(*given["position"]))}
+        else:
+            placed[name] = {**given, "to_world": pose @ given["to_world"]}
+    return placed
+
+
+def lit(scene, per_spot=4.0, names=("laser",), camera=CAMERA, seed=0):
+    system = OpticalSystem(camera, WAVELENGTH)
     made = LaserScene(scene, scene.sensors()[0], named_lasers(scene, names, "test"), system)
-    return made.points(per_spot, 0)
+    return made.points(per_spot, seed)
 
 
 @pytest.fixture(autouse=True)
@@ -79,6 +93,43 @@ def test_weights_against_the_closed_form():
     area = (np.ptp(x) / 2) * (np.ptp(y) / 2)
     system = OpticalSystem(CAMERA, WAVELENGTH)
     assert relative.sum() == pytest.approx(radiance_weight(CAMERA, system.lens, area), rel=0.05)
+    # Four in each resolved spot, each anywhere in its cell, by the seed.
+    spot = LENGTH * CAMERA.mla_distance / (2 * CAMERA.aperture_radius)
+    assert len(x) == pytest.approx(4 * area / spot**2, rel=0.1)
+    assert len(np.unique(x.round(6))) > 0.9 * len(x)
+    assert not np.array_equal(lit(scene_of(), seed=1).positions, points.positions)
+
+
+def test_a_spot_between_the_first_rays_is_found():
+    place = [0.003, 0.0041, 120]
+    towards = mi.ScalarTransform4f().look_at(origin=[*place[:2], 119], target=place, up=[0, 1, 0])
+    spot = {"type": "spot", "to_world": towards, "cutoff_angle": 0.6, "intensity": LASER["intensity"]}
+    points = lit(scene_of(laser=spot), per_spot=30)
+    assert len(points.weights) > 3
+    assert np.abs(points.positions - place).max() < math.tan(math.radians(0.6))
+
+
+def test_points_whose_light_a_wavefront_brings_to_the_detector_are_found():
+    waves = 0.5
+    camera = CAMERA.replace(wavefront=(0, 0, 0, waves))
+    blurred, sharp = (
+        np.ptp(lit(scene_of(camera), per_spot=1.0, camera=camera).positions[:, 0]),
+        np.ptp(lit(scene_of(), per_spot=1.0).positions[:, 0]),
+    )
+    # The slope of a defocus at the pupil's edge is 4 sqrt(3) a / radius; the magnification is 1/2.
+    blur = camera.mla_distance * 4 * math.sqrt(3) * waves * 633e-6 / camera.aperture_radius
+    assert (blurred - sharp) / 4 == pytest.approx(blur, rel=0.1)
+
+
+def test_points_whose_light_defocus_brings_to_the_detector_are_found():
+    # A small plate before the wall in focus, whose light is blurred over r |b (1 / f - 1 / g) - 1|.
+    plate = {**wall(100), "to_world": mi.ScalarTransform4f().translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(0.02)}
+    wide, narrow = (
+        np.ptp(points.positions[points.positions[:, 2] > 110, 0])
+        for points in (lit(scene_of(plate=plate), 1.0), lit(scene_of(), 1.0))
+    )
+    blur = CAMERA.aperture_radius * abs(CAMERA.mla_distance * (1 / CAMERA.focal_length - 1 / 100) - 1)
+    assert (wide - narrow) / 4 == pytest.approx(blur, rel=0.1)
 
 
 def test_other_light_adds_as_intensity():
@@ -118,6 +169,31 @@ def test_two_lasers_make_fringes_on_the_wall():
     assert points.weights.min() < 0.01 * points.weights.max()
 
 
+def test_directional_lasers_make_straight_fringes():
+    angle = 0.01
+    ahead = {"type": "directional", "irradiance": {"type": "spectrum", "value": 1.0}}
+    lasers = {
+        name: {**ahead, "direction": [side * math.sin(angle), 0, math.cos(angle)]}
+        for name, side in (("laser", 1), ("other", -1))
+    }
+    points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
+    one = lit(scene_of(**lasers), per_spot=16)
+    phase = 2 * np.pi * points.positions[:, 0] * math.sin(angle) / LENGTH
+    assert error(points.weights, 4 * one.weights * np.cos(phase) ** 2) < 1e-3
+
+
+def test_points_do_not_depend_on_where_the_camera_stands():
+    # Half of a wall, in the camera's +x.
+    half = mi.ScalarTransform4f().translate([20, 0, 120]).rotate([0, 1, 0], 180).scale(20)
+    found = []
+    for turn in (0, 40):
+        found.append(lit(scene_of(**posed(turn, wall={**wall(), "to_world": half}, laser=LASER))))
+    one, other = found
+    assert len(one.weights) == len(other.weights) > 100
+    np.testing.assert_allclose(other.positions, one.positions, atol=1e-4)
+    np.testing.assert_allclose(other.weights, one.weights, rtol=1e-4)
+
+
 def test_shadows_have_no_laser_light():
     # A plate over half of the wall's light: it hides the laser from all points with x > 0 but not the lens.
     plate = {
@@ -134,18 +210,21 @@ def test_shadows_have_no_laser_light():
     assert x.max() < 1
 
 
-def test_points_that_the_pupil_sees_in_part_are_refused():
+@pytest.mark.parametrize("turn", [0, 40])
+def test_points_that_the_pupil_sees_in_part_are_refused(turn):
     plate = {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f().translate([5.6, 0, 30]).rotate([0, 1, 0], 180).scale(5),
         "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
     }
     with pytest.raises(PhysicsError, match="of the laser light comes from points that objects hide"):
-        render_capture(scene_of(plate=plate, laser={**LASER, "position": [0, 0, 40]}))
+        lit(scene_of(**posed(turn, wall=wall(), plate=plate, laser={**LASER, "position": [0, 0, 40]})))
 
 
-def test_modes_of_a_source():
-    source = {"source_diameter": 1.0, "source_distance": 60.0}
+@pytest.mark.parametrize(
+    "source", [{"source_diameter": 1.0, "source_distance": 60.0}, {"bandwidth": 2.0, "roughness": 0.05}]
+)
+def test_modes_of_a_source(source):
     count = round(laser.mode_count(CAMERA, wavelength=WAVELENGTH, distance=120, **source))
     assert count > 1
     found = render_capture(scene_of(integrator=source)).image
@@ -164,9 +243,9 @@ def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
     assert not np.array_equal(render_capture(scene_of(integrator={"modes": 3}), seed=1).image, whole)
 
 
-def area_lamp():
-    scene = scene_of(lamp=AREA)
-    return scene, [next(emitter.id() for emitter in scene.emitters() if emitter.class_name() == "AreaLight")]
+def surface_lamp(lamp, kind):
+    scene = scene_of(lamp=lamp)
+    return scene, [next(emitter.id() for emitter in scene.emitters() if emitter.class_name() == kind)]
 
 
 def test_the_scene_with_speckle():
@@ -184,6 +263,7 @@ def test_the_scene_with_speckle():
 
 
 AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}
+BEAM = {"type": "rectangle", "emitter": {"type": "directionalarea"}}
 
 
 @pytest.mark.parametrize(
@@ -195,11 +275,21 @@ AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}
         (lambda: scene_of(integrator={"wavelength": 5.0}), "plenoptic_laser: wavelength"),
         (lambda: scene_of(integrator={"mode": 2}), "plenoptic_laser: mode: it has no such parameter; did you mean"),
         (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "no emitter of this id .*laser.*mean"),
-        (lambda: named_lasers(*area_lamp(), "test"), "test: lasers = .*: an emitter of type AreaLight is extended"),
+        (
+            lambda: named_lasers(*surface_lamp(AREA, "AreaLight"), "test"),
+            "test: lasers = .*: an emitter of type AreaLight is extended",
+        ),
         (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness: a bandwidth needs it"),
         (
             lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))),
             "plenoptic_laser: surface wall of type RoughConductor is not matte",
+        ),
+        (lambda: scene_of(integrator={"source_distance": 9.0}), "source_distance: it has a meaning with a source_diam"),
+        (lambda: scene_of(integrator={"roughness": 1.0}), "roughness: it has a meaning with a bandwidth only"),
+        (lambda: render_capture(scene_of(integrator={"lasers": "laser, laser"})), "lasers = laser: .* more than once"),
+        (
+            lambda: named_lasers(*surface_lamp(BEAM, "DirectionalArea"), "test"),
+            "test: lasers = .*: an emitter of type DirectionalArea is extended",
         ),
         (lambda: render_capture(scene_of(), noise=True), "noise: it is not estimated"),
         (

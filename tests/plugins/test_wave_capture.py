@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 from wave_cases import error
 
-from mitsuba_plenoptic import design, reconstruct, render_capture, scene_path
+from mitsuba_plenoptic import InputError, design, reconstruct, render_capture, scene_path
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 
 SHARED = {"resolution": 128, "detector_width": 0.256}
@@ -47,6 +47,26 @@ def test_one_tiny_emitter_renders_its_point_spread(camera_dict, place):
     scale = (wave.image * psf).sum() / (psf * psf).sum()
     # Of its size it is blurred a little.
     assert error(wave.image, scale * psf) <= 0.015
+
+
+@pytest.mark.parametrize("method", ["signed_rays", "points"])
+def test_negative_light_is_refused(camera_dict, method):
+    """Negative pixels are taken for noise, and points that do not shine are left out."""
+    dark = disk((0.0, 0.0, 240.0), 2.0, emitter={"type": "area", "radiance": -1.0})
+    scene = scene_of(camera_dict(resolution=16, detector_width=0.128), dark=dark)
+    assert render_capture(scene, spp=2).image.min() == -1
+    with pytest.raises(InputError, match=r"^scene: 100% of the light of some rays is negative"):
+        render_capture(scene, model="wave", method=method, spp=4)
+
+
+def test_pixels_far_larger_than_the_diffraction_are_refused_before_they_fill_the_memory(camera_dict):
+    """A camera of lengths a thousand times those of the paper's, as a scene in micrometres has it."""
+    lengths = {"focal_length": 80, "aperture_radius": 5, "mla_distance": 120, "mla_focal_length": 0.512}
+    sensor = camera_dict(resolution=16, detector_width=128, mla_pitch=64.0, **{k: 1e3 * v for k, v in lengths.items()})
+    with pytest.raises(
+        InputError, match=r"^detector_width = 128: pixels of 8 mm.*kernels of .* samples: it would need"
+    ):
+        by_signed_rays(scene_of(sensor, lamp=disk((0.0, 0.0, 240e3), 2e3)), spp=1)
 
 
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict):

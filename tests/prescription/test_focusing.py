@@ -56,6 +56,26 @@ def test_what_is_in_focus_needs_no_move():
     assert found.focal_length == pytest.approx(camera.focal_length, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("front", "rear", "gap", "moved"), [(-71, 49, 40, (36.46, 21.77)), (-54, 37, 13, (16.36, 26.01))]
+)
+def test_the_nearest_of_two_positions_is_taken(front, rear, gap, moved):
+    """A hollow lens before a converging one, which images the same plane onto the array from two positions."""
+
+    def pair(gap):
+        lens = {"thickness": 0.5, "glass": 1.5, "semi_aperture": 3}
+        behind = {"semi_aperture": 3}
+        return [
+            {**lens, "radius": front, "stop": True}, {**behind, "radius": -front, "thickness": gap},
+            {**lens, "radius": rear}, {**behind, "radius": -rear},
+        ]  # fmt: skip
+
+    camera = of({"surfaces": pair(gap)})
+    near, far = moved
+    assert abs(near - gap) < abs(far - gap)
+    assert focus_by_group(camera, (3, 4), 3000).main_lens.surfaces[1].thickness == pytest.approx(near, abs=0.01)
+
+
 def test_groups_that_are_none_are_refused():
     camera = of("cooke_triplet")
     for group, message in (

@@ -53,5 +53,17 @@ def test_noise_of_another_kind_is_refused():
     camera = telescope()
     with pytest.raises(InputError, match="PixelNoise"):
         digital_adaptive_optics(camera, np.ones(camera.shape), [Zone([(0.0, 0.0, 1e9)])], noise=1.0)
-    with pytest.raises(InputError, match="as many cameras"):
+    with pytest.raises(InputError, match="cameras: give one for each zone, in a list; there are 1"):
         deconvolve_zones([], np.ones(camera.shape), [Zone([(0.0, 0.0, 1e9)])], noise=PixelNoise(1.0))
+    zone = Zone([(0.0, 0.0, 1e9)])
+    with pytest.raises(InputError, match="cameras: give one for each zone"):
+        deconvolve_zones(camera, np.ones(camera.shape), [zone])
+    with pytest.raises(InputError, match=r"cameras: one of them records \(24, 24\), not the image's \(48, 48\)"):
+        deconvolve_zones([camera, telescope(lenses=4)], np.ones(camera.shape), [zone, zone])
+
+
+def test_zones_beside_the_detector_are_refused():
+    camera = telescope()
+    beside = Zone([(50 * camera.mla_pitch / 500 * 1e9, 0.0, 1e9)])
+    with pytest.raises(InputError, match="zones: the detector records no light of zone 0"):
+        digital_adaptive_optics(camera, np.ones(camera.shape), beside, modes=5, accuracy=ACCURACY)
