@@ -54,6 +54,7 @@ def quick_waves(monkeypatch, tiny):
     monkeypatch.setattr(experiments, "reconstruct", reconstruct)
     seconds = {"ray": 0.5, "coherent": 5.0, "partial": 15.0}
     monkeypatch.setattr(reproductions, "seconds_on_one_core", lambda capture, distance: seconds)
+    monkeypatch.setattr(reproductions, "plain_seconds", lambda camera, distance: 20.0)
     monkeypatch.setitem(reproductions.PRESETS, "quick", dataclasses.replace(tiny, points=4))
     return calls
 

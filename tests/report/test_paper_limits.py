@@ -40,8 +40,8 @@ def test_the_plain_loop_gives_the_sums_of_our_reconstruction(distance):
 
 def test_a_plain_loop_with_other_sums_is_not_timed(monkeypatch):
     small = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
-    # Two microseconds a pixel are 34 s; a slow computer takes longer.
-    assert 5 < limits.plain_seconds(small, 280.0) < 1000
+    # Scaled to the paper's 4096 x 4096 pixels, of which no computer adds 200 million a second in a plain loop.
+    assert limits.plain_seconds(small, 280.0) > 0.1
     monkeypatch.setattr(limits, "run_plain_sums", lambda image, camera, distance: np.zeros(camera.bin_count[::-1]))
     with pytest.raises(RuntimeError, match="different sums"):
         limits.plain_seconds(small, 280.0)
