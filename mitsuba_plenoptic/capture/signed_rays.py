@@ -53,7 +53,7 @@ _PROBES, _CELLS = 2**10, 2**16
 _LEAST = 2
 """Smallest count of rays from each cell through each lens: two halves of them correct each other."""
 
-REACH = 1.25
+REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
 
 

@@ -34,7 +34,8 @@ from .lens_kinds import Kind, LensKinds
 from .microlenses import aperture_points
 
 _TRANSFER_SAMPLES = 64
-"""Samples across a lens for its transfer functions: the phase between neighbours changes by a fifth of a period."""
+"""Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
+period between neighbours."""
 
 _KEPT = 2.0
 """Samples per cycle of the highest frequency of a lens's diffraction; two samples represent it completely."""
@@ -126,7 +127,7 @@ class ArrayKernels:
         every = max(1, farthest // _LAGS)
         lags = np.arange(-_LAGS, _LAGS + 1) * every
         weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        spectra = self._transfer(lags, kind, polynomials, polynomials.functions) * (weights[:, None] * weights)
+        spectra = self._transfer(_LAGS, every, kind, polynomials, polynomials.functions) * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
     def aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
@@ -201,7 +202,7 @@ class ArrayKernels:
         every, farthest, count = samples
         functions = self.functions
         lags = np.arange(-farthest, farthest + 1) * every
-        transfer = self._transfer(lags, self.kinds[kind], functions, functions.duals)
+        transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)
         place = np.arange(-count, count + 1) * step
         waves = np.exp(-2j * np.pi * np.outer(place, lags * fine) / scale) * (every * fine * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
@@ -267,19 +268,19 @@ class ArrayKernels:
         return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
 
     def _transfer(
-        self, lags: NDArray[np.int64], kind: Kind, polynomials: LensFunctions, coefficients: NDArray[np.float64]
+        self, farthest: int, every: int, kind: Kind, polynomials: LensFunctions, coefficients: NDArray[np.float64]
     ) -> NDArray[np.complex64]:
-        """Return the integrals of combinations of polynomials, times T T*, over a cell at given lags in steps.
+        """Return the integrals of combinations of polynomials, times T T*, over a cell at lags along y and x.
 
-        `coefficients` are those of the combinations (polynomials, n). The lags are the same along x and y.
+        Along either axis there are `farthest` lags on either side, `every` steps apart. `coefficients` are those of the
+        combinations (polynomials, n).
         """
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
-        step = lattice.pitches[0] / _TRANSFER_SAMPLES
-        half = math.ceil(lattice.cell_reach / step)
-        # The grid has half steps: with a lag of whole steps, both points of a pair lie on it.
-        reach = 2 * half + int(lags[-1]) + 1
-        along = np.arange(-reach, reach + 1) * (step / 2)
+        # Points lie between the borders of lenses. A lag of whole steps moves both points of a pair to such points.
+        step = lattice.pitches[0] / _TRANSFER_SAMPLES / 2
+        reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
+        along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
         # Lens types alternate along a row.
         centre = lattice.centre(float(kind.lens_type), 0.0)
@@ -299,32 +300,28 @@ class ArrayKernels:
         inside = lattice.in_aperture(x - cx, y - cy)
         T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
         # Functions are undefined outside the aperture, where rays have no coefficients.
-        own = np.asarray((i == kind.lens_type) & (j == 0) & inside, np.float64)
-        # Points on a border belong half to either side.
-        own, places = (own + own[::-1, ::-1]) / 2, lattice.to_frame(x, y)
-        result = np.zeros((coefficients.shape[1], len(lags), len(lags)), np.complex64)
-        middle = len(lags) // 2
-        # Midpoints at whole steps, between samples of T, within the cell including its border.
-        midpoints = [reach + 1 - odd + 2 * np.arange(-half, half + 1) for odd in range(2)]
-        for odd_row, odd in itertools.product(range(2), repeat=2):
-            (columns_at,) = np.nonzero((lags + odd) % 2 == 0)
-            (rows_at,) = np.nonzero((lags + odd_row) % 2 == 0)
-            rows_at = rows_at[rows_at >= middle]
-            if not len(columns_at) or not len(rows_at):
-                continue
-            rows, columns = midpoints[odd_row], midpoints[odd]
-            some = np.ix_(rows, columns)
-            values, part = polynomials.values(*(place[some].ravel() for place in places)), own[some].ravel()[:, None]
-            # On these samples, too, the integrals are exact for polynomials.
-            exact = np.linalg.solve(values.T @ (values * part), coefficients) * part.sum()
-            weight = ((values * part) @ exact).astype(np.float32)
-            index = (columns + lags[columns_at, None])[:, None]
-            for row in rows_at.tolist():
-                b = lags[row]
-                product = T[(rows + b)[:, None], index] * T[(rows - b)[:, None], index[::-1]].conj()
-                product = product.reshape(len(columns_at), -1)
-                result[:, row, columns_at] = ((product.real @ weight) + 1j * (product.imag @ weight)).T
+        own = (i == kind.lens_type) & (j == 0) & inside
+        rows, columns = (np.flatnonzero(own.any(axis)) for axis in (1, 0))
+        top, bottom, left, width = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1 - columns[0]
+        values = polynomials.values(*(place[own] for place in lattice.to_frame(x, y)))
+        # On these samples, too, the integrals are exact for polynomials.
+        exact = np.linalg.solve(values.T @ values, coefficients) * len(values)
+        weight = np.zeros((*own.shape, coefficients.shape[1]), np.float32)
+        weight[own] = values @ exact
+        weight = weight[top:bottom, left : left + width].reshape(-1, coefficients.shape[1])
+        count, most = 2 * farthest + 1, farthest * every
+        result = np.empty((coefficients.shape[1], count, count), np.complex64)
+        product = np.empty((count, bottom - top, width), np.complex64)
+        # Views (column, row, place) of T, from each column on.
+        lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
+        after, before = lines[left - most : left + most + 1 : every], lines[left + most : left - most - 1 : -every]
+        for lag in range(farthest + 1):
+            b = lag * every
+            np.conjugate(before[:, top - b : bottom - b], out=product)
+            product *= after[:, top + b : bottom + b]
+            flat = product.reshape(count, -1)
+            result[:, farthest + lag] = (flat.real @ weight + 1j * (flat.imag @ weight)).T
         # The weights are real.
-        result[:, :middle] = result[:, :middle:-1, ::-1].conj()
+        result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.
-        return np.asarray(result / result[0, middle, middle].real)
+        return np.asarray(result / result[0, farthest, farthest].real)

@@ -19,6 +19,7 @@ PLACES = (0.0, 0.028, 0.036)
 """In a point's image, where light of a lens is looked for."""
 
 DISCS = PlenopticCamera(mla_aperture="circle", mla_fill=0.5)
+GAPS = PlenopticCamera(mla_fill=0.5)
 
 
 def test_the_kernels_of_a_plan_keep_energy():
@@ -27,15 +28,20 @@ def test_the_kernels_of_a_plan_keep_energy():
     assert sums == pytest.approx([1, 0, 0], abs=3e-3)
 
 
-def test_the_first_kernel_has_the_transfer_function_of_a_disc():
+def disc(s):
+    return 2 / math.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+
+
+@pytest.mark.parametrize(("camera", "theory"), [(DISCS, disc), (GAPS, lambda s: 1 - s)])
+@pytest.mark.parametrize("degree", [0, 4])
+def test_the_first_kernel_has_the_transfer_function_of_its_aperture(camera, theory, degree):
     # Goodman, "Introduction to Fourier Optics", section 6.3.
-    plan, step, diameter = PhaseSpace(DISCS, 633.0, degree=0), 0.001, 0.032
+    plan, step, width = PhaseSpace(camera, 633.0, degree=degree), 0.001, 0.032
     kernel = plan.kernels(step, 0.3)[0]
-    frequency = np.arange(0, 0.9 * diameter / (633e-6 * 0.512), 5.0)
+    frequency = np.arange(0, 0.9 * width / (633e-6 * 0.512), 5.0)
     place = (np.arange(len(kernel)) - len(kernel) // 2) * step
     found = np.exp(-2j * np.pi * np.outer(frequency, place)) @ kernel.sum(0)
-    s = frequency * 633e-6 * 0.512 / diameter
-    assert found.real == pytest.approx(2 / math.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)), abs=0.006)
+    assert found.real == pytest.approx(theory(frequency * 633e-6 * 0.512 / width), abs=0.004)
     assert np.abs(found.imag).max() < 1e-3
 
 
