@@ -204,7 +204,7 @@ class SignedColours:
         """Return the nodes, with their plans."""
         found, fine = self.shared(camera, accuracy), accuracy < FINE
         return [
-            Node(_plan(camera.at_wavelength(place), place, fine, found[0][0]), channels, weights)
+            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0]), channels, weights)
             for place, channels, weights in found
         ]
 
@@ -228,8 +228,11 @@ class SignedColours:
 
 
 @functools.lru_cache(maxsize=16)
-def _plan(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
-    """Return a plan, which is cached for further captures of the camera."""
+def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
+    """Return a usual or a finer plan, which is cached for further captures of the camera.
+
+    `shortest` is the shortest wavelength of a capture's plans.
+    """
     plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine], shortest=shortest)
     return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
 

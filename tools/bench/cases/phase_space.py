@@ -18,8 +18,8 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
-from mitsuba_plenoptic.capture.signed_colours import Node
-from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
+from mitsuba_plenoptic.capture.signed_colours import Node, plan_of
+from mitsuba_plenoptic.capture.signed_rays import REACH, SignedRaySum
 from mitsuba_plenoptic.lens_data import conjugate_distance
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
@@ -42,6 +42,9 @@ CAMERAS = {
     "discs": PlenopticCamera(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.5),
     "cells with gaps": PlenopticCamera(mla_fill=0.5),
     "double Gauss f8": PlenopticCamera.preset("paper_double_gauss"),
+    "keplerian": PlenopticCamera(
+        mla_focal_length=0.384, mla_distance=121.536, detector_distance=0.512, aperture_radius=4.9
+    ),
     "f4": PlenopticCamera(aperture_radius=10.0),
     "double Gauss f4": PlenopticCamera.preset("paper_double_gauss").replace(aperture_radius=10.0),
     "Tessar f8": PlenopticCamera(main_lens="tessar", focal_length=80.0, aperture_radius=5.0, mla_distance=120.0),
@@ -58,10 +61,10 @@ CAMERAS = {
 }
 
 LIMITS = {"square": (0.009, 0.009), "hexagonal": (0.007, 0.010), "double Gauss f8": (0.008, 0.010)}
-"""Largest difference on the axis and off it, at the usual degree, of cameras that have limits of their own."""
+"""Largest difference on the axis and off it, by usual plans, of cameras that have limits of their own."""
 
 FINER, MOST = 0.8, 0.025
-"""Part of these limits for degrees above the usual one; limit of other cameras."""
+"""Part of these limits for finer plans; limit of other cameras."""
 
 BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
 
@@ -85,9 +88,7 @@ def walls(
     *,
     cameras: tuple[str, ...] = ("square",),
     blurs: tuple[float, ...] = BLURS,
-    degree: int = 4,
-    window: int = 9,
-    radial: int = 12,
+    finer: bool = False,
     lenses: int = 3,
     points: int = 16,
     samples: int = 1024,
@@ -100,11 +101,11 @@ def walls(
     Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y.
     """
     for name, camera in pick(CAMERAS, cameras).items():
-        plan, planning, _ = once(lambda c=camera: planned(c, degree, window, radial, parts))
+        plan, planning, _ = once(lambda c=camera: planned(c, finer, parts))
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
         # Walls of few lenses have more edge.
-        limit = MOST if lenses < 3 else own * FINER if degree > 4 else own
+        limit = MOST if lenses < 3 else own * FINER if finer else own
         for blur in blurs:
             (image, exact, noise, whole), seconds, _ = once(
                 lambda p=plan, c=camera, b=blur: pair(p, c, b, lenses, points, samples, parts, margin, off_axis)
@@ -118,10 +119,10 @@ def walls(
             write_comparison(output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", image, exact, gain=10)
 
 
-def planned(camera: PlenopticCamera, degree: int, window: int, radial: int, parts: int) -> PhaseSpace:
-    """Return the kernels of a camera."""
-    plan = PhaseSpace(camera, WAVELENGTH, degree=degree, window=window, radial=radial)
-    plan.kernels(camera.pixel_size / parts, 2.5 * camera.mla_pitch)
+def planned(camera: PlenopticCamera, finer: bool, parts: int) -> PhaseSpace:
+    """Return the plan of captures by a camera, with its kernels."""
+    plan = plan_of(camera, WAVELENGTH, finer, WAVELENGTH)
+    plan.kernels(camera.pixel_size / parts, REACH * max(camera.mla_pitches))
     return plan
 
 
