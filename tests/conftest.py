@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
 import textwrap
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 # Glasses by name need Optiland, an extra of 800 MB: where it is not installed, what was recorded of it stands in.
 sys.path.append(str(Path(__file__).parent / "optiland_records" / "stand_in"))
@@ -45,8 +47,17 @@ def no_progress_lines(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def short_trials(monkeypatch):
-    """Have captures by waves, which estimate their time from trials, try a few point spreads only."""
+    """Have estimates of time, which come from trials, try a few point spreads or one pass of rays only."""
     monkeypatch.setattr("mitsuba_plenoptic.operator.patch_plan._TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.render._SECONDS", 1e-9)
+
+
+@pytest.fixture
+def trials_of_a_second(monkeypatch):
+    """Have every trial of an estimate by waves last a second, however fast the machine is."""
+    clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
+    for name in ("operator.patch_plan", "operator.full_field", "capture.signed_rays", "capture.convolution"):
+        monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
 
 
 @pytest.fixture
@@ -75,7 +86,7 @@ def python():
             capture_output=True,
             text=True,
             check=False,
-            timeout=120,
+            timeout=600,
             cwd=Path(__file__).parents[1],
             env=os.environ | environment,
         )

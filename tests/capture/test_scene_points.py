@@ -152,7 +152,7 @@ def test_the_same_seed_gives_the_same_bits_also_after_a_stop(tmp_path, monkeypat
         assert np.array_equal(by_points(scene, 4, checkpoint=kept).image, once)
 
 
-def test_the_noise_is_refused_and_the_cost_estimated():
+def test_the_noise_is_refused_and_the_cost_estimated(trials_of_a_second):
     scene = scene_of(camera(2), wall=wall())
     with pytest.raises(InputError, match="noise: method = points does not state it"):
         by_points(scene, noise=True)

@@ -218,7 +218,7 @@ def test_the_same_seed_gives_the_same_bits_in_parts(tmp_path):
     assert np.array_equal(by_waves(scene, checkpoint=Checkpoint(path)).image, once.image)
 
 
-def test_estimates_take_some_of_the_rays():
+def test_estimates_take_some_of_the_rays(trials_of_a_second):
     cost = estimate_capture(bars_through("directly", lenses=8), model="wave", method="signed_rays")
     assert 0 < cost.seconds < 600
     assert 0 < cost.memory < 2**32

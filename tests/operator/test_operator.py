@@ -344,10 +344,12 @@ def test_few_points_are_not_mistaken_for_each_other():
 
 
 @pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 2)])
-def test_the_estimate_is_of_the_right_size(method, count):
-    cost = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method).estimate()
+def test_the_estimate_is_of_the_right_size(method, count, trials_of_a_second):
+    operator = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method)
+    cost = operator.estimate(Job(batch_map=Threads(1)))
     assert cost.points == cost.patterns == count
-    assert 0 < cost.seconds < 60
+    # The trials are of two patches of each size, and of one full field.
+    assert cost.seconds == {"patch": count / 2, "full_field": count}[method]
     assert 0 < cost.memory < 2**32
 
 
