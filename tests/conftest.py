@@ -61,6 +61,15 @@ def trials_of_a_second(monkeypatch):
 
 
 @pytest.fixture
+def coarse_figures(monkeypatch):
+    """Draw figures with a quarter of the dots to the inch, which is most of the time that they take."""
+    from mitsuba_plenoptic.report import figures, framing
+
+    monkeypatch.setattr(framing.Canvas.__init__, "__defaults__", (framing._DPI // 4,))
+    monkeypatch.setattr(figures, "_DPI", figures._DPI // 4)
+
+
+@pytest.fixture
 def camera_dict():
     """Describe a small plenoptic sensor: 16 x 16 lenses of the paper's camera."""
 

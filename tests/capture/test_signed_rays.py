@@ -95,7 +95,7 @@ def test_enlarged_micro_images_keep_their_light(monkeypatch):
 def smoothed_captures(**parameters):
     """Return captures of a wall by rays and by waves, with what lenses diffract smoothed away."""
     mi.set_variant("llvm_ad_mono")
-    size = {"detector_width": 0.768, "resolution": (128, 128), "lens_model": "parabolic"}
+    size = {"detector_width": 0.576, "resolution": (96, 96), "lens_model": "parabolic"}
     scene = scene_of(PlenopticCamera(**size, **parameters).to_sensor(), wall=facing(240.0, 30.0, **radiating()))
     rays, waves = render_capture(scene, model="ray", spp=256).image, by_waves(scene, spp=192).image
     # The ray capture is brighter by its thin phase elements' second order.

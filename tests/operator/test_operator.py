@@ -85,7 +85,7 @@ def test_what_cannot_be_seen_gives_nothing(points):
 
 
 def test_threads_do_not_change_a_bit():
-    positions = np.concatenate([scattered(20), in_every_lens(SMALL, 3, 240.0, per_lens=3)])
+    positions = np.concatenate([scattered(10), in_every_lens(SMALL, 3, 240.0, per_lens=2)])
     weights = np.random.default_rng(2).normal(size=(len(positions), 2))
     operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH)
     images = [operator.forward(weights, job=Job(batch_map=Threads(count))) for count in (1, 2, 3)]

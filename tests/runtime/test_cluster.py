@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scene_cases import definitions, letters
 from stopped_runs import CheckpointStore, start_command
-from wave_cases import capture, scattered, small_camera
+from wave_cases import HALF, capture, scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
@@ -26,7 +26,7 @@ from mitsuba_plenoptic.runtime.jobs import Job
 
 pytest.importorskip("distributed")
 
-SMALL = small_camera()
+SMALL = small_camera(4, **HALF)
 WAVE = ["render", "letters", "--model", "wave", "--method", "points"]
 
 
@@ -43,7 +43,7 @@ def tiny_groups(monkeypatch):
 
 
 def radiators(count, seed=0):
-    return scattered(count, distances=(205, 275)), np.random.default_rng(seed).uniform(0, 1, count)
+    return scattered(count, distances=(102, 137), image=0.1), np.random.default_rng(seed).uniform(0, 1, count)
 
 
 @pytest.mark.parametrize(("method", "count"), [pytest.param("patch", 25, marks=pytest.mark.slow), ("full_field", 2)])
@@ -107,7 +107,7 @@ def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
 
 def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):
     """Memory stays flat: batches are made as their turn comes."""
-    positions, weights = radiators(120)
+    positions, weights = radiators(80)
     made, behind = [], []
     call = cluster.__call__
 
