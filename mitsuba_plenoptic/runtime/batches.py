@@ -9,6 +9,7 @@ that was not. Different processors may round differently.
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import threading
 from collections import deque
@@ -170,6 +171,7 @@ class Cluster:
 
     def __enter__(self) -> Cluster:
         distributed = require_module("distributed", "workers: they need dask.distributed: pip install distributed")
+        failure = ""
         with contextlib.ExitStack() as opened:
             opened.enter_context(_quiet())
             try:
@@ -189,7 +191,12 @@ class Cluster:
                 self._client.wait_for_workers(1, timeout=_PATIENCE)
                 found = self._client.run(software)
             except (OSError, ValueError, ImportError, RuntimeError) as error:
-                raise InputError(f"{self._name}: no workers can be had: {_line(error)}") from None
+                failure = _line(error)
+            if failure:
+                # A client that never connected is closed as it is collected. Collected later, while the next one starts,
+                # it would wait for a lock that its own thread holds.
+                gc.collect()
+                raise InputError(f"{self._name}: no workers can be had: {failure}")
             for worker, versions in found.items():
                 _check_software(versions, software(), worker)
             self._open = opened.pop_all()

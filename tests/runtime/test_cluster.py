@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 
 import numpy as np
 import pytest
@@ -214,6 +215,23 @@ def test_dask_is_left_as_it_was(monkeypatch, address):
     with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
         pass
     assert dask.config.get("scheduler", None) == before
+
+
+def test_a_client_that_never_connected_is_closed_at_once(monkeypatch):
+    """Python would do so anywhere, such as within the start of the next client, which then waits for itself."""
+    package = pytest.importorskip("distributed")
+    clients = []
+
+    class Client(package.Client):
+        def __init__(self, *arguments, **options):
+            clients.append(weakref.ref(self))
+            super().__init__(*arguments, **options)
+
+    monkeypatch.setattr(package, "Client", Client)
+    monkeypatch.setattr(distributed, "_PATIENCE", "1s")
+    with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler="here"):
+        pass
+    assert [client() for client in clients] == [None]
 
 
 def test_rays_need_no_workers(cluster):
