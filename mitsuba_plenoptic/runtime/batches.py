@@ -193,8 +193,8 @@ class Cluster:
             except (OSError, ValueError, ImportError, RuntimeError) as error:
                 failure = _line(error)
             if failure:
-                # A client that never connected is closed as it is collected. Collected later, while the next one starts,
-                # it would wait for a lock that its own thread holds.
+                # A client that never connected is closed as it is collected. Collected later, while the next one
+                # starts, it would wait for a lock that its own thread holds.
                 gc.collect()
                 raise InputError(f"{self._name}: no workers can be had: {failure}")
             for worker, versions in found.items():
