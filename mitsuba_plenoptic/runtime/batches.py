@@ -95,15 +95,19 @@ class PartialSum:
     arrived: float = 0.0
 
 
+_MOST_THREADS = 16
+"""Threads that batches are computed on by default: each takes memory, and Dr.Jit's part is done by one of them."""
+
+
 class Threads:
     """Computes batches on threads of this process."""
 
     def __init__(
         self,
-        # Default: all cores that this process may use. A CUDA device takes its work from one.
+        # Default: the cores that this process may use, up to a number. A CUDA device takes its work from one.
         count: int | None = None,
     ) -> None:
-        self.workers = self.threads = 1 if backend().is_cuda else count or worker_count()
+        self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), _MOST_THREADS)
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Compute the batches, a few ahead of the one that is due."""

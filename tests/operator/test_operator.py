@@ -343,6 +343,16 @@ def test_few_points_are_not_mistaken_for_each_other():
 # -- estimates and refusals --------------------------------------------------------------------------
 
 
+def test_many_cores_are_no_reason_to_refuse(monkeypatch):
+    """Each thread takes memory, of which more than some GiB are refused."""
+    few = CaptureOperator(SMALL, scattered(2), wavelength=WAVELENGTH)
+    alone = few.estimate(Job(batch_map=Threads(2))).memory
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.worker_count", lambda: 256)
+    assert few.estimate().memory == alone
+    many = CaptureOperator(SMALL, scattered(300), wavelength=WAVELENGTH)
+    assert alone < many.estimate().memory < 4 * 2**30
+
+
 @pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 2)])
 def test_the_estimate_is_of_the_right_size(method, count, trials_of_a_second):
     operator = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method)
