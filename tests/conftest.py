@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import itertools
 import os
 import subprocess
 import sys
 import textwrap
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 # Glasses by name need Optiland, an extra of 800 MB: where it is not installed, what was recorded of it stands in.
 sys.path.append(str(Path(__file__).parent / "optiland_records" / "stand_in"))
@@ -23,6 +26,17 @@ import mitsuba_plenoptic  # chooses LLVM before Dr.Jit loads
 
 import mitsuba as mi  # isort: skip
 import scene_cases  # isort: skip
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Look for no garbage while modules are imported, nor later among what they hold, which takes seconds."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(autouse=True)
@@ -45,8 +59,26 @@ def no_progress_lines(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def short_trials(monkeypatch):
-    """Have captures by waves, which estimate their time from trials, try a few point spreads only."""
+    """Have estimates of time, which come from trials, try a few point spreads or one pass of rays only."""
     monkeypatch.setattr("mitsuba_plenoptic.operator.patch_plan._TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.render._SECONDS", 1e-9)
+
+
+@pytest.fixture
+def trials_of_a_second(monkeypatch):
+    """Have every trial of an estimate by waves last a second, however fast the machine is."""
+    clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
+    for name in ("operator.patch_plan", "operator.full_field", "capture.signed_rays", "capture.convolution"):
+        monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
+
+
+@pytest.fixture
+def coarse_figures(monkeypatch):
+    """Draw figures with a quarter of the dots to the inch, which is most of the time that they take."""
+    from mitsuba_plenoptic.report import figures, framing
+
+    monkeypatch.setattr(framing.Canvas.__init__, "__defaults__", (framing._DPI // 4,))
+    monkeypatch.setattr(figures, "_DPI", figures._DPI // 4)
 
 
 @pytest.fixture
@@ -75,7 +107,7 @@ def python():
             capture_output=True,
             text=True,
             check=False,
-            timeout=120,
+            timeout=600,
             cwd=Path(__file__).parents[1],
             env=os.environ | environment,
         )

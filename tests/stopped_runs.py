@@ -14,12 +14,20 @@ from mitsuba_plenoptic.io import checkpoints
 
 # The command, with a checkpoint after every batch instead of every ten seconds, and batches handed out one by one.
 COMMAND = """
-import sys
+import os, signal, sys
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.runtime import batches, progress
 progress.FIRST_LINE = 2.0**20  # no lines that come with time
 checkpoints.INTERVAL, checkpoints.FRACTION, batches._GROUP_SAMPLES = 0.0, 1e9, 1
+write, last = checkpoints._write, int(os.environ.get("INTERRUPT_AFTER", -1))
+def counted(*arguments):
+    global last
+    write(*arguments)
+    last -= 1
+    if last == 0:
+        os.kill(os.getpid(), signal.SIGINT)
+checkpoints._write = counted
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -60,15 +68,18 @@ class CheckpointStore:
         return copy.deepcopy(self.start)
 
 
-def start_command(*words, limit=None):
-    """Start the command in a process of its own, which may be allowed to write files of limited size only."""
+def start_command(*words, limit=None, interrupt_after=-1):
+    """Start the command in a process of its own.
+
+    It may be allowed to write files of limited size only, or be interrupted as by hand after so many checkpoints.
+    """
 
     def prepare():
         if limit is not None:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    environment = os.environ | {"DRJIT_NUM_THREADS": "1"}
+    environment = os.environ | {"DRJIT_NUM_THREADS": "1", "INTERRUPT_AFTER": str(interrupt_after)}
     if limit is not None:
         # What measures the tests' coverage could not write its own file either.
         environment.pop("COVERAGE_PROCESS_CONFIG", None)

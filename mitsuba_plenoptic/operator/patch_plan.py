@@ -282,10 +282,12 @@ class PatchPlan:
         samples = float(self._placement.samples.max(initial=0))
         across = samples + float(_areas(samples)) + ZONES[-1] * float(self._grid.lens_samples.max())
         tile = 4 * channels * across**2
-        fields = (batch_map.threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
-        tiles = batch_map.workers + 1
+        # No more batches are under way than there are.
+        workers, threads = (min(count, len(self._chunks)) for count in (batch_map.workers, batch_map.threads))
+        fields = (threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
+        tiles = workers + 1
         if (self._last - self._first > 1).any():
-            tiles += 2 * batch_map.threads  # with cells: buffers of patterns and of their sum
+            tiles += 2 * threads  # with cells: buffers of patterns and of their sum
         return channels * self._recorder.memory + tiles * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:

@@ -9,6 +9,7 @@ that was not. Different processors may round differently.
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import threading
 from collections import deque
@@ -94,15 +95,19 @@ class PartialSum:
     arrived: float = 0.0
 
 
+_MOST_THREADS = 16
+"""Threads that batches are computed on by default: each takes memory, and Dr.Jit's part is done by one of them."""
+
+
 class Threads:
     """Computes batches on threads of this process."""
 
     def __init__(
         self,
-        # Default: all cores that this process may use. A CUDA device takes its work from one.
+        # Default: the cores that this process may use, up to a number. A CUDA device takes its work from one.
         count: int | None = None,
     ) -> None:
-        self.workers = self.threads = 1 if backend().is_cuda else count or worker_count()
+        self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), _MOST_THREADS)
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Compute the batches, a few ahead of the one that is due."""
@@ -170,6 +175,7 @@ class Cluster:
 
     def __enter__(self) -> Cluster:
         distributed = require_module("distributed", "workers: they need dask.distributed: pip install distributed")
+        failure = ""
         with contextlib.ExitStack() as opened:
             opened.enter_context(_quiet())
             try:
@@ -189,7 +195,12 @@ class Cluster:
                 self._client.wait_for_workers(1, timeout=_PATIENCE)
                 found = self._client.run(software)
             except (OSError, ValueError, ImportError, RuntimeError) as error:
-                raise InputError(f"{self._name}: no workers can be had: {_line(error)}") from None
+                failure = _line(error)
+            if failure:
+                # A client that never connected is closed as it is collected. Collected later, while the next one
+                # starts, it would wait for a lock that its own thread holds.
+                gc.collect()
+                raise InputError(f"{self._name}: no workers can be had: {failure}")
             for worker, versions in found.items():
                 _check_software(versions, software(), worker)
             self._open = opened.pop_all()

@@ -86,7 +86,7 @@ def test_pixels_whose_light_the_rim_cuts_are_told(fill):
 @pytest.fixture(scope="module")
 def pictures():
     generator = np.random.default_rng(2)
-    images = (render_capture(board_scene(BOARD, pose, CAMERA), spp=32).image for pose in POSES)
+    images = (render_capture(board_scene(BOARD, pose, CAMERA), spp=16).image for pose in POSES)
     return [generator.poisson(PHOTONS * image) / PHOTONS for image in images]
 
 

@@ -9,6 +9,11 @@ import pytest
 from mitsuba_plenoptic import InputError, estimate_capture, load_scene, render_capture
 
 
+@pytest.fixture(autouse=True)
+def short_trials():
+    """Leave the trials as long as they are."""
+
+
 @pytest.mark.slow
 def test_by_rays_the_time_is_about_right():
     scene = load_scene("still_life", parameters={"resolution": "512"})

@@ -111,8 +111,15 @@ def test_film_and_keys(name):
     assert not [key for key in mi.traverse(scene).properties if "object_" in key]
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("name", "variant"),
+    [
+        # The still life is looked at in these variants below.
+        pytest.param(name, variant, marks=[pytest.mark.slow] * (name == "still_life" and "spectral" not in variant))
+        for name in NAMES
+        for variant in ("llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral")
+    ],
+)
 def test_renders_in_every_colour_mode(name, variant):
     mi.set_variant(variant)
     capture = np.array(mi.render(load(name, mla_pitch="0.512", mla_focal_length="4.096"), spp=4, seed=3))

@@ -171,7 +171,7 @@ def test_reverse_is_the_transpose_of_forward():
     nodes = [Node(plan, (0, 1), weights) for plan, weights in zip(plans, generator.normal(size=(2, 2, 2)), strict=True)]
     changes = {"focal_length": np.ones(1), "mla_distance": np.ones(1), "mla_offset": np.array([0.01, -0.02])}
     gradient = generator.normal(size=(32, 32, 2)).astype(np.float32)
-    options = {"parts": 2, "spp": 16, "seed": 5}
+    options = {"parts": 2, "spp": 4, "seed": 5}
 
     def two_values(*ray):
         (value,) = light(*ray)

@@ -95,7 +95,7 @@ def test_enlarged_micro_images_keep_their_light(monkeypatch):
 def smoothed_captures(**parameters):
     """Return captures of a wall by rays and by waves, with what lenses diffract smoothed away."""
     mi.set_variant("llvm_ad_mono")
-    size = {"detector_width": 0.768, "resolution": (128, 128), "lens_model": "parabolic"}
+    size = {"detector_width": 0.576, "resolution": (96, 96), "lens_model": "parabolic"}
     scene = scene_of(PlenopticCamera(**size, **parameters).to_sensor(), wall=facing(240.0, 30.0, **radiating()))
     rays, waves = render_capture(scene, model="ray", spp=256).image, by_waves(scene, spp=192).image
     # The ray capture is brighter by its thin phase elements' second order.
@@ -218,7 +218,7 @@ def test_the_same_seed_gives_the_same_bits_in_parts(tmp_path):
     assert np.array_equal(by_waves(scene, checkpoint=Checkpoint(path)).image, once.image)
 
 
-def test_estimates_take_some_of_the_rays():
+def test_estimates_take_some_of_the_rays(trials_of_a_second):
     cost = estimate_capture(bars_through("directly", lenses=8), model="wave", method="signed_rays")
     assert 0 < cost.seconds < 600
     assert 0 < cost.memory < 2**32

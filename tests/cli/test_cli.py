@@ -178,15 +178,12 @@ def test_interrupt_leaves_nothing(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
-    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "64", "--resume"]
+    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "16", "--resume"]
     words += ["--checkpoint", tmp_path / "kept", "--method", "points"]
-    words += definitions(letters(8))
-    process = start_command(*words)
-    # Batches have begun once there is a checkpoint, which this command writes after each.
-    while process.poll() is None and not (tmp_path / "kept").exists():
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=60)
+    words += definitions(letters(4))
+    # The keys are pressed where the first checkpoint is written, which this command does after the first batch.
+    process = start_command(*words, interrupt_after=1)
+    _, error = process.communicate(timeout=600)
     assert process.returncode == 130, error
     stopping, stopped = error.splitlines()[-2:]
     assert "stopping after the current batch" in stopping

@@ -87,7 +87,7 @@ def by_rays(camera, points):
 
 def test_numbers_are_found_by_rays():
     true = small_camera(4, **HALF)
-    points = scattered(40, distances=(108.0, 114.0), image=0.1)
+    points = scattered(20, distances=(108.0, 114.0), image=0.1)
     image, weights = by_rays(true, points)
     seen = np.random.default_rng(5).poisson(image * PHOTONS) / PHOTONS
     start = true.replace(mla_pitch=0.0646, mla_offset=(0.004, -0.003), focal_length=1.01 * true.focal_length)

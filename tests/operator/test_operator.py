@@ -85,7 +85,7 @@ def test_what_cannot_be_seen_gives_nothing(points):
 
 
 def test_threads_do_not_change_a_bit():
-    positions = np.concatenate([scattered(20), in_every_lens(SMALL, 3, 240.0, per_lens=3)])
+    positions = np.concatenate([scattered(10), in_every_lens(SMALL, 3, 240.0, per_lens=2)])
     weights = np.random.default_rng(2).normal(size=(len(positions), 2))
     operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH)
     images = [operator.forward(weights, job=Job(batch_map=Threads(count))) for count in (1, 2, 3)]
@@ -343,11 +343,23 @@ def test_few_points_are_not_mistaken_for_each_other():
 # -- estimates and refusals --------------------------------------------------------------------------
 
 
+def test_many_cores_are_no_reason_to_refuse(monkeypatch):
+    """Each thread takes memory, of which more than some GiB are refused."""
+    few = CaptureOperator(SMALL, scattered(2), wavelength=WAVELENGTH)
+    alone = few.estimate(Job(batch_map=Threads(2))).memory
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.worker_count", lambda: 256)
+    assert few.estimate().memory == alone
+    many = CaptureOperator(SMALL, scattered(300), wavelength=WAVELENGTH)
+    assert alone < many.estimate().memory < 4 * 2**30
+
+
 @pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 2)])
-def test_the_estimate_is_of_the_right_size(method, count):
-    cost = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method).estimate()
+def test_the_estimate_is_of_the_right_size(method, count, trials_of_a_second):
+    operator = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method)
+    cost = operator.estimate(Job(batch_map=Threads(1)))
     assert cost.points == cost.patterns == count
-    assert 0 < cost.seconds < 60
+    # The trials are of two patches of each size, and of one full field.
+    assert cost.seconds == {"patch": count / 2, "full_field": count}[method]
     assert 0 < cost.memory < 2**32
 
 

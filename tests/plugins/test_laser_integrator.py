@@ -249,7 +249,7 @@ def surface_lamp(lamp, kind):
 
 
 def test_the_scene_with_speckle():
-    size = {"detector_width": 0.128, "resolution": 64, "aperture_radius": 2, "spp": 8}
+    size = {"detector_width": 0.128, "resolution": 64, "aperture_radius": 1, "spp": 8}
 
     def capture(**change):
         scene = load_scene("speckle", variant="llvm_ad_mono", parameters={**size, **change})

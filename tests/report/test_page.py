@@ -12,7 +12,7 @@ from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.paper.reproduction import reproduce
 
 
-def test_names_of_users_are_escaped(quick_waves, tiny, tmp_path):
+def test_names_of_users_are_escaped(quick_waves, coarse_figures, tiny, tmp_path):
     scene = tmp_path / "a<b>&c.xml"
     folder = scene_path("letters").parent
     scene.write_text(scene_path("letters").read_text().replace("meshes/", f"{folder}/meshes/"))

@@ -34,7 +34,7 @@ def files(folder):
     return {path.name: path.read_bytes() for path in (folder / "data").glob("*.exr")}
 
 
-def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, tiny, tmp_path, capsys):
+def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figures, tiny, tmp_path, capsys):
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
     assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err

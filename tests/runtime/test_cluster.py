@@ -9,12 +9,13 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 
 import numpy as np
 import pytest
 from scene_cases import definitions, letters
 from stopped_runs import CheckpointStore, start_command
-from wave_cases import capture, scattered, small_camera
+from wave_cases import HALF, capture, scattered, small_camera
 
 from mitsuba_plenoptic import InputError, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
@@ -26,7 +27,7 @@ from mitsuba_plenoptic.runtime.jobs import Job
 
 pytest.importorskip("distributed")
 
-SMALL = small_camera()
+SMALL = small_camera(4, **HALF)
 WAVE = ["render", "letters", "--model", "wave", "--method", "points"]
 
 
@@ -43,7 +44,7 @@ def tiny_groups(monkeypatch):
 
 
 def radiators(count, seed=0):
-    return scattered(count, distances=(205, 275)), np.random.default_rng(seed).uniform(0, 1, count)
+    return scattered(count, distances=(102, 137), image=0.1), np.random.default_rng(seed).uniform(0, 1, count)
 
 
 @pytest.mark.parametrize(("method", "count"), [pytest.param("patch", 25, marks=pytest.mark.slow), ("full_field", 2)])
@@ -107,7 +108,7 @@ def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
 
 def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):
     """Memory stays flat: batches are made as their turn comes."""
-    positions, weights = radiators(120)
+    positions, weights = radiators(80)
     made, behind = [], []
     call = cluster.__call__
 
@@ -214,6 +215,23 @@ def test_dask_is_left_as_it_was(monkeypatch, address):
     with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
         pass
     assert dask.config.get("scheduler", None) == before
+
+
+def test_a_client_that_never_connected_is_closed_at_once(monkeypatch):
+    """Python would do so anywhere, such as within the start of the next client, which then waits for itself."""
+    package = pytest.importorskip("distributed")
+    clients = []
+
+    class Client(package.Client):
+        def __init__(self, *arguments, **options):
+            clients.append(weakref.ref(self))
+            super().__init__(*arguments, **options)
+
+    monkeypatch.setattr(package, "Client", Client)
+    monkeypatch.setattr(distributed, "_PATIENCE", "1s")
+    with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler="here"):
+        pass
+    assert [client() for client in clients] == [None]
 
 
 def test_rays_need_no_workers(cluster):

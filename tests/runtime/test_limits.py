@@ -15,6 +15,9 @@ from mitsuba_plenoptic.lightfield import FourierRefocuser, LensGrid, depth_map, 
 from mitsuba_plenoptic.runtime import limits
 from mitsuba_plenoptic.runtime.limits import GIB, largest_fitting, memory_limit, require_memory
 
+FAR_LESS_THAN_THE_WORK = 20.0
+"""Seconds of processor time, which other work on the machine does not lengthen; a refusal takes some hundredths."""
+
 
 @pytest.fixture(autouse=True)
 def sixteen_gib(monkeypatch):
@@ -54,12 +57,12 @@ def test_the_largest_that_fits(highest):
 
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
-def test_a_camera_of_200_gib_is_refused_in_under_two_seconds(model, tmp_path, capfd):
+def test_a_camera_of_200_gib_is_refused_before_any_work(model, tmp_path, capfd):
     load_scene("white", parameters={"resolution": "16"})  # what loading compiles is not counted
-    start = time.perf_counter()
+    start = time.process_time()
     output = tmp_path / "raw.exr"
     assert main(["render", "white", "-o", str(output), "--model", model, "-D", "resolution=51800"]) == 2
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < FAR_LESS_THAN_THE_WORK
     said = capfd.readouterr().err
     assert "capture of 51800 x 51800 pixels: it would need 200 GiB of memory, at most 16 GiB are allowed" in said
     # What it says would fit does, and not much more would.
@@ -131,10 +134,10 @@ def light_field(camera):
     ],
 )
 def test_every_kind_of_work_estimates_first(work, words, camera):
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(InputError, match=words):
         work(np.ones((64, 64), np.float32), camera)
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < FAR_LESS_THAN_THE_WORK
 
 
 def test_light_fields_estimate_first(camera, monkeypatch):
