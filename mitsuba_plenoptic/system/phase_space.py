@@ -168,19 +168,21 @@ class PhaseSpace(ArrayKernels):
         """Compute the table that `table` caches."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
+        used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
+        u, v, inside = u[used], v[used], inside[used]
         functions = self.functions
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
         table = []
         for radial, node in enumerate(self.nodes):
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
             to_space, orders, lags = [], [], []
-            for side, count in zip(node.sides, node.counts, strict=True):
+            for side, count, along in zip(node.sides, node.counts, (u[0], v[:, 0]), strict=True):
                 order = np.arange(-((count - 1) // 2), (count - 1) // 2 + 1)
                 place = (np.arange(count) + 0.5) * side / count - side / 2
                 # The gain compensates the damping by linear interpolation.
                 gain = np.sinc(order / count) ** -2 / side
                 to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
-                orders.append(np.exp(-2j * np.pi * np.outer(order, u[0]) / side).astype(np.complex64))
+                orders.append(np.exp(-2j * np.pi * np.outer(order, along) / side).astype(np.complex64))
                 lags.append(np.asarray(order * (reach / side), np.float64))
             spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
             part = np.empty((node.angular + 1, *reversed(node.counts), self.functions.count), np.float32)
