@@ -131,7 +131,7 @@ def find_points(
     system = OpticalSystem.by_design(camera)
     window = LensWindow.of(system)
     _require_memory(count, len(window.index))
-    shifts = np.stack(random_numbers(window.index[:, 0], window.index[:, 1], seed, 4), 1) * (not alike)
+    shifts = np.stack(random_numbers(*window.index.T, seed, 4), 1) * (not alike)
     finder = _Finder(lights, system, window, sample_pairs(count, seed), shifts, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
     seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
