@@ -34,7 +34,6 @@ from ..operator.units import radiance_weight
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
-from ..system.lens_kinds import random_numbers
 from ..system.optical_system import OpticalSystem
 from .entrance import Entrances, LensWindow
 from .scene_light import SceneLight, refuse_negative, world_ray
@@ -112,27 +111,16 @@ def require_matte_surfaces(scene: Any, what: str) -> None:
 
 
 def find_points(
-    lights: Sequence[SceneLight],
-    camera: PlenopticCamera,
-    count: int,
-    *,
-    seed: int,
-    paths: int = PATHS,
-    alike: bool = True,
+    lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
 ) -> ScenePoints:
-    """Find the points where the rays of all lenses first hit a surface, and the weights of their light.
-
-    If lenses are `alike`, their rays have the same points of the lens and of the pupil, so that point spreads can be
-    shared. Otherwise those of each lens are shifted at random (Cranley and Patterson, SIAM J. Numer. Anal. 13, 904
-    (1976)), and the noise of different lenses is independent.
-    """
+    """Find the points where the rays of all lenses first hit a surface, and the weights of their light."""
     camera.require_resolved()
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
     window = LensWindow.of(system)
     _require_memory(count, len(window.index))
-    shifts = np.stack(random_numbers(*window.index.T, seed, 4), 1) * (not alike)
-    finder = _Finder(lights, system, window, sample_pairs(count, seed), shifts, paths)
+    pairs = sample_pairs(count, seed)
+    finder = _Finder(lights, system, window, pairs, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
     seeds = np.random.SeedSequence(seed).generate_state(-(-total // step)).tolist()
     found = [
@@ -173,8 +161,6 @@ class _Finder:
     system: OpticalSystem
     window: LensWindow
     pairs: NDArray[np.float64]
-    # Shifts (lenses, 4) that are added to the pairs, modulo 1.
-    shifts: NDArray[np.float64]
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
@@ -184,7 +170,7 @@ class _Finder:
         hit, and the lenses of all rays that pass the main lens.
         """
         cell, pair = np.divmod(numbers, len(self.pairs))
-        u, v, s, t = ((self.pairs[pair] + self.shifts[cell]) % 1).T
+        u, v, s, t = self.pairs[pair].T
         lens, radius = self.system.lens, self.system.lens.reach
         P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(mi.Float(s), mi.Float(t))) * radius
         i, j = self.window.index[cell].T
@@ -297,7 +283,7 @@ class PointsCapture:
         The result has the shape (rows, columns, channels).
         """
         refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
-        points = find_points(self.lights, self.camera, spp, seed=seed, alike=self.accuracy > 0)
+        points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warnings.warn("plenoptic_wave: no ray from the pupil meets anything that shines", stacklevel=2)
         operator = self._operator(points)
@@ -314,7 +300,7 @@ class PointsCapture:
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate the cost of `compute` without ray tracing, from all points and some of their spreads."""
-        points = find_points(self.lights, self.camera, spp, seed=seed, paths=1, alike=self.accuracy > 0)
+        points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
         return replace(self._operator(points).estimate(job), points=len(points.positions))
 
     def _operator(self, points: ScenePoints) -> CaptureOperator:

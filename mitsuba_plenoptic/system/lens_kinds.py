@@ -54,11 +54,6 @@ def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: 
     return scale * x, scale * y
 
 
-def random_numbers(i: Any, j: Any, seed: int, count: int) -> list[Any]:
-    """Return random numbers between 0 and 1 that depend on the indices of lenses and a seed alone."""
-    return [_uniform(_words(i), _words(j), number, seed) for number in range(count)]
-
-
 def _words(index: Any) -> Any:
     """Return indices as 32-bit integers, modulo 2^32."""
     if not dr.is_array_v(index):

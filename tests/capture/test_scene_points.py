@@ -8,8 +8,6 @@ import pytest
 from wave_cases import error
 
 from mitsuba_plenoptic import InputError, estimate_capture, render_capture
-from mitsuba_plenoptic.capture.scene_light import SceneLight
-from mitsuba_plenoptic.capture.scene_points import find_points
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.lenses.common import main_lens
@@ -59,24 +57,6 @@ def test_surfaces_are_seen_as_by_signed_rays(objects, count, limit):
     points, rays = by_points(scene, count).image, by_signed_rays(scene)
     assert error(points, rays) < limit
     assert points.sum() == pytest.approx(rays.sum(), rel=0.005)
-
-
-def found_points(described, alike):
-    scene = scene_of(described, wall=wall())
-    (found,) = scene.sensors()
-    light = SceneLight(scene, found, mi.load_dict({"type": "path"}))
-    return find_points([light], found.camera, 8, seed=3, paths=1, alike=alike).positions
-
-
-def test_lenses_have_points_of_their_own_unless_they_share_spreads():
-    within = {alike: (found_points(camera(), alike)[:, :2] / (2 * 0.064)) % 1 for alike in (True, False)}
-    assert len(np.unique(within[True].round(3), axis=0)) == 8
-    assert len(np.unique(within[False].round(4), axis=0)) > 0.99 * len(within[False])
-    # A lens of a crop has the points that it has in the whole.
-    cropped = camera()
-    cropped["film"] |= {"crop_offset_x": 16, "crop_offset_y": 16, "crop_width": 32, "crop_height": 16}
-    whole, part = (set(map(tuple, found_points(each, False).round(5))) for each in (camera(), cropped))
-    assert part and part < whole
 
 
 def test_the_light_of_a_small_lamp_is_that_of_its_area():
