@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours
+from ..design import SECTORS, cosine_limits, crosstalk_neighbours
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens, Pair, Traced
 from ..lenses.common import main_lens
@@ -25,6 +25,12 @@ from ..system.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
 
 _STEP = 1.0
 """Step in nanometres of the wavelengths between which refractive indices are interpolated linearly, right to 1e-7."""
+
+_FIELD_STEPS = 8
+"""Steps of the distance from the axis in which the reach of light behind parabolic lenses is tabulated."""
+
+_MOST_CHECKED = 64
+"""Largest number of lenses of which those that can light a point are counted for each ray."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +136,60 @@ class Passage(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Candidates:
+    """The lenses around the chief ray's from which those of rays are drawn, evenly."""
+
+    # Steps in the lattice's indices, as two arrays; the first is the chief ray's own lens.
+    steps: list[Any]
+    # Distances from the chief ray's point within which the centres of lenses are tried, as of `cosine_limits`, by steps
+    # of the distance from the axis, and the width of a step; None where all lenses are tried.
+    limits: Any = None
+    step: Any = 1.0
+
+    def tried(self, lattice: Lattice, chief: Pair, i: Any, j: Any) -> Any:
+        """Return whether lenses are near enough to the points of chief rays."""
+        if self.limits is None:
+            return mi.Bool(True)
+        x, y = (c - m for c, m in zip(lattice.centre(i, j), chief, strict=True))
+        across, along = x * chief[1] - y * chief[0], x * chief[0] + y * chief[1]
+        sector = dr.floor(abs(dr.atan2(across, along)) * (SECTORS / math.pi))
+        row = dr.floor(dr.minimum(dr.hypot(*chief) / self.step, dr.width(self.limits) // SECTORS - 1))
+        position = mi.UInt32(row * SECTORS + dr.minimum(sector, SECTORS - 1))
+        return dr.hypot(x, y) <= dr.gather(mi.Float, self.limits, position)
+
+    def draw(self, lattice: Lattice, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
+        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
+        (i, j), count = cell, dr.width(self.steps[0])
+        within = mi.Float(sample)
+        if count == 1:
+            return cell, within, mi.UInt32(0), mi.Float(1)
+
+        def nth(number: Any) -> Pair:
+            steps = [dr.gather(mi.Float, step, number) for step in self.steps]
+            return i + steps[0], j + steps[1]
+
+        tried, open_ = mi.Float(count), []
+        if self.limits is not None:
+            # Their own lens is always tried, so that the number is never 0.
+            open_ = [(number == 0) | self.tried(lattice, chief, *nth(mi.UInt32(number))) for number in range(count)]
+            tried = sum((dr.select(each, 1, 0) for each in open_), mi.Float(0))
+        scaled = within * tried
+        whole = dr.minimum(dr.floor(scaled), tried - 1)
+        choice, passed = mi.UInt32(whole), mi.Float(0)
+        for number, each in enumerate(open_):
+            choice = dr.select(each & (passed == whole), number, choice)
+            passed += dr.select(each, 1, 0)
+        return nth(choice), scaled - whole, choice, tried
+
+
+def _opaque(steps: np.ndarray, limits: np.ndarray | None = None, step: float = 1.0) -> Candidates:
+    """Return candidates whose numbers are not compiled into kernels."""
+    numbers = [mi.Float(values) for values in (*steps.T, step, 0.0 if limits is None else limits)]
+    dr.make_opaque(numbers)
+    return Candidates(numbers[:2], None if limits is None else numbers[3], numbers[2])
+
+
+@dataclass(frozen=True)
 class CameraRays:
     """The geometry of a camera for ray tracing; parameters that may carry gradients are Dr.Jit arrays."""
 
@@ -169,35 +229,44 @@ class CameraRays:
             Dispersion.of(camera),
         )
 
-    def neighbours(self, beyond: float = 0.0) -> np.ndarray:
-        """Return the lenses around the chief ray's from which rays are drawn, at the wavelength that needs most."""
+    def candidates(self, beyond: float = 0.0) -> Candidates:
+        """Return the lenses from which those of rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
         # Irregularities displace lenses by at most this distance.
         beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
-        return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
+        steps = max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
+        if camera.lens_model == "ideal" and camera.mla_shape is None:
+            return _opaque(steps)
+        corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
+        radius = float(main_lens(camera).chief_point(corner + camera.pixel_size, camera.reduced_distance))
+        radii = np.linspace(0, radius, _FIELD_STEPS + 1)
+        limits = beyond + np.max([cosine_limits(each, radii) for each in seen], axis=0)
+        # A step has the limits of both of its ends.
+        limits = np.maximum(limits[:-1], limits[1:])
+        steps = max(steps, camera.lattice.neighbours(limits.max()), key=len)
+        return _opaque(steps, limits.ravel() if 1 < len(steps) <= _MOST_CHECKED else None, radius / _FIELD_STEPS)
 
-    def pass_array(self, pixel: Pair, lens_sample: Any, candidates: list[Any]) -> tuple[Passage, Any]:
-        """Choose the points of the array through which rays from detector points pass.
-
-        `pixel` is the detector point, a pair of Dr.Jit arrays.
-        """
-        lattice = self.lattice
-        b, z = self.lens.pupil_distance, self.detector_distance / self.camera.mla_medium
+    def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
+        """Return where the chief rays of detector points cross the array, as on a regular one, and the cells there."""
+        z = self.detector_distance / self.camera.mla_medium
         x, y = (self.lens.chief_point(p, z) for p in pixel)
         if any(self.camera.mla_tilt):
-            nearer = 1 - self._height(x, y) / b
+            nearer = 1 - self._height(x, y) / self.lens.pupil_distance
             x, y = x * nearer, y * nearer
         right, up = chief_ray_shift(self.camera, x, y, z)
-        i, j = lattice.cell(x - right, y - up)
-        within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
-        count = dr.width(candidates[0])
-        if count > 1:
-            scaled = within * count
-            whole = dr.minimum(dr.floor(scaled), count - 1)
-            within, candidate = scaled - whole, mi.UInt32(whole)
-            steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
-            i, j = (index + step for index, step in zip((i, j), steps, strict=True))
+        x, y = x - right, y - up
+        return (x, y), self.lattice.cell(x, y)
+
+    def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
+        """Choose the points of the array through which rays from detector points pass.
+
+        `pixel` is the detector point, a pair of Dr.Jit arrays. Return also the number of the candidate, and that of the
+        lenses from which it was drawn.
+        """
+        lattice = self.lattice
+        chief, cell = self.chief_cell(pixel)
+        (i, j), within, candidate, tried = candidates.draw(lattice, chief, cell, lens_sample[0])
         cx, cy = self._centre(i, j)
         dx, dy = lattice.aperture_point(within, lens_sample[1])
         f2 = self.focal_lengths / self.camera.mla_medium
@@ -206,7 +275,7 @@ class CameraRays:
         if any(self.camera.mla_jitter):
             right, up, longer = irregularities(self.camera, i, j)
             cx, cy, f2 = cx + right, cy + up, f2 * longer
-        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate
+        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
 
     def _centre(self, i: Any, j: Any) -> Pair:
         """Return the centres of lenses of a regular array, or of one that is aligned to chief rays."""
