@@ -26,8 +26,6 @@ from .focus import (
     virtual_depth,
 )
 from .micro_images import (
-    SECTORS,
-    cosine_limits,
     crosstalk_lenses,
     crosstalk_neighbours,
     direction_count,
@@ -43,11 +41,9 @@ from .microscope import depth_of_field, lens_aperture, lenses_across_stop, nativ
 from .warnings import design_warnings
 
 __all__ = [
-    "SECTORS",
     "EffectiveResolution",
     "ResolutionLimit",
     "best_distances",
-    "cosine_limits",
     "crosstalk_lenses",
     "crosstalk_neighbours",
     "depth_of_field",

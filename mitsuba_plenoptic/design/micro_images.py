@@ -134,6 +134,24 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
     return camera.lattice.neighbours(reach, smear)
 
 
+def crosstalk_reach(camera: PlenopticCamera) -> float:
+    """Return the greatest distance of the centres of lenses that can light a pixel from the point of its chief ray."""
+    _, reach, smear = _crosstalk(camera)
+    return float(reach + smear * camera.lattice.aperture_reach)
+
+
+def crosstalk_defocus(camera: PlenopticCamera) -> float:
+    """Return how much this distance changes per relative change of a lens's power."""
+    growth = camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
+    across = camera.lattice.aperture_reach * camera.pupil_distance
+    return float(across / min(camera.reduced_focal_lengths) / growth)
+
+
+def turns_cosines(camera: PlenopticCamera) -> bool:
+    """Return whether the microlenses turn direction cosines of rays, not slopes."""
+    return camera.lens_model != "ideal" or camera.mla_shape is not None
+
+
 def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
     """Return how far lenses that turn direction cosines can be from the chief ray's point and still light a pixel.
 

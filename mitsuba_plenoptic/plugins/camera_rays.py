@@ -12,7 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import SECTORS, cosine_limits, crosstalk_neighbours
+from ..design.micro_images import (
+    SECTORS,
+    cosine_limits,
+    crosstalk_defocus,
+    crosstalk_neighbours,
+    crosstalk_reach,
+    turns_cosines,
+)
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens, Pair, Traced
 from ..lenses.common import main_lens
@@ -145,48 +152,18 @@ class Candidates:
     # of the distance from the axis, and the width of a step; None where all lenses are tried.
     limits: Any = None
     step: Any = 1.0
+    # Change of the limits per relative change of a lens's focal length.
+    defocus: Any = 0.0
 
-    def tried(self, lattice: Lattice, chief: Pair, i: Any, j: Any) -> Any:
-        """Return whether lenses are near enough to the points of chief rays."""
-        if self.limits is None:
-            return mi.Bool(True)
-        x, y = (c - m for c, m in zip(lattice.centre(i, j), chief, strict=True))
-        across, along = x * chief[1] - y * chief[0], x * chief[0] + y * chief[1]
-        sector = dr.floor(abs(dr.atan2(across, along)) * (SECTORS / math.pi))
+    def limit(self, chief: Pair, towards: Pair) -> Any:
+        """Return the distance within which centres are tried, by their direction from the chief ray's points."""
+        across, along = (
+            towards[0] * chief[1] - towards[1] * chief[0],
+            towards[0] * chief[0] + towards[1] * chief[1],
+        )
+        sector = dr.minimum(dr.floor(abs(dr.atan2(across, along)) * (SECTORS / math.pi)), SECTORS - 1)
         row = dr.floor(dr.minimum(dr.hypot(*chief) / self.step, dr.width(self.limits) // SECTORS - 1))
-        position = mi.UInt32(row * SECTORS + dr.minimum(sector, SECTORS - 1))
-        return dr.hypot(x, y) <= dr.gather(mi.Float, self.limits, position)
-
-    def draw(self, lattice: Lattice, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
-        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
-        (i, j), count = cell, dr.width(self.steps[0])
-        within = mi.Float(sample)
-        if count == 1:
-            return cell, within, mi.UInt32(0), mi.Float(1)
-
-        def nth(number: Any) -> Pair:
-            steps = [dr.gather(mi.Float, step, number) for step in self.steps]
-            return i + steps[0], j + steps[1]
-
-        tried, open_ = mi.Float(count), []
-        if self.limits is not None:
-            # Their own lens is always tried, so that the number is never 0.
-            open_ = [(number == 0) | self.tried(lattice, chief, *nth(mi.UInt32(number))) for number in range(count)]
-            tried = sum((dr.select(each, 1, 0) for each in open_), mi.Float(0))
-        scaled = within * tried
-        whole = dr.minimum(dr.floor(scaled), tried - 1)
-        choice, passed = mi.UInt32(whole), mi.Float(0)
-        for number, each in enumerate(open_):
-            choice = dr.select(each & (passed == whole), number, choice)
-            passed += dr.select(each, 1, 0)
-        return nth(choice), scaled - whole, choice, tried
-
-
-def _opaque(steps: np.ndarray, limits: np.ndarray | None = None, step: float = 1.0) -> Candidates:
-    """Return candidates whose numbers are not compiled into kernels."""
-    numbers = [mi.Float(values) for values in (*steps.T, step, 0.0 if limits is None else limits)]
-    dr.make_opaque(numbers)
-    return Candidates(numbers[:2], None if limits is None else numbers[3], numbers[2])
+        return dr.gather(mi.Float, self.limits, mi.UInt32(row * SECTORS + sector))
 
 
 @dataclass(frozen=True)
@@ -233,19 +210,62 @@ class CameraRays:
         """Return the lenses from which those of rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
-        # Irregularities displace lenses by at most this distance.
-        beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
+        place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
+        defocus = max(crosstalk_defocus(each) for each in seen)
+        # Irregularities displace lenses, and move their light, by at most this distance.
+        beyond += math.hypot(place, place) + focal * defocus
         steps = max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
-        if camera.lens_model == "ideal" and camera.mla_shape is None:
-            return _opaque(steps)
-        corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
-        radius = float(main_lens(camera).chief_point(corner + camera.pixel_size, camera.reduced_distance))
-        radii = np.linspace(0, radius, _FIELD_STEPS + 1)
-        limits = beyond + np.max([cosine_limits(each, radii) for each in seen], axis=0)
-        # A step has the limits of both of its ends.
-        limits = np.maximum(limits[:-1], limits[1:])
-        steps = max(steps, camera.lattice.neighbours(limits.max()), key=len)
-        return _opaque(steps, limits.ravel() if 1 < len(steps) <= _MOST_CHECKED else None, radius / _FIELD_STEPS)
+        limits, step = np.full(SECTORS, max(crosstalk_reach(each) for each in seen)), 1.0
+        if turns_cosines(camera):
+            corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
+            radius = float(main_lens(camera).chief_point(corner + camera.pixel_size, camera.reduced_distance))
+            radii, step = np.linspace(0, radius, _FIELD_STEPS + 1), radius / _FIELD_STEPS
+            limits = np.max([cosine_limits(each, radii) for each in seen], axis=0)
+            # A step has the limits of both of its ends.
+            limits = np.maximum(limits[:-1], limits[1:])
+            steps = max(steps, camera.lattice.neighbours(limits.max() + beyond), key=len)
+        numbers = [mi.Float(values) for values in (*steps.T, limits.ravel(), step, defocus)]
+        dr.make_opaque(numbers)
+        # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
+        return Candidates(numbers[:2], *(numbers[2:] if 1 < len(steps) <= _MOST_CHECKED else ()))
+
+    def tried(self, candidates: Candidates, chief: Pair, i: Any, j: Any) -> Any:
+        """Return whether lenses are near enough to the points of chief rays."""
+        if candidates.limits is None:
+            return mi.Bool(True)
+        x, y = self.lattice.centre(i, j)
+        right, up, longer = 0.0, 0.0, 1.0
+        if any(self.camera.mla_jitter):
+            right, up, longer = irregularities(self.camera, i, j)
+        towards = x + right - chief[0], y + up - chief[1]
+        limit = candidates.limit(chief, towards)
+        if self.camera.mla_jitter[1]:
+            limit += abs(1 - 1 / longer) * candidates.defocus
+        return dr.hypot(*towards) <= limit
+
+    def _draw(self, candidates: Candidates, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
+        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
+        (i, j), count, within = cell, dr.width(candidates.steps[0]), mi.Float(sample)
+        if count == 1:
+            return cell, within, mi.UInt32(0), mi.Float(1)
+
+        def nth(number: Any) -> Pair:
+            right, up = (dr.gather(mi.Float, step, number) for step in candidates.steps)
+            return i + right, j + up
+
+        tried, near = mi.Float(count), []
+        if candidates.limits is not None:
+            # Their own lens is always tried, so that the number is never 0.
+            near = [mi.Bool(True)]
+            near += [self.tried(candidates, chief, *nth(mi.UInt32(number))) for number in range(1, count)]
+            tried = sum((dr.select(each, 1, 0) for each in near), mi.Float(0))
+        scaled = within * tried
+        whole = dr.minimum(dr.floor(scaled), tried - 1)
+        choice, passed = mi.UInt32(whole), mi.Float(0)
+        for number, each in enumerate(near):
+            choice = dr.select(each & (passed == whole), number, choice)
+            passed += dr.select(each, 1, 0)
+        return nth(choice), scaled - whole, choice, tried
 
     def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
         """Return where the chief rays of detector points cross the array, as on a regular one, and the cells there."""
@@ -266,7 +286,7 @@ class CameraRays:
         """
         lattice = self.lattice
         chief, cell = self.chief_cell(pixel)
-        (i, j), within, candidate, tried = candidates.draw(lattice, chief, cell, lens_sample[0])
+        (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
         cx, cy = self._centre(i, j)
         dx, dy = lattice.aperture_point(within, lens_sample[1])
         f2 = self.focal_lengths / self.camera.mla_medium

@@ -203,7 +203,7 @@ def make_class() -> type:
             lens = (
                 index + dr.gather(mi.Float, step, candidate) for index, step in zip(cell, around.steps, strict=True)
             )
-            missed = dr.gather(mi.Bool, beyond, candidate) | ~self._candidates.tried(self._rays.lattice, chief, *lens)
+            missed = dr.gather(mi.Bool, beyond, candidate) | ~self._rays.tried(self._candidates, chief, *lens)
             return int(dr.count(open_ & missed)[0]) / max(1, int(dr.count(open_)[0]))
 
         def chief_ray(self, film_sample: Any) -> tuple[Any, Any]:
