@@ -227,7 +227,9 @@ class CameraRays:
         numbers = [mi.Float(values) for values in (*steps.T, limits.ravel(), step, defocus)]
         dr.make_opaque(numbers)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
-        return Candidates(numbers[:2], *(numbers[2:] if 1 < len(steps) <= _MOST_CHECKED else ()))
+        # Lenses aligned to chief rays lie too far from regular positions for this.
+        checks = 1 < len(steps) <= _MOST_CHECKED and not camera.mla_cra
+        return Candidates(numbers[:2], *(numbers[2:] if checks else ()))
 
     def tried(self, candidates: Candidates, chief: Pair, i: Any, j: Any) -> Any:
         """Return whether lenses are near enough to the points of chief rays."""
