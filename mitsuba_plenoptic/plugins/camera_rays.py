@@ -227,15 +227,14 @@ class CameraRays:
         numbers = [mi.Float(values) for values in (*steps.T, limits.ravel(), step, defocus)]
         dr.make_opaque(numbers)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
-        # Lenses aligned to chief rays lie too far from regular positions for this.
-        checks = 1 < len(steps) <= _MOST_CHECKED and not camera.mla_cra
+        checks = 1 < len(steps) <= _MOST_CHECKED
         return Candidates(numbers[:2], *(numbers[2:] if checks else ()))
 
     def tried(self, candidates: Candidates, chief: Pair, i: Any, j: Any) -> Any:
         """Return whether lenses are near enough to the points of chief rays."""
         if candidates.limits is None:
             return mi.Bool(True)
-        x, y = self.lattice.centre(i, j)
+        x, y = self._centre(i, j)
         right, up, longer = 0.0, 0.0, 1.0
         if any(self.camera.mla_jitter):
             right, up, longer = irregularities(self.camera, i, j)
@@ -270,15 +269,14 @@ class CameraRays:
         return nth(choice), scaled - whole, choice, tried
 
     def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
-        """Return where the chief rays of detector points cross the array, as on a regular one, and the cells there."""
+        """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
         z = self.detector_distance / self.camera.mla_medium
         x, y = (self.lens.chief_point(p, z) for p in pixel)
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / self.lens.pupil_distance
             x, y = x * nearer, y * nearer
         right, up = chief_ray_shift(self.camera, x, y, z)
-        x, y = x - right, y - up
-        return (x, y), self.lattice.cell(x, y)
+        return (x, y), self.lattice.cell(x - right, y - up)
 
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
         """Choose the points of the array through which rays from detector points pass.
