@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -13,6 +14,17 @@ from ..optics.waves import in_millimetres
 
 MOST_OVERLAP = 100_000
 """Lenses that may light one pixel."""
+
+SECTORS = 12
+"""Directions in which the reach of light behind lenses that turn direction cosines is stated."""
+
+_LENS_POINTS = 9
+"""Points across a lens, and below, angles around the pupil and the field, from which this reach is computed."""
+
+_ANGLES = 16
+
+_BETWEEN = 1.03
+"""Factor on it for points between the samples."""
 
 
 def image_f_number(camera: PlenopticCamera) -> float:
@@ -120,6 +132,73 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
         f"{MOST_OVERLAP} are followed",
     )
     return camera.lattice.neighbours(reach, smear)
+
+
+def crosstalk_reach(camera: PlenopticCamera) -> float:
+    """Return the greatest distance of the centres of lenses that can light a pixel from the point of its chief ray."""
+    _, reach, smear = _crosstalk(camera)
+    return float(reach + smear * camera.lattice.aperture_reach)
+
+
+def crosstalk_defocus(camera: PlenopticCamera) -> float:
+    """Return how much this distance changes per relative change of a lens's power."""
+    growth = camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
+    across = camera.lattice.aperture_reach * camera.pupil_distance
+    return float(across / min(camera.reduced_focal_lengths) / growth)
+
+
+def turns_cosines(camera: PlenopticCamera) -> bool:
+    """Return whether the microlenses turn direction cosines of rays, not slopes."""
+    return camera.lens_model != "ideal" or camera.mla_shape is not None
+
+
+def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
+    """Return how far lenses that turn direction cosines can be from the chief ray's point and still light a pixel.
+
+    `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
+    rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens
+    from the chief ray's point, among rays from the rim of the pupil.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    radii : (n,) array
+        Distances of the lens from the axis.
+
+    Returns
+    -------
+    (n, SECTORS) array
+        By the angle, from 0 to 180 degrees, between the directions towards the lens and away from the axis.
+    """
+    lens, z, n = main_lens(camera), camera.reduced_distance, camera.mla_medium
+    s, t = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, _LENS_POINTS)] * 2))
+    offset = np.stack(camera.lattice.aperture_point(s, t))[:, :, None, None]
+    angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
+    around = np.stack([np.cos(angle), np.sin(angle)])
+    pupil = lens.reach * around[:, None, :, None]
+    # Cells and the pupil look alike from opposite sides of the field.
+    away = around[:, None, None, : _ANGLES // 2]
+    found = np.zeros((len(radii), SECTORS))
+    for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
+        slope = lens.slope_to(pupil, radius * away + offset)
+        cosine = slope / np.sqrt(1 + (slope**2).sum(0))
+        turn = offset / f2
+        if camera.mla_shape is not None:
+            slopes = camera.mla_shape.slopes(*camera.lattice.to_frame(*offset))
+            turn = -np.stack(camera.lattice.from_frame(*slopes))
+        behind = (cosine + turn) / n
+        square = (behind**2).sum(0)
+        # The rest is reflected totally.
+        passes = square < 1
+        position = radius * away + offset - z * n * behind / np.sqrt(np.where(passes, 1 - square, 1))
+        towards = radius * away - lens.chief_point(position, z)
+        distance = np.hypot(*towards) * passes
+        sector = np.arccos(np.clip((towards * away).sum(0) / np.maximum(distance, 1e-12), -1, 1)) * (SECTORS / np.pi)
+        np.maximum.at(found[row], np.minimum(sector.astype(int), SECTORS - 1), distance)
+    # Points between the samples reach into neighbouring sectors, and a little farther.
+    padded = np.pad(found, [(0, 0), (1, 1)], mode="edge")
+    return _BETWEEN * np.max([padded[:, i : i + SECTORS] for i in range(3)], axis=0)
 
 
 def crosstalk_lenses(camera: PlenopticCamera) -> int:

@@ -37,6 +37,15 @@ _COARSE = 64
 _WIDER = 3.0
 """Width of the square of these rays over that of the recorded lenses."""
 
+_SEARCH = 2**16
+"""Number of rays from each laser, and of rays through the whole pupil, that find surfaces beside the chief rays."""
+
+_ACROSS = 4
+"""Chief rays along each axis through a shape that is at most as many times as large as their distance."""
+
+_DEPTHS = 9
+"""Distances at which the blur is computed."""
+
 _RIM = 12
 """Points on the edge of the pupil that must see the lit points."""
 
@@ -76,13 +85,19 @@ class LaserScene:
         middle, half = (window.low + window.high) / 2, (window.high - window.low) / 2
         coarse = np.stack(np.meshgrid(*[(np.arange(_COARSE) + 0.5) * 2 / _COARSE - 1] * 2), -1).reshape(-1, 2)
         wide = middle + coarse * half * _WIDER
-        found, _, _ = self._lit(wide, seed)
+        search = np.random.default_rng([seed, 1])
+        # What is small, or so far out of focus that only its blur reaches the detector, may be beside these rays.
+        towards = np.concatenate([wide, self._laser_images(search), self._pupil_images(middle, half, search)])
+        found, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
         if not len(found):
-            # What is lit may be smaller than the distance of these rays.
             found = self._seen(wide)
         if not len(found):
             return LitPoints(np.empty((0, 3)), np.empty(0))
-        half = half + self._blur(found)
+        blur = self._blur(found)
+        reaches = (np.abs(lens.images(found) - middle) <= half + blur[:, None]).all(1)
+        if not reaches.any():
+            return LitPoints(np.empty((0, 3)), np.empty(0))
+        half = half + blur[reaches].max()
         spot = in_millimetres(self.system.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
         count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
         total = math.prod(count.tolist())
@@ -124,30 +139,71 @@ class LaserScene:
         hit = self._hit(place)
         return self._in_camera(hit)[hit.is_valid().numpy()]
 
-    def _hit(self, place: NDArray[np.float64]) -> Any:
-        """Return Mitsuba's intersections of chief rays."""
+    def _hit(self, place: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
+        """Return Mitsuba's intersections of chief rays, or of rays through points (2, n) of the pupil."""
         q = tuple(mi.Float(np.ascontiguousarray(place[:, axis], np.float32)) for axis in (0, 1))
         zero = dr.zeros(mi.Float, len(place))
-        point, slope, _ = self.system.lens.ray((zero, zero), q)
+        through = (zero, zero) if pupil is None else tuple(mi.Float(axis) for axis in pupil.astype(np.float32))
+        point, slope, _ = self.system.lens.ray(through, q)
         return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
 
     def _in_camera(self, hit: Any) -> NDArray[np.float64]:
         """Return the positions (n, 3) of intersections in the camera frame."""
         return np.asarray((self.sensor.world_transform().inverse() @ hit.p).numpy().T, np.float64)
 
-    def _blur(self, points: NDArray[np.float64]) -> float:
+    def _images(self, hit: Any) -> NDArray[np.float64]:
+        """Return the positions (n, 2) on the array of the chief rays of intersections before the main lens."""
+        positions = self._in_camera(hit)[hit.is_valid().numpy()]
+        return self.system.lens.images(positions[positions[:, 2] > 0])
+
+    def _laser_images(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the chief rays of points that rays from the lasers meet."""
+        parts = []
+        for laser in self.lasers:
+            a, b, c, d = (mi.Float(numbers) for numbers in rng.random((4, _SEARCH)).astype(np.float32))
+            ray, _ = laser.sample_ray(self.sensor.shutter_open(), mi.Float(0.5), mi.Point2f(a, b), mi.Point2f(c, d))
+            parts.append(self._images(self.scene.ray_intersect(mi.Ray3f(ray))))
+        return np.concatenate(parts)
+
+    def _pupil_images(
+        self, middle: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return the chief rays of points that rays from the recorded lenses through the whole pupil meet."""
+        position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
+        radius, angle = self.system.lens.reach * np.sqrt(rng.random(_SEARCH)), 2 * math.pi * rng.random(_SEARCH)
+        return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
+
+    def _small_shapes(self, step: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return chief rays through the images of shapes of a few `step`, for each shape."""
+        to_camera, found = self.sensor.world_transform().inverse(), []
+        grid = np.stack(np.meshgrid(*[(np.arange(_ACROSS) + 0.5) / _ACROSS] * 2), -1).reshape(-1, 2)
+        for shape in self.scene.shapes():
+            box = shape.bbox()
+            world = mi.Point3f(*np.array([box.corner(corner) for corner in range(8)], np.float32).T)
+            corners = (to_camera @ world).numpy().T.astype(float)
+            if corners[:, 2].min() > 0:
+                images = self.system.lens.images(corners)
+                low, high = images.min(0), images.max(0)
+                if (high - low < _ACROSS * step).all():
+                    found.append(low + (high - low) * grid)
+        return found
+
+    def _blur(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far from their chief rays the rays of points (n, 3) arrive on the array, by focus and wavefront.
 
-        The displacement is linear in the inverse distance, so that the nearest and the farthest point have the largest.
+        The displacement is linear in the inverse distance, so that its greatest length is below straight lines between
+        the lengths at some distances.
         """
         # A thin lens: `require_coherent` refuses others.
         lens: Any = self.system.lens
         radius = lens.pupil_radius * (np.arange(_RINGS) + 1) / _RINGS
         angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
         pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
-        near, far = (tuple(points[index, :, None]) for index in (points[:, 2].argmin(), points[:, 2].argmax()))
-        moved = [np.subtract(lens.land(pupil, point), lens.land((0.0, 0.0), point)) for point in (near, far)]
-        return float(max(np.hypot(x, y).max() for x, y in moved))
+        inverse = 1 / points[:, 2]
+        steps = np.linspace(inverse.min(), inverse.max(), _DEPTHS)
+        axial = ((0.0, 0.0, 1 / step) for step in steps)
+        moved = (np.array(lens.land(pupil, point)).T - lens.land((0.0, 0.0), point) for point in axial)
+        return np.interp(inverse, steps, [np.hypot(*each.T).max() for each in moved])
 
     def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
         """Return the squared modulus of the sum of the lasers' fields, each with the phase of its path."""
@@ -157,10 +213,18 @@ class LaserScene:
         for laser in self.lasers:
             sample, arriving = laser.sample_direction(hit, sampler.next_2d(), hit.is_valid())
             active = hit.is_valid() & (sample.pdf > 0) & ~self.scene.ray_test(hit.spawn_ray_to(sample.p))
+            refuse_if(
+                dr.any(mi.unpolarized_spectrum(arriving)[0] < 0),
+                f"lasers = {laser.id()}: its light is negative; intensities and irradiances must be at least 0",
+            )
             reflected = bsdf.eval(context, hit, hit.to_local(sample.d), active) * arriving
             light = dr.select(active, mi.unpolarized_spectrum(reflected)[0], 0).numpy().astype(np.float64)
             refuse_if(not np.isfinite(light).all(), "scene: the laser light of some points is NaN or infinite")
-            total += np.sqrt(np.maximum(light, 0)) * np.exp(2j * math.pi * self._path(laser, sample, place))
+            refuse_if(
+                light.min(initial=0) < 0,
+                f"lasers = {laser.id()}: a surface that it lights has a negative reflectance; it must be at least 0",
+            )
+            total += np.sqrt(light) * np.exp(2j * math.pi * self._path(laser, sample, place))
         return np.asarray(np.abs(total) ** 2)
 
     def _path(self, laser: Any, sample: Any, place: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,8 +20,8 @@ from ..lattice import turn
 from ..lenses.base import Light, MainLens
 from ..lenses.lens_changes import VaryingLens, VaryingLight
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime.backend import array_module
-from ..runtime.fft import fast_length, split
+from ..runtime.backend import array_module, is_zero
+from ..runtime.fft import aligned, fast_length, split
 from ..system.microlens_orders import ArrayFactor, VaryingArrayFactor
 from .grid import Grid, Placement
 from .pupil_weights import PupilWeights
@@ -86,8 +86,7 @@ class PatchFactors:
         self._amplitudes, self._weights = amplitudes, fields.pupil_weights
         self._types = types or array_module()
         grid, placement = fields.grid, fields.placement
-        own = Elements(lambda: grid.lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
-        self._elements_of = functools.cache(elements or (lambda lanes: own))
+        self._elements_of = functools.cache(elements or (lambda lanes: self._own))
         self.samples = int(placement.samples[0])
         finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
         half = 2 * grid.cosine / finest
@@ -103,6 +102,13 @@ class PatchFactors:
         columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
         on_array = [(count, *[self.mla_samples] * len(axes)) for axes in self.axes]
         self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
+
+    @functools.cached_property
+    def _own(self) -> Elements:
+        """The elements of the grid's camera."""
+        grid = self._grid
+        lens = functools.cache(lambda: grid.lens.opaque(self._constant))
+        return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
 
     def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
         """Return one point's part of each factor, or of data of the same layout; None where there is none."""
@@ -142,7 +148,7 @@ class PatchFactors:
     def _each(self, values: Any, patch: Any) -> Any:
         """Return for each lane the value of its patch's point."""
         if isinstance(values, np.ndarray):
-            values = self._types.Float64(np.ascontiguousarray(values, np.float64))
+            values = self._types.Float64(aligned(np.asarray(values, np.float64)))
         return dr.gather(self._types.Float64, values, patch)
 
     def _pupil(self, elements: Elements) -> tuple[Any, Any]:
@@ -206,14 +212,15 @@ class PatchFactors:
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
         """Transform a vector from the frame of the lattice to that of the camera."""
-        return turn(x, y, self._grid.rotation + elements.turned)
+        angle = self._grid.rotation + elements.turned
+        return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))
 
     def _scale(self, elements: Elements, power: Any) -> Any:
         """Return the factor on each field that makes its intensity a density of the fraction of the power."""
         lit = power > 0
         steps = self._constant(math.prod(self._steps))
         lam = self._constant(in_millimetres(elements.wavelength))
-        scale = self._types.Float64(self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
+        scale = self._types.Float64(aligned(self._amplitudes)) * steps / dr.sqrt(dr.select(lit, power, 1))
         return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
     def _position(self, patch: Any, sample: Any, axis: int) -> Any:
@@ -267,4 +274,5 @@ class PatchFactors:
         )
         # In the medium both direction cosines and wavelength are smaller by its index.
         medium = self._constant(self._grid.camera.mla_medium)
-        return transfer(sx / medium, sy / medium, elements.detector_distance, elements.wavelength / medium)
+        distance = self._constant(elements.detector_distance)
+        return transfer(sx / medium, sy / medium, distance, elements.wavelength / medium)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..lattice import turn
 from ..runtime.backend import Backend, backend_of
-from ..runtime.fft import split
+from ..runtime.fft import aligned, split
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -229,7 +229,7 @@ class TurnedSamples:
         types = libraries.types
         sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
         for lines, active, across, visit in self._visited(libraries):
-            given = types.Float(samples[lines].reshape(-1))
+            given = types.Float(aligned(samples[lines].reshape(-1)))
 
             def spread(
                 row: Any, weight: Any, total: Any, active: Any = active, across: Any = across, given: Any = given
@@ -252,24 +252,25 @@ class TurnedSamples:
         rows, columns = self._samples
         height, width = self._shape
         together = max(1, _BLOCK // width)
+        # Opaque, so that other cameras do not compile kernels of their own.
+        step, degrees = (dr.opaque(types.Float64, float(number)) for number in (self._new_pitch, -self._degrees))
+        ends = [dr.opaque(types.Float64, float(HALF_WIDTH + size)) for size in (columns, rows)]
         for top in range(0, height, together):
             lines = slice(top, min(height, top + together))
             count = (lines.stop - top) * width
             _, row, column = split(types, dr.arange(types.UInt32, count), lines.stop - top, width)
-            x = types.Float64(column) * self._new_pitch + dr.opaque(types.Float64, self._new_origin[0])
-            y = types.Float64(row) * self._new_pitch + dr.opaque(
-                types.Float64, self._new_origin[1] + top * self._new_pitch
-            )
+            x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
+            y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
             first, entry = [], []
             active = dr.full(types.Bool, True, count)
-            for axis, (position, size) in enumerate(zip(turn(x, y, -self._degrees), (columns, rows), strict=True)):
+            for axis, (position, end) in enumerate(zip(turn(x, y, degrees), ends, strict=True)):
                 position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
                     types.Float64, 1 / self._pitch[axis]
                 ) + HALF_WIDTH
                 below = dr.floor(position)
-                active &= (below >= HALF_WIDTH - 1) & (below < HALF_WIDTH + size)
+                active &= (below >= HALF_WIDTH - 1) & (below < end)
                 entry.append(types.UInt32(dr.clip((position - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
-                first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, size + HALF_WIDTH - 1)) - (HALF_WIDTH - 1))
+                first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, end - 1)) - (HALF_WIDTH - 1))
             across = [dr.gather(types.Float, table, entry[0] + k) for k in range(_TAPS)]
             start = first[1] * dr.opaque(types.UInt32, self._padded[1]) + first[0]
 

@@ -12,7 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours
+from ..design.micro_images import (
+    SECTORS,
+    cosine_limits,
+    crosstalk_defocus,
+    crosstalk_neighbours,
+    crosstalk_reach,
+    turns_cosines,
+)
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens, Pair, Traced
 from ..lenses.common import main_lens
@@ -25,6 +32,12 @@ from ..system.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
 
 _STEP = 1.0
 """Step in nanometres of the wavelengths between which refractive indices are interpolated linearly, right to 1e-7."""
+
+_FIELD_STEPS = 8
+"""Steps of the distance from the axis in which the reach of light behind parabolic lenses is tabulated."""
+
+_MOST_CHECKED = 64
+"""Largest number of lenses of which those that can light a point are counted for each ray."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +143,30 @@ class Passage(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Candidates:
+    """The lenses around the chief ray's from which those of rays are drawn, evenly."""
+
+    # Steps in the lattice's indices, as two arrays; the first is the chief ray's own lens.
+    steps: list[Any]
+    # Distances from the chief ray's point within which the centres of lenses are tried, as of `cosine_limits`, by steps
+    # of the distance from the axis, and the width of a step; None where all lenses are tried.
+    limits: Any = None
+    step: Any = 1.0
+    # Change of the limits per relative change of a lens's focal length.
+    defocus: Any = 0.0
+
+    def limit(self, chief: Pair, towards: Pair) -> Any:
+        """Return the distance within which centres are tried, by their direction from the chief ray's points."""
+        across, along = (
+            towards[0] * chief[1] - towards[1] * chief[0],
+            towards[0] * chief[0] + towards[1] * chief[1],
+        )
+        sector = dr.minimum(dr.floor(abs(dr.atan2(across, along)) * (SECTORS / math.pi)), SECTORS - 1)
+        row = dr.floor(dr.minimum(dr.hypot(*chief) / self.step, dr.width(self.limits) // SECTORS - 1))
+        return dr.gather(mi.Float, self.limits, mi.UInt32(row * SECTORS + sector))
+
+
+@dataclass(frozen=True)
 class CameraRays:
     """The geometry of a camera for ray tracing; parameters that may carry gradients are Dr.Jit arrays."""
 
@@ -169,35 +206,87 @@ class CameraRays:
             Dispersion.of(camera),
         )
 
-    def neighbours(self, beyond: float = 0.0) -> np.ndarray:
-        """Return the lenses around the chief ray's from which rays are drawn, at the wavelength that needs most."""
+    def candidates(self, beyond: float = 0.0) -> Candidates:
+        """Return the lenses from which those of rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
-        # Irregularities displace lenses by at most this distance.
-        beyond += MOST_DEVIATIONS * math.hypot(camera.mla_jitter[0], camera.mla_jitter[0])
-        return max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
+        place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
+        defocus = max(crosstalk_defocus(each) for each in seen)
+        # Irregularities displace lenses, and move their light, by at most this distance.
+        beyond += math.hypot(place, place) + focal * defocus
+        steps = max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
+        limits, step = np.full(SECTORS, max(crosstalk_reach(each) for each in seen)), 1.0
+        if turns_cosines(camera):
+            corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
+            radius = float(main_lens(camera).chief_point(corner + camera.pixel_size, camera.reduced_distance))
+            radii, step = np.linspace(0, radius, _FIELD_STEPS + 1), radius / _FIELD_STEPS
+            limits = np.max([cosine_limits(each, radii) for each in seen], axis=0)
+            # A step has the limits of both of its ends.
+            limits = np.maximum(limits[:-1], limits[1:])
+            steps = max(steps, camera.lattice.neighbours(limits.max() + beyond), key=len)
+        numbers = [mi.Float(values) for values in (*steps.T, limits.ravel(), step, defocus)]
+        dr.make_opaque(numbers)
+        # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
+        checks = 1 < len(steps) <= _MOST_CHECKED
+        return Candidates(numbers[:2], *(numbers[2:] if checks else ()))
 
-    def pass_array(self, pixel: Pair, lens_sample: Any, candidates: list[Any]) -> tuple[Passage, Any]:
-        """Choose the points of the array through which rays from detector points pass.
+    def tried(self, candidates: Candidates, chief: Pair, i: Any, j: Any) -> Any:
+        """Return whether lenses are near enough to the points of chief rays."""
+        if candidates.limits is None:
+            return mi.Bool(True)
+        x, y = self._centre(i, j)
+        right, up, longer = 0.0, 0.0, 1.0
+        if any(self.camera.mla_jitter):
+            right, up, longer = irregularities(self.camera, i, j)
+        towards = x + right - chief[0], y + up - chief[1]
+        limit = candidates.limit(chief, towards)
+        if self.camera.mla_jitter[1]:
+            limit += abs(1 - 1 / longer) * candidates.defocus
+        return dr.hypot(*towards) <= limit
 
-        `pixel` is the detector point, a pair of Dr.Jit arrays.
-        """
-        lattice = self.lattice
-        b, z = self.lens.pupil_distance, self.detector_distance / self.camera.mla_medium
+    def _draw(self, candidates: Candidates, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
+        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
+        (i, j), count, within = cell, dr.width(candidates.steps[0]), mi.Float(sample)
+        if count == 1:
+            return cell, within, mi.UInt32(0), mi.Float(1)
+
+        def nth(number: Any) -> Pair:
+            right, up = (dr.gather(mi.Float, step, number) for step in candidates.steps)
+            return i + right, j + up
+
+        tried, near = mi.Float(count), []
+        if candidates.limits is not None:
+            # Their own lens is always tried, so that the number is never 0.
+            near = [mi.Bool(True)]
+            near += [self.tried(candidates, chief, *nth(mi.UInt32(number))) for number in range(1, count)]
+            tried = sum((dr.select(each, 1, 0) for each in near), mi.Float(0))
+        scaled = within * tried
+        whole = dr.minimum(dr.floor(scaled), tried - 1)
+        choice, passed = mi.UInt32(whole), mi.Float(0)
+        for number, each in enumerate(near):
+            choice = dr.select(each & (passed == whole), number, choice)
+            passed += dr.select(each, 1, 0)
+        return nth(choice), scaled - whole, choice, tried
+
+    def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
+        """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
+        z = self.detector_distance / self.camera.mla_medium
         x, y = (self.lens.chief_point(p, z) for p in pixel)
         if any(self.camera.mla_tilt):
-            nearer = 1 - self._height(x, y) / b
+            nearer = 1 - self._height(x, y) / self.lens.pupil_distance
             x, y = x * nearer, y * nearer
         right, up = chief_ray_shift(self.camera, x, y, z)
-        i, j = lattice.cell(x - right, y - up)
-        within, candidate = mi.Float(lens_sample[0]), mi.UInt32(0)
-        count = dr.width(candidates[0])
-        if count > 1:
-            scaled = within * count
-            whole = dr.minimum(dr.floor(scaled), count - 1)
-            within, candidate = scaled - whole, mi.UInt32(whole)
-            steps = (dr.gather(mi.Float, step, candidate) for step in candidates)
-            i, j = (index + step for index, step in zip((i, j), steps, strict=True))
+        return (x, y), self.lattice.cell(x - right, y - up)
+
+    def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
+        """Choose the points of the array through which rays from detector points pass.
+
+        `pixel` is the detector point, a pair of Dr.Jit arrays. Return also the number of the candidate, and that of the
+        lenses from which it was drawn.
+        """
+        lattice = self.lattice
+        chief, cell = self.chief_cell(pixel)
+        (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
         cx, cy = self._centre(i, j)
         dx, dy = lattice.aperture_point(within, lens_sample[1])
         f2 = self.focal_lengths / self.camera.mla_medium
@@ -206,7 +295,7 @@ class CameraRays:
         if any(self.camera.mla_jitter):
             right, up, longer = irregularities(self.camera, i, j)
             cx, cy, f2 = cx + right, cy + up, f2 * longer
-        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate
+        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
 
     def _centre(self, i: Any, j: Any) -> Pair:
         """Return the centres of lenses of a regular array, or of one that is aligned to chief rays."""

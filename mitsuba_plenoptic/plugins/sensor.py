@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any, cast
 
 import drjit as dr
@@ -19,7 +20,7 @@ from ..lenses.base import Pair, Traced
 from ..lenses.common import main_lens
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response, transmittance
-from .camera_rays import CameraRays
+from .camera_rays import CameraRays, Candidates
 from .photodiodes import PhotodiodeTable
 from .properties import film_numbers, read_camera
 
@@ -162,8 +163,7 @@ def make_class() -> type:
             self._photodiodes = None
             if self.photodiode_response is not None:
                 self._photodiodes = PhotodiodeTable(self.photodiode_response)
-            self._candidates = [mi.Float(steps) for steps in self._rays.neighbours().T]
-            dr.make_opaque(*self._candidates)
+            self._candidates = self._rays.candidates()
 
         @property
         def camera(self) -> PlenopticCamera:
@@ -188,17 +188,23 @@ def make_class() -> type:
 
         def crosstalk_missed(self) -> float:
             """Estimate from a sample of rays the fraction of the light that passes lenses that are not sampled."""
-            tried = set(zip(*(steps.numpy().astype(int).tolist() for steps in self._candidates), strict=True))
-            around = self._rays.neighbours(beyond=max(self._rays.camera.mla_pitches))
+            steps = [step.numpy().astype(int) for step in self._candidates.steps]
+            drawn = set(zip(*steps, strict=True))
+            around = replace(self._rays.candidates(beyond=max(self._rays.camera.mla_pitches)), limits=None)
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
             pixel = self._on_detector(film_sample)
-            passage, candidate = self._rays.pass_array(pixel, lens_sample, [mi.Float(steps) for steps in around.T])
+            passage, candidate, _ = self._rays.pass_array(pixel, lens_sample, around)
             _, _, open_ = self._rays.trace(pixel, passage)
-            beyond = dr.gather(mi.Bool, mi.Bool([tuple(steps) not in tried for steps in around]), candidate)
-            return int(dr.count(open_ & beyond)[0]) / max(1, int(dr.count(open_)[0]))
+            beyond = mi.Bool([(int(i), int(j)) not in drawn for i, j in zip(*around.steps, strict=True)])
+            chief, cell = self._rays.chief_cell(pixel)
+            lens = (
+                index + dr.gather(mi.Float, step, candidate) for index, step in zip(cell, around.steps, strict=True)
+            )
+            missed = dr.gather(mi.Bool, beyond, candidate) | ~self._rays.tried(self._candidates, chief, *lens)
+            return int(dr.count(open_ & missed)[0]) / max(1, int(dr.count(open_)[0]))
 
         def chief_ray(self, film_sample: Any) -> tuple[Any, Any]:
             """Return the ray from a film position through the centre of its lens, and whether it is transmitted.
@@ -206,7 +212,7 @@ def make_class() -> type:
             The position is a fraction of the crop window, as in `sample_ray`.
             """
             pixel = self._on_detector(film_sample)
-            passage, _ = self._rays.pass_array(pixel, mi.Point2f(0.5), [mi.Float(0), mi.Float(0)])
+            passage, *_ = self._rays.pass_array(pixel, mi.Point2f(0.5), Candidates([mi.Float(0), mi.Float(0)]))
             return self._in_world(self._rays.trace(pixel, passage._replace(point=passage.centre)))
 
         def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
@@ -239,7 +245,7 @@ def make_class() -> type:
                 ray = self._towards(traced, time, wavelengths)
                 weight = dr.select(traced[2] & active, weight * response, 0)
                 return mi.RayDifferential3f(ray) if differential else ray, weight
-            passage, _ = self._rays.pass_array((px, py), lens_sample, self._candidates)
+            passage, _, tried = self._rays.pass_array((px, py), lens_sample, self._candidates)
             point, slope, open_ = self._rays.trace((px, py), passage, light)
             open_ &= active
             if self._response is not None or self.mla_absorption:
@@ -264,7 +270,7 @@ def make_class() -> type:
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
-            return ray, dr.select(open_, weight * dr.width(self._candidates[0]), 0)
+            return ray, dr.select(open_, weight * tried, 0)
 
         def _towards(self, traced: Traced, time: Any, wavelengths: Any) -> Any:
             """Return traced rays in the world frame."""

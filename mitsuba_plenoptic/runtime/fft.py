@@ -183,6 +183,10 @@ def unpack(packed: Any) -> Any:
     return types.Complex2f(dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary))
 
 
+_ALIGNMENT = 128
+"""Bytes of the widest vectors that Dr.Jit loads."""
+
+
 def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
     """Return the memory of a flat Dr.Jit array of 64-bit words as a field, of which everything is computed."""
     dr.eval(packed)
@@ -192,6 +196,17 @@ def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
 def as_words(field: Field) -> NDArray[np.uint64]:
     """Return the memory of a contiguous field as 64-bit words, from which a Dr.Jit array can be made without a copy."""
     return field.reshape(-1).view(np.uint64)
+
+
+def aligned(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array, or a copy of it, with aligned memory: Dr.Jit compiles other kernels for memory that is not."""
+    if not isinstance(array, np.ndarray) or (array.ctypes.data % _ALIGNMENT == 0 and array.flags.c_contiguous):
+        return array
+    memory = np.empty(array.nbytes + _ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % _ALIGNMENT
+    copy = memory[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 def array_types(array: Any) -> Any:

@@ -105,9 +105,12 @@ class ArrayFactor(ABC):
         if parameter not in self._tables:
             self._tables[parameter] = self._table(self.orders(parameter))
         table = types.UInt64(self._tables[parameter])
-        places = tuple(place - camera.mla_offset[axis] for place, axis in zip(coordinates, self.axes, strict=True))
-        if len(places) == 2:
-            places = turn(*places, -camera.mla_rotation)
+        places = tuple(
+            place - dr.opaque(types.Float64, camera.mla_offset[axis])
+            for place, axis in zip(coordinates, self.axes, strict=True)
+        )
+        if len(places) == 2 and camera.mla_rotation != 0:
+            places = turn(*places, dr.opaque(types.Float64, -camera.mla_rotation))
         nodes = [_node(*each) for each in zip(places, self.periods, self._shape[::-1], strict=True)]
         corners: list[Any] = [0]
         for (node, _), count in zip(nodes[::-1], self._shape, strict=True):
@@ -245,14 +248,14 @@ class PlaneFactor(ArrayFactor):
         types = array_module()
         _, row, column = split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
         x, y = (
-            (types.Float64(place) + 0.5) * (side / count)
+            (types.Float64(place) + 0.5) * dr.opaque(types.Float64, side / count)
             for place, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
         )
         centred = self._camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0))
         samples = transmission(centred, self._wavelength, x, y)
         if power:
             *offset, which = from_centre(centred, x, y)
-            factor = types.Float((offset[axis] / centred.mla_pitches[axis]) ** power)
+            factor = types.Float((offset[axis] / dr.opaque(types.Float64, centred.mla_pitches[axis])) ** power)
             samples *= factor if lens_type is None else dr.select(which == lens_type, factor, 0)
         packed = pack(samples)
         return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lattice import Lattice, turn
+from ..lattice import Lattice, make_lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
 from .figure_error import FigureError
@@ -51,16 +51,19 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission, with all of its orders, at Dr.Jit float64 positions in millimetres, as Complex2f."""
     dx, dy, which = from_centre(camera, x, y)
-    inside, longer = camera.lattice.in_aperture(dx, dy), 1.0
     types = array_types(x)
+    lattice, longer = _opaque_lattice(camera, types), 1.0
+    inside = lattice.in_aperture(dx, dy)
     if any(camera.mla_jitter):
         # The light of each cell passes its own lens, wherever this lies.
-        right, up, longer = (types.Float64(value) for value in irregularities(camera, *camera.lattice.cell(x, y)))
+        right, up, longer = (types.Float64(value) for value in irregularities(camera, *lattice.cell(x, y)))
         dx, dy = dx - right, dy - up
     if camera.mla_shape is not None:
         waves = camera.mla_shape.waves(*camera.lattice.to_frame(dx, dy), wavelength) / longer
     else:
-        focal_length = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), which) * longer
+        lengths = types.Float64(camera.reduced_focal_lengths)
+        dr.make_opaque(lengths)
+        focal_length = dr.gather(types.Float64, lengths, which) * longer
         waves = parabola(dx * dx + dy * dy, focal_length, wavelength)
     if (error := FigureError.of(camera) if any(camera.mla_figure_error) else None) is not None:
         waves += error.path(x, y) / in_millimetres(wavelength)
@@ -69,11 +72,27 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
 
 def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
     """Return the offsets of Dr.Jit float64 positions from the centres of their lenses, and the types of the lenses."""
-    types, lattice = array_types(x), camera.lattice
+    types = array_types(x)
+    lattice = _opaque_lattice(camera, types)
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)
     several = len(camera.mla_focal_lengths) > 1
     return x - cx, y - cy, types.UInt32(lattice.lens_type(i, j)) if several else types.UInt32(0)
+
+
+def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
+    """Return the lattice with numbers that are not compiled into kernels, for positions as Dr.Jit arrays."""
+    given = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
+    along, across, rotation, x, y, fill = (dr.opaque(types.Float64, number) for number in given)
+    return make_lattice(
+        camera.mla_lattice,
+        # One array stands for equal pitches.
+        (along, along if camera.mla_pitches[0] == camera.mla_pitches[1] else across),
+        rotation=rotation if camera.mla_rotation else 0.0,
+        offset=(x, y),
+        aperture=camera.mla_aperture,
+        fill=fill,
+    )
 
 
 def bend(camera: PlenopticCamera) -> float:

@@ -56,6 +56,10 @@ _DARKEST = 5.0
 """Standard deviations by which a pixel may be below zero when the light of other zones is subtracted."""
 
 
+_RINGS, _SPOKES = 8, 32
+"""Points of the pupil whose rays find whether the detector records light of a zone."""
+
+
 @dataclass(frozen=True)
 class Zone:
     """A part of the field over which the wavefront is the same.
@@ -136,7 +140,8 @@ def fit_wavefronts(
     Warns
     -----
     UserWarning
-        As `fit`, of the last turn of a single zone; or if the zones have not settled after eight turns.
+        As `fit`, of the last turn of a single zone; if the zones have not settled after eight turns; or if the whole
+        light of a zone would miss the detector but for the fitted tilt, which then stands for wrong positions.
     """
     require_fitted(camera)
     some = known_zones(zones)
@@ -169,7 +174,28 @@ def fit_wavefronts(
     # Where zones overlap, pixels are weighted as no single fit expects, and its chi-square means nothing.
     for each in said if len(some) == 1 else ():
         warnings.warn(str(each), stacklevel=3)
+    for which, (zone, fitted) in enumerate(zip(some, found, strict=True)):
+        beside = _distance_beside(camera, zone)
+        if beside > 0:
+            tilt = float(np.hypot(*terms_of(fitted.camera, 3)[1:]))
+            warnings.warn(
+                f"fit_wavefronts: zones: the image of zone {which} is {beside:.3g} mm beside the recorded lenses; a "
+                f"tilt of {tilt:.3g} waves was fitted to bring it there; check the positions of its points",
+                stacklevel=3,
+            )
     return found
+
+
+def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
+    """Return how far from the recorded lenses the nearest ray of a zone arrives, behind the camera's own wavefront."""
+    lens = main_lens(camera)
+    radius, angle = np.linspace(0, lens.pupil_radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
+    pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
+    arrives = np.stack([lens.land(pupil, tuple(point)) for point in zone.points[zone.weights > 0]], -1)
+    centres = lenses_of_pixels(camera)[0].reshape(-1, 2).T[..., None, None]
+    # Diffraction brings light to the lens beside.
+    low, high = centres.min(1) - 1.5 * max(camera.mla_pitches), centres.max(1) + 1.5 * max(camera.mla_pitches)
+    return float(np.hypot(*np.maximum(np.maximum(low - arrives, arrives - high), 0)).min())
 
 
 class Search:

@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, design, render_capture
 from mitsuba_plenoptic.system.lens_kinds import irregularities
 
 CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
@@ -62,6 +62,31 @@ def test_focal_lengths_scatter():
         own = np.s_[32 * (j + 1) : 32 * (j + 2), 32 * (i + 1) : 32 * (i + 2)]
         assert np.abs(found[own] - alone[own]).mean() < 4e-3
     assert np.abs(found - white(CAMERA.replace(resolution=(64, 64), detector_width=0.128), 1024)).mean() > 6e-3
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"mla_jitter": (0.004, 0.0)},
+        {"mla_jitter": (0.002, 0.05)},
+        # Micro-images overlap.
+        {"mla_jitter": (0.004, 0.0), "aperture_radius": 8.0},
+        {"mla_jitter": (0.0, 0.0), "aperture_radius": 8.0},
+        {"mla_jitter": (0.0, 0.0), "aperture_radius": 8.0, "mla_pitch": (0.05, 0.07), "mla_rotation": 12.0},
+    ],
+    ids=str,
+)
+def test_noise_and_light_of_many_candidates(more):
+    """A pixel that sees only a white wall has no noise, and the mean is the closed form."""
+    camera = CAMERA.replace(**more)
+    scene = mi.load_dict({"type": "scene", "s": camera.to_sensor(), "i": {"type": "path"},
+                          "e": {"type": "constant"}})  # fmt: skip
+    assert len(scene.sensors()[0]._candidates.steps[0]) > 1
+    images = np.stack([np.array(mi.render(scene, spp=16, seed=seed))[..., 0] for seed in range(6)])
+    window = np.outer(np.hanning(514)[1:-1], np.hanning(514)[1:-1])
+    assert np.average(images.mean(0), weights=window) == pytest.approx(design.white_mean(camera), rel=2e-3)
+    # Without knowledge of the lenses that light a pixel, more than half have a deviation of 0.1 to 0.5.
+    assert np.median(images.std(0)) == 0
 
 
 def test_the_seed_makes_another_array():

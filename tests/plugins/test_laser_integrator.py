@@ -132,6 +132,48 @@ def test_points_whose_light_defocus_brings_to_the_detector_are_found():
     assert (wide - narrow) / 4 == pytest.approx(blur, rel=0.1)
 
 
+@pytest.mark.parametrize("x", [0.6, 0.9])
+@pytest.mark.parametrize("laser", ["point", "spot"])
+def test_small_things_far_out_of_focus_beside_the_field_are_found(x, laser):
+    """Only their blur, of a radius of 1.25 mm, reaches the detector: they are imaged 0.9 and 1.35 mm from the axis."""
+    card = mi.ScalarTransform4f().translate([x, 0.1, 40]).rotate([0, 1, 0], 180).scale(0.02)
+    given = LASER
+    if laser == "spot":
+        towards = mi.ScalarTransform4f().look_at(origin=[0, 0, 20], target=[x, 0.1, 40], up=[0, 1, 0])
+        given = {"type": "spot", "to_world": towards, "cutoff_angle": 0.5, "intensity": LASER["intensity"]}
+    card = {"type": "rectangle", "to_world": card, "bsdf": {"type": "diffuse"}}
+    points = lit(scene_of(card=card, laser=given), per_spot=12)
+    weights = points.weights[points.positions[:, 2] < 60]
+    # The radiance of a matte card of albedo 1/2, times the area of its image.
+    square = x**2 + 0.1**2 + 20**2
+    radiance = 1e4 * 20 / square**1.5 * 0.5 / math.pi
+    expected = radiance_weight(CAMERA, OpticalSystem(CAMERA, WAVELENGTH).lens, (0.04 * 60 / 40) ** 2) * radiance
+    assert weights.sum() == pytest.approx(expected, rel=0.2)
+
+
+def test_what_is_too_far_beside_the_field_adds_no_rays():
+    """A card whose blur ends before the detector leaves the points on the wall the same."""
+    card = mi.ScalarTransform4f().translate([1.3, 0.1, 40]).rotate([0, 1, 0], 180).scale(0.02)
+    points = lit(scene_of(card={"type": "rectangle", "to_world": card}))
+    alone = lit(scene_of())
+    assert np.abs(points.positions).max() == pytest.approx(np.abs(alone.positions).max(), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            lambda: {"laser": {**LASER, "intensity": {"type": "spectrum", "value": -1.0}}},
+            "laser: its light is negative",
+        ),
+        (lambda: {"wall": wall(bsdf={"type": "diffuse", "reflectance": -0.5})}, "it lights has a negative reflectance"),
+    ],
+)
+def test_negative_light_is_refused_by_name(given, message):
+    with pytest.raises(InputError, match=message):
+        lit(scene_of(**given()))
+
+
 def test_other_light_adds_as_intensity():
     sky = {"type": "constant", "radiance": {"type": "spectrum", "value": 2.0}}
     mixed = render_capture(scene_of(sky=sky), seed=3).image

@@ -115,6 +115,43 @@ def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, apertu
     assert (len(design.crosstalk_neighbours(sensor.camera)) > 1) == (aperture_radius > 8)
 
 
+@pytest.mark.parametrize(
+    ("corner", "more"),
+    [
+        (1600, {}),
+        (3200, {}),
+        (1600, {"mla_lattice": "square", "mla_medium": 1.5, "aperture_radius": 2.2}),
+        # Lenses whose own margin is small, but whose positions scatter.
+        (1600, {"mla_jitter": (0.001, 0.0), "aperture_radius": 1.2}),
+    ],
+    ids=str,
+)
+def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
+    """The power behind a lens is the integral of the areas on the detector that light from the pupil maps to."""
+    crop = {"crop_offset": (corner, corner), "crop_size": (80, 80)}
+    camera = PlenopticCamera.preset("lytro").replace(lens_model="parabolic", **crop, **more)
+    # A warning of missed light fails the test.
+    capture = white_capture(camera.to_sensor(), 128)
+    window = np.hanning(82)[1:-1]
+    mean = window @ capture.image.astype(np.float64) @ window / window.sum() ** 2
+    # Points d of a lens and P of the pupil; the axis's distance from the middle of the crop is the same in x and y.
+    u, v = np.meshgrid(*[(np.arange(24) + 0.5) / 24] * 2)
+    d = np.stack(camera.lattice.aperture_point(u.ravel(), v.ravel()))[:, :, None]
+    radius, angle = camera.aperture_radius * np.sqrt(u.ravel()), 2 * np.pi * v.ravel()
+    P = radius * np.stack([np.cos(angle), np.sin(angle)])[:, None]
+    slope = (P - (corner + 40 - 1640) * camera.pixel_size - d) / camera.mla_distance
+    sine = slope / np.sqrt(1 + (slope**2).sum(0)) / camera.mla_medium + d / camera.mla_focal_length
+    areas = (1 + (slope**2).sum(0)) ** -2 * (1 - (sine**2).sum(0)) ** -2
+    assert mean == pytest.approx(design.white_mean(camera) * areas.mean(), rel=0.012)
+
+
+def test_cameras_with_slow_lenses_try_no_more_of_them(camera_dict):
+    """The paper's lenses need one each, by slopes or direction cosines."""
+    for model in ("ideal", "parabolic"):
+        camera = PlenopticCamera(lens_model=model)
+        assert len(mi.load_dict(camera.to_sensor())._candidates.steps[0]) == 1
+
+
 def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
     """A small source in focus, imaged 0.02 mm from a lens's centre, is within a lens, but not within half of one."""
 

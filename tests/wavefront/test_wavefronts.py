@@ -138,6 +138,27 @@ def test_a_strong_wavefront_is_found_within_its_deviations(rng):
     assert np.linalg.norm(errors) < 0.03
 
 
+@pytest.mark.parametrize("beside", [0.0, 1.0])
+def test_a_star_beside_the_detector_is_warned_of(beside, recwarn):
+    """A shift of the image by d is a tilt of d radius / 2 b wavelengths, root mean square."""
+    camera = telescope(lenses=4)
+    edge = camera.detector_width / 2
+    place = 0.0 if not beside else edge + beside
+    # Stars upside down: an image at x has its star at -x g / b.
+    image = captured(camera, [STAR], 20000)
+    (found,) = fit_wavefronts(
+        camera, image, Zone([(-place * 1e9 / camera.mla_distance, 0, 1e9)]), modes=3, accuracy=ACCURACY
+    )
+    tilt = place * camera.aperture_radius / camera.mla_distance / (2 * WAVELENGTH * 1e-6)
+    assert abs(found.camera.wavefront[1]) == pytest.approx(tilt, abs=0.02)
+    said = [str(each.message) for each in recwarn if "beside the recorded lenses" in str(each.message)]
+    assert len(said) == (beside > 0)
+    if said:
+        # The margin is the lens that receives diffracted light.
+        assert f"is {beside - camera.mla_pitch:.3g} mm" in said[0]
+        assert f"tilt of {tilt:.3g} waves" in said[0]
+
+
 def test_each_zone_has_its_wavefront():
     # Two lenses apart, where fits that do not subtract the light of the other star are off by 0.013.
     camera = telescope(lenses=8)

@@ -18,7 +18,7 @@ from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, 
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
 from ...optics.waves import in_millimetres
-from ...runtime.backend import array_module, backend
+from ...runtime.backend import array_module, backend, is_zero
 from ...system.microlens_orders import VaryingArrayFactor
 from ...system.optical_system import OpticalSystem
 from ..grid import Grid
@@ -169,7 +169,7 @@ class VaryingParameters:
         (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
         angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         # The array stays where it is in the frame of the grid, and the scene turns.
-        turned = angle - grid.rotation
+        turned = angle - dr.opaque(self.types.Float64, grid.rotation) if "mla_rotation" in self._varies else 0.0
 
         def lens() -> Any:
             held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
@@ -178,7 +178,9 @@ class VaryingParameters:
 
         def array(cosine: float) -> list[VaryingArrayFactor]:
             x, y = get["mla_offset"]
-            lattice = self._lattice(get, grid.camera, turn(x, y, -angle))
+            if not is_zero(angle):
+                x, y = turn(x, y, -angle if dr.is_array_v(angle) else dr.opaque(self.types.Float64, -angle))
+            lattice = self._lattice(get, grid.camera, (x, y))
             factors = grid.microlenses.factors(cosine)
             lengths = [length / grid.camera.mla_medium for length in get["mla_focal_length"]]
             return [VaryingArrayFactor(factor, lattice, lengths, wavelength) for factor in factors]
