@@ -1,6 +1,7 @@
 """Captures and reconstructions as functions of PyTorch's tensors, by gradcheck and by differences."""
 
 import importlib
+import re
 import sys
 
 import drjit as dr
@@ -490,11 +491,12 @@ def test_mistakes():
         bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3))
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
-    for shape in ((3,), (0, *CAMERA.shape)):
-        with pytest.raises(
-            InputError, match=r"^captures of shape \(.*\): it must not be empty, and its last axes must be"
-        ):
-            bridge.refocus(RayRefocus(CAMERA, 225.0), random(*shape))
+    for kind, options in OPTIONS.items():
+        # Colours are axes before the rows.
+        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3)):
+            named = rf"captures of shape {re.escape(str(shape))}: it must not be empty, and its last axes must be"
+            with pytest.raises(InputError, match=rf"^{named} \(64, 64\)$"):
+                bridge.refocus(kind(CAMERA, 225.0, **options), random(*shape))
 
 
 def test_torch_that_is_missing(monkeypatch):
