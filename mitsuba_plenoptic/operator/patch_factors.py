@@ -20,7 +20,7 @@ from ..lattice import turn
 from ..lenses.base import Light, MainLens
 from ..lenses.lens_changes import VaryingLens, VaryingLight
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, lanes
 from ..runtime.fft import fast_length, split
 from ..system.microlens_orders import ArrayFactor, VaryingArrayFactor
 from .grid import Grid, Placement
@@ -213,7 +213,7 @@ class PatchFactors:
         lit = power > 0
         steps = self._constant(math.prod(self._steps))
         lam = self._constant(in_millimetres(elements.wavelength))
-        scale = self._types.Float64(self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
+        scale = self._types.Float64(lanes(self._amplitudes)) * steps / dr.sqrt(dr.select(lit, power, 1))
         return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
     def _position(self, patch: Any, sample: Any, axis: int) -> Any:

@@ -74,6 +74,23 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return in_turn
 
 
+_PACKET = 16
+"""Numbers that kernels of Dr.Jit read at once, at most."""
+
+
+def lanes(array: Any) -> Any:
+    """Return an array, flat, for one of Dr.Jit to share whose numbers kernels read one after the other.
+
+    They read whole packets, also beyond the end of memory of NumPy's. Where this ends with a page, and the next page is
+    none of the process, reading it ends the process. Arrays that do not fill their last packet are therefore copied.
+    """
+    if not isinstance(array, np.ndarray) or array.size % _PACKET == 0:
+        return array.reshape(-1)
+    memory = np.zeros(array.size + _PACKET, array.dtype)
+    memory[: array.size] = array.reshape(-1)
+    return memory[: array.size]
+
+
 @dataclass(frozen=True)
 class Backend:
     """The libraries of one type of processor."""

@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of
+from .backend import backend_of, lanes
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -189,9 +189,9 @@ def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
     return backend_of(packed).from_drjit(packed).view(np.complex64).reshape(shape)
 
 
-def as_words(field: Field) -> NDArray[np.uint64]:
-    """Return the memory of a contiguous field as 64-bit words, from which a Dr.Jit array can be made without a copy."""
-    return field.reshape(-1).view(np.uint64)
+def as_words(field: Field) -> Any:
+    """Return the memory of a contiguous field, or a copy, as 64-bit words for an array of Dr.Jit; see `lanes`."""
+    return lanes(field.reshape(-1).view(np.uint64))
 
 
 def array_types(array: Any) -> Any:
