@@ -33,18 +33,20 @@ class LinearFunction:
 
     straight: Callable[[Array], Array]
     transposed: Callable[[Array], Array]
-    # Last axes of what it takes, and of its results.
+    # What it takes and its results, for messages, and their last axes.
+    takes: str
+    gives: str
     before: Shape
     after: Shape
 
     @property
     def T(self) -> LinearFunction:
         """The transpose."""
-        return LinearFunction(self.transposed, self.straight, self.after, self.before)
+        return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the result from that of an array."""
-        return *given[: len(given) - len(self.before)], *self.after
+        """Return the shape of the result from that of an array, or refuse it before anything is computed."""
+        return *_batch(self.takes, given, self.before), *self.after
 
 
 class Value(Protocol):
@@ -66,7 +68,7 @@ class SmoothFunction(Protocol):
         """Return its value, and what its derivatives need."""
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the value from that of the first array."""
+        """Return the shape of the value from that of the first array, or refuse it before anything is computed."""
 
 
 class Latest:
@@ -94,6 +96,15 @@ class Latest:
         return self._value
 
 
+def _batch(name: str, given: Shape, last: Shape) -> Shape:
+    """Return the axes of a batch, or refuse an array of other last axes."""
+    refuse_if(
+        given[-len(last) :] != last or not math.prod(given),
+        f"{name} of shape {given}: it must not be empty, and its last axes must be {last}",
+    )
+    return given[: len(given) - len(last)]
+
+
 ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
 """What is told who differentiates twice."""
 
@@ -108,7 +119,8 @@ def working_array(array: Array) -> Array:
 
 def points(operator: CaptureOperator) -> LinearFunction:
     """Return the map from weights of points to images."""
-    return LinearFunction(partial(_images, operator), partial(_products, operator), *_axes(operator))
+    both = partial(_images, operator), partial(_products, operator)
+    return LinearFunction(*both, "weights", "images", *_axes(operator))
 
 
 def _images(operator: CaptureOperator, weights: Array) -> Array:
@@ -146,10 +158,7 @@ def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
 
 def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
     """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
-    refuse_if(
-        given.shape[-len(last) :] != last or not given.size,
-        f"{name} of shape {given.shape}: it must not be empty, and its last axes must be {last}",
-    )
+    _batch(name, given.shape, last)
     flat = given.reshape(-1, *last)
     return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
 
@@ -237,11 +246,17 @@ def _shaped(gradient: Array, shape: Shape, for_all: bool) -> Array:
 # -- reconstructions ---------------------------------------------------------------------------------
 
 
-def refocusing(by: Refocus, rows_columns: Shape) -> LinearFunction | Refocused:
-    """Return the function from captures of a shape to refocused images."""
+def refocusing(by: Refocus) -> LinearFunction | Refocused:
+    """Return the function from captures to refocused images."""
     if isinstance(by, RayRefocus):
-        return LinearFunction(partial(_together, by.forward), partial(_together, by.adjoint), rows_columns, by.shape)
+        before, after = by.camera.shape, by.shape
+        straight = partial(_together, by.forward, _NAMES[0], before)
+        transposed = partial(_together, by.adjoint, _NAMES[1], after)
+        return LinearFunction(straight, transposed, *_NAMES, before, after)
     return Refocused(by)
+
+
+_NAMES = "captures", "images"
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +270,8 @@ class Refocused:
         return RefocusedValue(self.by, *given)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of images from that of captures."""
-        return *given[:-2], *self.by.shape
+        """Return the shape of images from that of captures, or refuse it."""
+        return *_batch(_NAMES[0], given, self.by.camera.shape), *self.by.shape
 
 
 class RefocusedValue:
@@ -267,23 +282,23 @@ class RefocusedValue:
             self._at = by.at(given)
             return self._at.image
 
-        self.value = _together(image, captures)
+        self._axes = by.camera.shape, by.shape
+        self.value = _together(image, _NAMES[0], self._axes[0], captures)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
         """Return the change of the images; see `Value`."""
         (change,) = changes
-        return np.zeros(self.value.shape) if change is None else _together(self._at.jvp, change)
+        if change is None:
+            return np.zeros(self.value.shape)
+        return _together(self._at.jvp, _NAMES[0], self._axes[0], change)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
         """Return the gradient by the captures; see `Value`."""
-        return [_together(self._at.vjp, gradient) if needed[0] else None]
+        return [_together(self._at.vjp, _NAMES[1], self._axes[1], gradient) if needed[0] else None]
 
 
-def _together(function: Callable[[Array], Array], captures: Array) -> Array:
+def _together(function: Callable[[Array], Array], name: str, last: Shape, given: Array) -> Array:
     """Apply a function of an image with channels to a batch of images."""
-    refuse_if(
-        captures.ndim < 2 or not captures.size,
-        f"captures of shape {captures.shape}: it must not be empty, and its last axes must be rows and columns",
-    )
-    made = function(np.moveaxis(captures.reshape(-1, *captures.shape[-2:]), 0, -1))
-    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*captures.shape[:-2], *made.shape[:2])
+    batch = _batch(name, given.shape, last)
+    made = function(np.moveaxis(given.reshape(-1, *last), 0, -1))
+    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*batch, *made.shape[:2])

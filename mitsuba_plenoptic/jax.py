@@ -152,7 +152,7 @@ def refocus(by: Refocus, captures: Any) -> Any:
         If the captures have a wrong shape.
     """
     captures = _required("captures", captures)
-    function = refocusing(by, captures.shape[-2:])
+    function = refocusing(by)
     if isinstance(function, LinearFunction):
         return _linear.bind(captures, function=function)
     return _smooth.bind(captures, function=_latest(function))

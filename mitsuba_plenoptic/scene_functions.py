@@ -12,8 +12,9 @@ import mitsuba as mi
 import numpy as np
 
 from .array_functions import Shape
-from .errors import refuse_if, require_known
-from .runtime.backend import one_at_a_time
+from .capture.render import MOST_SAMPLES
+from .errors import refuse_if, require_count, require_known, short_repr
+from .runtime.backend import lanes, one_at_a_time
 
 _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"
 
@@ -22,8 +23,13 @@ class Rendering:
     """The image of a scene as a function of some of its parameters, given as tensors of NumPy or Dr.Jit."""
 
     def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
+        # Each variant has a class of its own.
+        refuse_if(not hasattr(scene, "sensors"), f"scene = {short_repr(scene)}: it must be a scene of Mitsuba")
         self._scene, self._integrator, self.parameters = scene, integrator or scene.integrator(), mi.traverse(scene)
-        self._spp, self._seed, self._expected = spp, seed, dict[str, Shape]()
+        self._spp = require_count("spp", spp, minimum=0, maximum=MOST_SAMPLES)
+        self._seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
+        self._expected = dict[str, Shape]()
+        refuse_if(not scene.sensors(), "scene: it has no sensor")
         refuse_if(self._integrator is None, "integrator: the scene has none: give one")
         self.require_variant()
         require_known("values: ", shapes, list(self.parameters.keys()))
@@ -71,10 +77,18 @@ class Rendering:
             self.parameters[name] = value
         self.parameters.update()
 
-    def image(self) -> Any:
-        """Render the scene as it is."""
-        made = mi.render(self._scene, integrator=self._integrator, spp=self._spp, seed=self._seed)
-        dr.eval(made)
+    def image(self, typed: Sequence[Any]) -> Any:
+        """Render the scene with values, which it keeps unless they are refused."""
+        before = {name: type(self.parameters[name])(self.parameters[name]) for name in self._expected}
+        try:
+            self.put(typed)
+            # As `mi.render`, which hides from its callers why an integrator refuses a scene.
+            with dr.suspend_grad():
+                made = self._integrator.render(self._scene, self._scene.sensors()[0], self._seed, self._spp)
+                dr.eval(made)
+        except Exception:
+            self.put(list(before.values()))
+            raise
         return made
 
     def forward(self) -> Any:
@@ -101,8 +115,7 @@ class RenderedValue:
         self._rendering, self._typed = rendering, rendering.typed(given)
         self._shapes = [np.shape(each) for each in given]
         rendering.require_variant()
-        rendering.put(self._typed)
-        self.value = rendering.image()
+        self.value = rendering.image(self._typed)
 
     @one_at_a_time
     def jvp(self, changes: Sequence[Any]) -> Any:
@@ -141,4 +154,6 @@ class RenderedValue:
 
 def _tensor(array: Any) -> Any:
     """Return an array as a tensor of Dr.Jit."""
-    return array if dr.is_tensor_v(array) else mi.TensorXf(np.ascontiguousarray(array, np.float32))
+    if dr.is_tensor_v(array):
+        return array
+    return mi.TensorXf(mi.Float(lanes(np.asarray(array, np.float32))), np.shape(array))

@@ -151,10 +151,10 @@ def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
     InputError
         If the captures have a wrong shape.
     """
-    function = refocusing(by, _required(captures).shape[-2:])
+    function = refocusing(by)
     if isinstance(function, LinearFunction):
         return _Linear.apply(captures, function)
-    return _Smooth.apply(_latest(function), captures)
+    return _Smooth.apply(_latest(function), _required(captures))
 
 
 def render(

@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+from functools import partial
 
 import mitsuba as mi
 import numpy as np
@@ -219,9 +220,22 @@ def test_types():
         bridge.forward(operator, [1, 2, 3])
 
 
+@pytest.mark.parametrize("compiled", [lambda function: function, jax.jit], ids=["called", "compiled"])
+def test_wrong_shapes_are_refused_before_anything_runs_on_the_host(compiled):
+    """In one line: what is raised on the host comes back within an error of JAX."""
+    with pytest.raises(InputError, match=r"^weights of shape \(2, 4\): it must not be empty, and its last axes must"):
+        compiled(partial(bridge.forward, stored()))(random(2, 4))
+    with pytest.raises(InputError, match=r"^images of shape \(64, 63\): .* its last axes must be \(64, 64\)"):
+        compiled(partial(bridge.adjoint, stored()))(random(64, 63))
+    with pytest.raises(InputError, match=r"^weights of shape \(0, 3\): it must not be empty"):
+        compiled(partial(bridge.capture, stored, CAMERA, {}))(random(0, 3))
+    for kind, options in OPTIONS.items():
+        # Colours are axes before the rows.
+        with pytest.raises(InputError, match=r"^captures of shape \(64, 64, 3\): .* its last axes must be \(64, 64\)"):
+            compiled(partial(bridge.refocus, kind(CAMERA, 225.0, **options)))(random(64, 64, 3))
+
+
 def test_mistakes():
-    with pytest.raises(Exception, match=r"weights of shape \(2, 4\): it must not be empty, and its last axes"):
-        bridge.forward(stored(), random(2, 4))
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(stored, CAMERA, {"wavelength": 633.0}, random(3))
 

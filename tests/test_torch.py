@@ -1,6 +1,7 @@
 """Captures and reconstructions as functions of PyTorch's tensors, by gradcheck and by differences."""
 
 import importlib
+import re
 import sys
 
 import drjit as dr
@@ -434,6 +435,19 @@ def test_captures_of_scenes_keep_their_values_for_the_reverse_pass(letters):
         image.sum().backward()
 
 
+def test_values_that_are_refused_leave_the_scene_as_it_was(letters):
+    """In one line, which `mi.render` hides: values by the camera, and those that the integrator refuses."""
+    parameters, kept = mi.traverse(letters.scene), ("camera.mla_distance", RADIANCES[0])
+    before, image = [np.array(parameters[name]) for name in kept], letters(torch.ones(1), torch.ones(1))
+    with pytest.raises(InputError, match=r"^mla_distance = -5: it must be greater than 0$"):
+        letters(torch.tensor([-5.0]), torch.ones(1), names=kept)
+    with pytest.raises(InputError, match=r"^scene: the radiance of some rays is NaN or infinite: all must be finite$"):
+        letters(torch.tensor([130.0]), torch.tensor([torch.nan]), names=kept)
+    after = [np.array(parameters[name]) for name in kept]
+    assert after[0] == before[0] and after[1] == 1
+    torch.testing.assert_close(letters(torch.ones(1), torch.ones(1)), image, rtol=0, atol=0)
+
+
 def test_captures_of_scenes_are_derived_once(letters):
     values = [torch.ones(1, requires_grad=True) for _ in RADIANCES]
     (gradient, _) = torch.autograd.grad(letters(*values).sum(), values, create_graph=True)
@@ -473,6 +487,18 @@ def test_values_that_the_scene_does_not_have(values, message):
         bridge.render(load_scene("letters"), values)
 
 
+def test_settings_that_cannot_be_rendered(letters):
+    without = mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})
+    for scene, settings, message in (
+        (letters.scene, {"spp": -1}, "spp = -1: it must be at least 0"),
+        (letters.scene, {"seed": 0.5}, "seed = 0.5: it must be a whole number"),
+        ("letters", {}, "scene = 'letters': it must be a scene of Mitsuba"),
+        (without, {}, "scene: it has no sensor"),
+    ):
+        with pytest.raises(InputError, match=f"^{message}$"):
+            bridge.render(scene, {RADIANCES[0]: torch.ones(1)}, **settings)
+
+
 # -- mistakes ----------------------------------------------------------------------------------------
 
 
@@ -490,11 +516,12 @@ def test_mistakes():
         bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3))
     with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
         bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
-    for shape in ((3,), (0, *CAMERA.shape)):
-        with pytest.raises(
-            InputError, match=r"^captures of shape \(.*\): it must not be empty, and its last axes must be"
-        ):
-            bridge.refocus(RayRefocus(CAMERA, 225.0), random(*shape))
+    for kind, options in OPTIONS.items():
+        # Colours are axes before the rows.
+        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3)):
+            named = rf"captures of shape {re.escape(str(shape))}: it must not be empty, and its last axes must be"
+            with pytest.raises(InputError, match=rf"^{named} \(64, 64\)$"):
+                bridge.refocus(kind(CAMERA, 225.0, **options), random(*shape))
 
 
 def test_torch_that_is_missing(monkeypatch):

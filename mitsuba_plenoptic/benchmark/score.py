@@ -61,9 +61,10 @@ def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
         error, off_image = (np.abs(found / np.where(known, one, np.nan) - 1) for one in (surface, image))
     plain = known & ~mirror & ~glass
     scores = {f"bad_{100 * bound:g}": _fraction(~(error <= bound), plain) for bound in BOUNDS}
-    estimated = plain & np.isfinite(error)
+    estimated = error[plain & np.isfinite(error)]
     return scores | {
-        "rmse": float(np.sqrt(np.mean(error[estimated] ** 2))) if estimated.any() else math.nan,
+        # Squares of the largest numbers that files can hold would be infinite.
+        "rmse": math.hypot(*estimated) / math.sqrt(estimated.size) if estimated.size else math.nan,
         "known": _fraction(np.isfinite(error), plain),
         "mirror_bad_3": _fraction(~(off_image <= BOUNDS[1]), mirror & np.isfinite(image)),
         "mirror_surface_bad_3": _fraction(~(error <= BOUNDS[1]), mirror & np.isfinite(image)),
@@ -149,6 +150,7 @@ def read_answer(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     with refusing(f"{path}: it cannot be read:"):
         if path.suffix == ".npy":
             found = np.load(path, allow_pickle=False)
+            refuse_if(not isinstance(found, np.ndarray), f"{path}: it is an archive (.npz): it must be one array")
         elif path.suffix == ".nc":
             found = xr.load_dataarray(path, engine="scipy").values
         else:

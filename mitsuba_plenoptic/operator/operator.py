@@ -91,6 +91,9 @@ class CaptureOperator(CoherentPoints):
     ((64, 64), (2,))
     """
 
+    # Of the images.
+    _dtype = np.dtype(np.float32)
+
     @suggest_keywords
     def __init__(
         self,
@@ -351,7 +354,7 @@ class CaptureOperator(CoherentPoints):
         Returns
         -------
         scipy.sparse.linalg.LinearOperator
-            Of shape (pixels, n), in single precision.
+            Of shape (pixels, n), of the type of the images. Without a spectrum several columns are multiplied at once.
 
         Raises
         ------
@@ -366,11 +369,17 @@ class CaptureOperator(CoherentPoints):
                 f"spectrum of {len(spectrum.wavelengths)} wavelengths and {spectrum.channels} channels: a "
                 "linear operator between flat arrays has one of each"
             )
+        shape, together = self.camera.shape, dict[str, Any]()
+        if spectrum is None:
+            # Several columns share the spreads; with a spectrum they would be wavelengths.
+            together["matmat"] = lambda weights: self.forward(weights).reshape(-1, weights.shape[1])
+            together["rmatmat"] = lambda pixels: self.adjoint(np.reshape(pixels, (*shape, -1)))
         return LinearOperator(
-            (math.prod(self.camera.shape), len(self.points)),
+            (math.prod(shape), len(self.points)),
             matvec=lambda weights: self.forward(np.ravel(weights)).ravel(),
-            rmatvec=lambda pixels: self.adjoint(np.reshape(pixels, self.camera.shape)),
-            dtype=np.float32,
+            rmatvec=lambda pixels: self.adjoint(np.reshape(pixels, shape)),
+            dtype=self._dtype,
+            **together,
         )
 
     @property

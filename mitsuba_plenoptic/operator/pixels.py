@@ -20,8 +20,8 @@ import scipy
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..runtime.backend import Backend, backend_of
-from ..runtime.fft import aligned, split
+from ..runtime.backend import Backend, backend_of, lanes
+from ..runtime.fft import split
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -229,7 +229,7 @@ class TurnedSamples:
         types = libraries.types
         sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
         for lines, active, across, visit in self._visited(libraries):
-            given = types.Float(aligned(samples[lines].reshape(-1)))
+            given = types.Float(lanes(samples[lines]))
 
             def spread(
                 row: Any, weight: Any, total: Any, active: Any = active, across: Any = across, given: Any = given

@@ -54,7 +54,7 @@ class RayRefocus:
     def __init__(
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
-        self._camera, self._distance = camera, require_number("distance", distance, finite=False)
+        self.camera, self._distance = camera, require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, self._distance)
         require_choice("footprint", footprint, FOOTPRINTS)
         numbers = camera, self._distance, pupil_radius(camera), footprint, require_count("oversample", oversample)
@@ -82,8 +82,8 @@ class RayRefocus:
         float32 array (rows, columns) or (rows, columns, channels)
             Radiance of the bins, as by `reconstruct`, but 0 where that has NaN.
         """
-        pixels = as_channels(as_array("capture", capture), self._camera.shape, "capture")
-        sums = ray_sums(np.ascontiguousarray(pixels, np.float32), self._camera, *self._numbers)
+        pixels = as_channels(as_array("capture", capture), self.camera.shape, "capture")
+        sums = ray_sums(np.ascontiguousarray(pixels, np.float32), self.camera, *self._numbers)
         made = (sums * self._factor[..., None]).astype(np.float32)
         return made[..., 0] if np.ndim(capture) == 2 else made
 
@@ -101,7 +101,7 @@ class RayRefocus:
             One value for each pixel.
         """
         given = as_channels(as_array("bins", bins), self._factor.shape, "bins") * self._factor[..., None]
-        pixels = ray_sums_vjp(given, self._camera, *self._numbers).astype(np.float32)
+        pixels = ray_sums_vjp(given, self.camera, *self._numbers).astype(np.float32)
         return pixels[..., 0] if np.ndim(bins) == 2 else pixels
 
     def __call__(self, capture: Any) -> Any:
@@ -182,7 +182,7 @@ class CoherentRefocus:
         wavelength, oversample = require_wavelength(wavelength), require_count("oversample", oversample)
         system = OpticalSystem(camera, wavelength)
         fine = fine_bins(system, oversample)
-        self._camera, self._wavelength, self._oversample = camera, wavelength, oversample * fine
+        self.camera, self._wavelength, self._oversample = camera, wavelength, oversample * fine
         self._spread = LensSpread(camera, oversample, fine, lens_scale(camera, distance)) if fine > 1 else None
         (left, top), (columns, rows) = camera.crop_offset, camera.crop_size
         window = (left, left + columns), (top, top + rows)
@@ -275,7 +275,7 @@ class _BinnedPower:
     def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32], *, checked: bool) -> None:
         self._refocus, amplitude = refocus, np.sqrt(image)
         self._slope = np.divide(0.5, amplitude, out=np.zeros_like(amplitude), where=amplitude > 0)
-        self._sums = BinSums(refocus._step, refocus._camera, refocus._wavelength, refocus._oversample)
+        self._sums = BinSums(refocus._step, refocus.camera, refocus._wavelength, refocus._oversample)
         self._at, passed = self._fields(amplitude)
         sent = float(image.sum(dtype=np.float64))
         if checked and sent:
@@ -317,7 +317,7 @@ class CoherentImage:
     """A refocused capture, and its derivatives there; see `CoherentRefocus`."""
 
     def __init__(self, refocus: CoherentRefocus, capture: Any) -> None:
-        pixels = as_channels(as_array("capture", capture), refocus._camera.shape, "capture")
+        pixels = as_channels(as_array("capture", capture), refocus.camera.shape, "capture")
         require_pixels("capture", pixels)
         self._refocus, self._flat, self._shape = refocus, np.ndim(capture) == 2, pixels.shape
         self._channels = [

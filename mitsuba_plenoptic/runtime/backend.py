@@ -74,6 +74,31 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return in_turn
 
 
+_PACKET = 16
+"""Numbers that kernels of Dr.Jit read at once, at most."""
+
+_ALIGNMENT = 128
+"""Bytes of the widest packets."""
+
+
+def lanes(array: Any) -> Any:
+    """Return an array, flat, for one of Dr.Jit to share whose numbers kernels read one after the other.
+
+    They read whole packets, also beyond the end of memory of NumPy's. Where this ends with a page, and the next page is
+    none of the process, reading it ends the process. Arrays that do not fill their last packet are therefore copied, and
+    so are those whose memory is not aligned, for which Dr.Jit compiles kernels of their own.
+    """
+    if not isinstance(array, np.ndarray):
+        return array.reshape(-1)
+    if array.size % _PACKET == 0 and array.ctypes.data % _ALIGNMENT == 0 and array.flags.c_contiguous:
+        return array.reshape(-1)
+    memory = np.zeros(array.nbytes + _PACKET * array.itemsize + _ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % _ALIGNMENT
+    copy = memory[start : start + array.nbytes].view(array.dtype)
+    copy[:] = array.reshape(-1)
+    return copy
+
+
 @dataclass(frozen=True)
 class Backend:
     """The libraries of one type of processor."""

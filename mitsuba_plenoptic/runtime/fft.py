@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of
+from .backend import backend_of, lanes
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -183,30 +183,15 @@ def unpack(packed: Any) -> Any:
     return types.Complex2f(dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary))
 
 
-_ALIGNMENT = 128
-"""Bytes of the widest vectors that Dr.Jit loads."""
-
-
 def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
     """Return the memory of a flat Dr.Jit array of 64-bit words as a field, of which everything is computed."""
     dr.eval(packed)
     return backend_of(packed).from_drjit(packed).view(np.complex64).reshape(shape)
 
 
-def as_words(field: Field) -> NDArray[np.uint64]:
-    """Return the memory of a contiguous field as 64-bit words, from which a Dr.Jit array can be made without a copy."""
-    return field.reshape(-1).view(np.uint64)
-
-
-def aligned(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array, or a copy of it, with aligned memory: Dr.Jit compiles other kernels for memory that is not."""
-    if not isinstance(array, np.ndarray) or (array.ctypes.data % _ALIGNMENT == 0 and array.flags.c_contiguous):
-        return array
-    memory = np.empty(array.nbytes + _ALIGNMENT, np.uint8)
-    start = -memory.ctypes.data % _ALIGNMENT
-    copy = memory[start : start + array.nbytes].view(array.dtype).reshape(array.shape)
-    copy[...] = array
-    return copy
+def as_words(field: Field) -> Any:
+    """Return the memory of a contiguous field, or a copy, as 64-bit words for an array of Dr.Jit; see `lanes`."""
+    return lanes(field.reshape(-1).view(np.uint64))
 
 
 def array_types(array: Any) -> Any:

@@ -197,6 +197,8 @@ def test_depths_that_are_off_have_the_errors_of_closed_forms():
     moved = depth.copy()
     moved[:, :4] = moved[0] = np.inf
     assert depth_scores(moved, truth)["bad_1"] == 0
+    # Numbers whose squares are infinite have finite errors.
+    assert depth_scores(np.full((16, 16), 2.4e302), truth)["rmse"] == pytest.approx(1e300)
     nothing = depth_scores(moved, {**truth, "virtual_depth": depth})
     assert math.isnan(nothing["mirror_bad_3"])
 
@@ -235,6 +237,10 @@ def test_answers_may_have_other_formats(made, perfect, suffix):
         (lambda path: np.save(path, np.ones((8, 8), complex)), "its type is complex128: it must be real"),
         (lambda path: np.save(path, np.array([{}])), r"depth\.npy: it cannot be read:"),
         (lambda path: path.write_bytes(b"nothing"), r"depth\.npy: it cannot be read:"),
+        (
+            lambda path: np.savez(path.with_suffix(""), np.ones((8, 8))) or path.with_suffix(".npz").replace(path),
+            r"depth\.npy: it is an archive \(\.npz\): it must be one array$",
+        ),
         (
             lambda path: path.rename(path.with_stem("dept")),
             r"ray/dept\.npy: task = 'dept': it must be .* did you mean depth",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.sparse.linalg import lsqr
+from scipy.sparse.linalg import lsqr, svds
 from wave_cases import CAMERAS, WAVELENGTH, error, in_every_lens, scattered, small_camera
 
 from mitsuba_plenoptic.errors import InputError
@@ -119,6 +119,28 @@ def test_scipy_recovers_weights_to_double_precision():
     stored = StoredOperator(SMALL, scattered(4), wavelength=WAVELENGTH, dtype="float64")
     found = lsqr(stored.as_linear_operator(), stored.forward(weights).ravel(), atol=1e-13, btol=1e-13)[0]
     assert error(found, weights) < 1e-10
+
+
+def test_singular_values_to_double_precision():
+    stored = StoredOperator(SMALL, scattered(4), wavelength=WAVELENGTH, dtype="float64")
+    (largest,) = svds(stored.as_linear_operator(), k=1, return_singular_vectors=False, tol=1e-13)
+    assert largest == pytest.approx(np.linalg.norm(stored.to_dense(), 2), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", [CaptureOperator, StoredOperator])
+def test_scipy_multiplies_several_columns_at_once(kind, monkeypatch):
+    calls, operator = [], kind(SMALL, scattered(4), wavelength=WAVELENGTH)
+    for name in ("forward", "adjoint"):
+        function = getattr(operator, name)
+        monkeypatch.setattr(operator, name, lambda array, f=function: calls.append(np.shape(array)) or f(array))
+    matrix, rng = operator.as_linear_operator(), np.random.default_rng(0)
+    weights, pixels = rng.normal(size=(4, 3)), rng.normal(size=(matrix.shape[0], 2))
+    made, back = matrix @ weights, matrix.T @ pixels
+    assert calls == [(4, 3), (*SMALL.shape, 2)]
+    assert error(made, np.stack([matrix @ one for one in weights.T], -1)) < 1e-6
+    assert error(back, np.stack([matrix.T @ one for one in pixels.T], -1)) < 1e-6
+    one = kind(SMALL, scattered(4), spectrum=Spectrum((WAVELENGTH,), ((2.0,),))).as_linear_operator()
+    assert error(one @ weights, 2 * made) < 1e-6
 
 
 def test_light_that_is_lost_is_refused(monkeypatch):

@@ -16,7 +16,7 @@ from ...camera import PlenopticCamera
 from ...lattice import turn
 from ...runtime.backend import array_module
 from ...runtime.batches import Box, Part
-from ...runtime.fft import aligned, as_field, as_words, pack, unpack
+from ...runtime.fft import as_field, as_words, pack, unpack
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, FieldBatch, reached
@@ -226,7 +226,7 @@ class VjpBatch(FieldBatch):
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(part):
-                given = unpack(words(as_words(aligned(cotangent))))
+                given = unpack(words(as_words(cotangent)))
                 products = part.real * given.real + part.imag * given.imag
                 total = total + dr.sum(parameters.types.Float64(products))
         if dr.grad_enabled(total):
