@@ -77,20 +77,21 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
 _PACKET = 16
 """Numbers that kernels of Dr.Jit read at once, at most."""
 
-_ALIGNMENT = 128
-"""Bytes of the widest packets."""
+_ALIGNMENT, _SMALL = 128, 2**20
+"""Bytes of the widest packets, and of arrays that are copied without delay."""
 
 
 def lanes(array: Any) -> Any:
     """Return an array, flat, for one of Dr.Jit to share whose numbers kernels read one after the other.
 
     They read whole packets, also beyond the end of memory of NumPy's. Where this ends with a page, and the next page is
-    none of the process, reading it ends the process. Arrays that do not fill their last packet are therefore copied, and
-    so are those whose memory is not aligned, for which Dr.Jit compiles kernels of their own.
+    none of the process, reading it ends the process. Arrays that do not fill their last packet are therefore copied.
+    Small ones whose memory is not aligned are copied, too, as Dr.Jit compiles kernels of their own for them.
     """
     if not isinstance(array, np.ndarray):
         return array.reshape(-1)
-    if array.size % _PACKET == 0 and array.ctypes.data % _ALIGNMENT == 0 and array.flags.c_contiguous:
+    is_aligned = array.ctypes.data % _ALIGNMENT == 0 or array.nbytes > _SMALL
+    if array.size % _PACKET == 0 and is_aligned and array.flags.c_contiguous:
         return array.reshape(-1)
     memory = np.zeros(array.nbytes + _PACKET * array.itemsize + _ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % _ALIGNMENT

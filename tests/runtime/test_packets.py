@@ -35,11 +35,17 @@ def test_fields_that_end_with_a_page():
     assert (made.returncode, made.stdout.strip()) == (0, "fine"), made.stderr
 
 
-@pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 32])
-def test_arrays_fill_their_last_packet_or_are_copied(count):
-    given = np.arange(count, dtype=np.float64)
+@pytest.mark.parametrize("start", [0, 2])
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 32, 2**18])
+def test_arrays_fill_their_last_packet_or_are_copied(count, start):
+    memory = np.empty(count + 32)
+    first = -memory.ctypes.data % 128 // 8 + start
+    given = memory[first : first + count]
+    given[:] = np.arange(count)
     made = lanes(given)
     np.testing.assert_array_equal(made, given)
-    assert np.shares_memory(made, given) == (count > 0 and count % 16 == 0)
-    if count % 16:
-        assert made.base.size >= -(-count // 16) * 16
+    shared = count > 0 and count % 16 == 0 and (start == 0 or count == 2**18)
+    assert np.shares_memory(made, given) == shared
+    if not shared:
+        assert made.ctypes.data % 128 == 0
+        assert made.base.nbytes >= -(-count // 16) * 128 + made.ctypes.data - made.base.ctypes.data
