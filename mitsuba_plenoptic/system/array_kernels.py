@@ -43,7 +43,7 @@ _KEPT = 2.0
 SPECTRUM_SAMPLES = 256
 """Samples across a lens for the Fourier coefficients of its functions."""
 
-_HIGHER, _COARSE, _LAGS = 4, 24, 16
+_HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
 
