@@ -224,7 +224,7 @@ def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
             "type": "scene",
             "integrator": {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "direct"}},
             "camera": sensor,
-            "point": disk((0, 0, 240.0), 0.05),
+            "point": disk((0, 0, 240.0), 0.3),
         }
     )
     own = render_capture(scene, spp=1)
