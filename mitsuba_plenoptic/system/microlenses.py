@@ -59,7 +59,7 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
         right, up, longer = (types.Float64(value) for value in irregularities(camera, *lattice.cell(x, y)))
         dx, dy = dx - right, dy - up
     if camera.mla_shape is not None:
-        waves = camera.mla_shape.waves(*camera.lattice.to_frame(dx, dy), wavelength) / longer
+        waves = camera.mla_shape.waves(*lattice.to_frame(dx, dy), wavelength) / longer
     else:
         lengths = types.Float64(camera.reduced_focal_lengths)
         dr.make_opaque(lengths)
