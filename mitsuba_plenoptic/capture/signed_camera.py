@@ -177,7 +177,7 @@ class CameraTangents(_CameraSum):
                 result.append([old + part for old, part in zip(before, parts, strict=True)])
             return k + 1, result
 
-        return self._mean_of(bring, lit, node)
+        return self._mean_of(bring, lit, number, cells)
 
 
 class CameraAdjoint(_CameraSum):
@@ -218,22 +218,23 @@ class CameraAdjoint(_CameraSum):
         lit = dr.compress(lit)
         if not dr.width(lit):
             return
-        spp, every = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
+        spp = dr.opaque(mi.UInt32, self._spp)
         cells = replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, lit))
         drawn, own = self._drawn_rays(cells, key)
         _, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
         even = (sample & 1) == 0
-        points, own = (drawn.point, drawn.inner, drawn.chance, drawn.open), dr.gather(mi.UInt32, lit, own)
+        points, cell, own = (drawn.point, drawn.inner, drawn.chance, drawn.open), own, dr.gather(mi.UInt32, lit, own)
         lights = [dr.gather(mi.Float, light, own * spp + sample, drawn.open) for light in radiance]
         means = [
             dr.select(drawn.open, dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1])), 0)
             for pair in known
         ]
         by_held, by_width, by_kernels = [mi.Float(0)] * 6, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
-        for node, table, width, totals in zip(self._nodes, self._coefficients, self._by_width, felt, strict=True):
+        for number, (node, table, width, totals) in enumerate(
+            zip(self._nodes, self._coefficients, self._by_width, felt, strict=True)
+        ):
             assert isinstance(table, RayCoefficients)  # others are refused
-            place = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), own)
             values, (by_u, by_v), wider = table(*points), table.slopes(*points), width(*points)
             used, weights = node.mixture(lanes)
             if lanes is not None:
@@ -245,11 +246,8 @@ class CameraAdjoint(_CameraSum):
                 weighted = [strength * value for value in values]
                 weighted[0] += mean
                 sets = [
-                    [
-                        dr.gather(mi.Float, total_felt, place + every * (each * len(values) + n), drawn.open)
-                        for n in range(len(values))
-                    ]
-                    for each in range(self._sets)
+                    [dr.gather(mi.Float, part, cell, drawn.open) for part in each]
+                    for each in self._felt(total_felt, number, lot, lit)
                 ]
                 brought = [
                     *(strength * mixed(parts, sets[0]) for parts in (by_u, by_v)),
@@ -302,15 +300,18 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
         rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
     )
     slope = rays.cosines_to_slopes(*cosines)
-    aside, landed = [], []
-    for P, t, m, q, offset, held in zip(
-        drawn.pupil, slope, drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True
-    ):
-        centre = offset + (q - m - held) * pitch
-        aside.append((rays.pupil_point(P, t, -b) - centre) / pitch)
-        landed.append(
-            (centre - (P - centre) * (larger * z / (b * camera.mla_medium))) / (step * width / camera.detector_width)
-        )
+    centres = tuple(
+        offset + (q - m - held) * pitch
+        for m, q, offset, held in zip(drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True)
+    )
+    aside = [
+        (rays.pupil_point(P, t, -b) - centre) / pitch for P, t, centre in zip(drawn.pupil, slope, centres, strict=True)
+    ]
+    behind = tuple((centre - P) / b for P, centre in zip(drawn.pupil, centres, strict=True))
+    if camera.mla_medium != 1:
+        behind = rays.refracted(behind, 1 / camera.mla_medium)
+    cell = step * width / camera.detector_width
+    landed = [(centre + t * (larger * z)) / cell for t, centre in zip(behind, centres, strict=True)]
     u, v = camera.lattice.to_frame(*aside)
     square = slope[0] * slope[0] + slope[1] * slope[1]
     grid = 2 * dr.log(width)

@@ -197,7 +197,7 @@ class SignedRayAdjoint(SignedRaySum):
         self, lot: Lot, met: Any, felt: list[list[Any]], nodes: Sequence[int], lanes: Lanes | None
     ) -> dict[int, Any]:
         """Return the derivatives by the radiance values of each ray of the cells `met` of a lot."""
-        spp, every = dr.opaque(mi.UInt32, self._spp), dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
+        spp = dr.opaque(mi.UInt32, self._spp)
         cells, key = (
             replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, met)),
             dr.opaque(mi.UInt32, lot.seed & ~15),
@@ -208,12 +208,11 @@ class SignedRayAdjoint(SignedRaySum):
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:
             node = self._nodes[number]
-            first = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), met)
-            place = dr.gather(mi.UInt32, first, own)
             values = self._coefficients[number](drawn.point, drawn.inner, drawn.chance, drawn.open)
             direct, others = [], []
             for total in felt[number]:
-                parts = [dr.gather(mi.Float, total, place + every * n, drawn.open) for n in range(len(values))]
+                (parts,) = self._felt(total, number, lot, met)
+                parts = [dr.gather(mi.Float, part, own, drawn.open) for part in parts]
                 by_ray = drawn.weight * mixed(values, parts)
                 direct.append(dr.select(drawn.open, by_ray, 0))
                 others.append(dr.select(drawn.open, (parts[0] - by_ray) * self._known_part, 0))

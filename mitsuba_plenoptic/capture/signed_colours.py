@@ -31,8 +31,9 @@ from ..system.phase_space import PhaseSpace
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_DEGREES, _WINDOWS = (4, 6), (9, 13)
-"""Degrees, which give the number of functions over a lens, and windows, of usual and of finer plans."""
+_DEGREES, _WINDOWS, _TOLERANCES = (4, 6), (9, 13), (0.005, 0.002)
+"""Degrees, which give the number of functions over a lens, windows, and tolerances of oblique kernels, of usual and of
+finer plans."""
 
 _DEFOCUS = 4.0
 """Defocus of the microlenses in radians beyond which the degree is increased by two."""
@@ -233,7 +234,14 @@ def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: fl
 
     `shortest` is the shortest wavelength of a capture's plans.
     """
-    plan = PhaseSpace(camera, wavelength, degree=_DEGREES[fine], window=_WINDOWS[fine], shortest=shortest)
+    plan = PhaseSpace(
+        camera,
+        wavelength,
+        degree=_DEGREES[fine],
+        window=_WINDOWS[fine],
+        tolerance=_TOLERANCES[fine],
+        shortest=shortest,
+    )
     return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
 
 

@@ -183,12 +183,24 @@ class Draws:
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands, in the mean over a lens, on detector points."""
+        chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
+        return self.pupil.seen(chief, aims.centre, self._camera.detector_distance, aims.height)
+
+    def _chief(self, detector: Pair, aims: Aims) -> Pair:
+        """Return where the light that lands on detector points lands if it passes the centres of lenses, from these."""
         if len(self.enlargements) > 1:
             larger = dr.gather(mi.Float, mi.Float(self.enlargements), aims.kind)
         else:
             larger = dr.opaque(mi.Float, self.enlargements[0])
-        detector = tuple(c + (p - c) / larger for c, p in zip(aims.centre, detector, strict=True))
-        return self.pupil.seen(detector, aims.centre, self._camera.detector_distance, aims.height)
+        return tuple((p - c) / larger for c, p in zip(aims.centre, detector, strict=True))
+
+    def cosines(self, cells: Cells) -> Pair:
+        """Return the direction cosines, in the lattice's frame, with which the light of cells meets the array."""
+        camera, aims = self._camera, self.aims(cells)
+        u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
+        # In the medium behind the lenses the sine is smaller by its index.
+        scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)
+        return u * scale, v * scale
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
         """Return the rays of the given sample indices; those of even and of odd indices are independent."""

@@ -31,6 +31,7 @@ from ..lenses.base import Pair
 from ..optics.rays import angular_response, transmittance
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..system.oblique import ObliqueImages
 from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
@@ -144,6 +145,10 @@ class SignedRaySum:
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
     @cached_property
+    def _oblique(self) -> list[ObliqueImages]:
+        return [ObliqueImages(node.plan.oblique) for node in self._nodes]
+
+    @cached_property
     def _coefficients(self) -> list[RayCoefficients | Polynomials]:
         return [coefficients_of(node.plan) for node in self._nodes]
 
@@ -173,7 +178,7 @@ class SignedRaySum:
 
     def _values_of(self, node: Node) -> int:
         """Return the count of values that a ray has for each image of a node."""
-        return self._sets * node.plan.functions.count
+        return self._sets * (node.plan.functions.count + node.plan.oblique.count)
 
     def _lots(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield cells of a box with each lens that lights them, in lots."""
@@ -207,6 +212,25 @@ class SignedRaySum:
             seeds = np.random.SeedSequence([self._seed, number])
             for lot in self._lots(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds):
                 yield lot, felt
+
+    def _felt(self, images: Any, number: int, lot: Lot, some: Any) -> list[list[Any]]:
+        """Return the gradients with respect to the functions' values of some cells of a lot, for each set of values.
+
+        They follow from `images`, those with respect to a node's images for one channel; see `_back`.
+        """
+        node, oblique = self._nodes[number], self._oblique[number]
+        count = node.plan.functions.count + node.plan.oblique.count
+        every = dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
+        first = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), some)
+        cosines = self._draws.cosines(replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, some)))
+        felt = [
+            oblique.reduced(
+                [dr.gather(mi.Float, images, first + every * (count * each + n)) for n in range(count)], cosines
+            )
+            for each in range(self._sets)
+        ]
+        dr.eval(felt)
+        return felt
 
     def probe(self) -> NDArray[np.float32]:
         """Return the coefficients of some cells, which identify a scene and its camera."""
@@ -363,15 +387,26 @@ class SignedRaySum:
                 result.append(after)
             return k + 1, result
 
-        return self._mean_of(bring, lit, node)
+        return self._mean_of(bring, lit, number, cells)
 
-    def _mean_of(self, bring: Callable[..., Any], lit: Any, node: Node) -> list[list[Any]]:
-        """Return the mean coefficients of each lit cell, over its rays in a loop, for each image of a node."""
-        nothing = [[mi.Float(0) for _ in range(self._values_of(node))] for _ in node.channels]
+    def _mean_of(self, bring: Callable[..., Any], lit: Any, number: int, cells: Cells) -> list[list[Any]]:
+        """Return the mean values of each lit cell, over its rays in a loop, for each image of a node."""
+        node, functions = self._nodes[number], self._nodes[number].plan.functions.count
+        nothing = [[mi.Float(0) for _ in range(self._sets * functions)] for _ in node.channels]
         end = dr.select(lit, dr.opaque(mi.UInt32, self._spp), 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
-        return [[part / rays for part in parts] for parts in brought]
+        cosines = self._draws.cosines(cells)
+        return [
+            [
+                value
+                for first in range(0, len(parts), functions)
+                for value in self._oblique[number].extended(
+                    [part / rays for part in parts[first : first + functions]], cosines
+                )
+            ]
+            for parts in brought
+        ]
 
 
 def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:

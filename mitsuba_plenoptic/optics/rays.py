@@ -89,6 +89,12 @@ def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
     return sx * scale, sy * scale
 
 
+def refracted(slope: tuple[Any, Any], index: float) -> tuple[Any, Any]:
+    """Return the slope behind a border at which direction cosines grow by a relative index, by Snell's law."""
+    sx, sy = slopes_to_cosines(*slope)
+    return cosines_to_slopes(index * sx, index * sy)
+
+
 _ANGLES = 1025
 """Angles in the table."""
 

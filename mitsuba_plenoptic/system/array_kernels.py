@@ -32,6 +32,7 @@ from ..runtime.limits import require_memory, single_threaded_blas
 from .lens_functions import LensFunctions
 from .lens_kinds import Kind, LensKinds
 from .microlenses import aperture_points
+from .oblique import DIRECTIONS, Oblique, changes, phase
 
 _TRANSFER_SAMPLES = 64
 """Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
@@ -46,6 +47,12 @@ SPECTRUM_SAMPLES = 256
 _HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
+
+_COARSER = 2
+"""Factor by which lags and points of oblique kernels are farther apart, which are small changes of the others."""
+
+_FIELD, _PUPIL = 9, 9
+"""Positions across the detector and the pupil whose rays the oblique kernels are for."""
 
 MOST_PHASE = 8.0
 """Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
@@ -62,6 +69,8 @@ class ArrayKernels:
     degree: int = 4
     # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
     shortest: float | None = None
+    # Part of images of random light that is allowed to be missing for want of further oblique kernels.
+    tolerance: float = 0.005
 
     @property
     def defocus(self) -> float:
@@ -115,19 +124,61 @@ class ArrayKernels:
             return polynomials
         u, v, inside = self.aperture_grid(math.ceil(_COARSE * self.lattice.pitches[0] / self.lattice.aperture_width))
         images = np.concatenate(
-            [self._images(polynomials, kind) for kind in self.kinds[: len(self.camera.mla_focal_lengths)]], axis=1
+            [
+                self._images(polynomials, kind, polynomials.functions)
+                for kind in self.kinds[: len(self.camera.mla_focal_lengths)]
+            ],
+            axis=1,
         )
         return polynomials.best((self.degree + 1) * (self.degree + 2) // 2, (u[inside], v[inside]), images)
 
-    def _images(self, polynomials: LensFunctions, kind: Kind) -> NDArray[np.float64]:
-        """Return the spectra (polynomials, values) of a kind's kernels of polynomials, as pixels record them."""
+    @cached_property
+    @single_threaded_blas()
+    def oblique(self) -> Oblique:
+        """The combinations of kernels' changes by the direction of light."""
+        functions, camera = self.functions, self.camera
+        if self.by_points or functions.count == 1:
+            return Oblique.nothing(functions.count)
+        cosines = self._cosines()
+        largest = float(np.hypot(*cosines.T).max())
+        u, v, inside = self.aperture_grid(_LAGS)
+        kinds = self.kinds[: len(camera.mla_focal_lengths)]
+        images = [
+            np.concatenate([self._images(functions, kind, functions.duals, (a, b)) for kind in kinds], axis=1)
+            for a, b in DIRECTIONS * largest
+        ]
+        light = functions.light(u[inside], v[inside])
+        return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance)
+
+    def _cosines(self) -> NDArray[np.float64]:
+        """Return the direction cosines (n, 2) on the array, in its frame, of light from the pupil to the detector."""
+        camera = self.camera
+        field = np.linspace(-0.5, 0.5, _FIELD) if camera.lens_data.converges else np.zeros(1)
+        pupil = np.linspace(-1, 1, _PUPIL) * camera.pupil_radius
+        x, y, Px, Py = (
+            each.ravel()
+            for each in np.meshgrid(field * camera.detector_width, field * camera.detector_height, pupil, pupil)
+        )
+        inside = np.hypot(Px, Py) <= camera.pupil_radius
+        slopes = (each[inside] / camera.pupil_distance for each in (x - Px, y - Py))
+        u, v = self.lattice.to_frame(*slopes)
+        return np.column_stack([u, v]) / np.sqrt(1 + u * u + v * v)[:, None]
+
+    def _images(
+        self,
+        polynomials: LensFunctions,
+        kind: Kind,
+        coefficients: NDArray[np.float64],
+        cosines: tuple[float, float] = (0.0, 0.0),
+    ) -> NDArray[np.float64]:
+        """Return the spectra (n, values) of a kind's kernels of combinations of polynomials, as pixels record them."""
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         farthest = min(2 * _TRANSFER_SAMPLES, int(scale / (2 * self.camera.pixel_size * fine)))
         every = max(1, farthest // _LAGS)
         lags = np.arange(-_LAGS, _LAGS + 1) * every
         weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        spectra = self._transfer(_LAGS, every, kind, polynomials, polynomials.functions) * (weights[:, None] * weights)
+        spectra = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines) * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
     def aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
@@ -150,7 +201,8 @@ class ArrayKernels:
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) of a kind of lenses on a grid of some step, times the area of a grid cell.
 
-        They reach at least to `reach`. Light beyond is folded back, which conserves the energy.
+        They are those of the functions, which reach at least to `reach`, and oblique ones. Light beyond is folded back,
+        which conserves the energy.
         """
         key = step, reach, kind
         if key not in self._kept:
@@ -197,14 +249,38 @@ class ArrayKernels:
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
         """Return `kernels` with a given sampling, even if another one would suit them better."""
-        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
-        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every, farthest, count = samples
-        functions = self.functions
-        lags = np.arange(-farthest, farthest + 1) * every
+        functions, oblique = self.functions, self.oblique
         transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)
-        place = np.arange(-count, count + 1) * step
-        waves = np.exp(-2j * np.pi * np.outer(place, lags * fine) / scale) * (every * fine * step / scale)
+        kernels = self._placed(transfer, every, step, count, kind)
+        if not oblique.count:
+            return kernels
+        parts = np.einsum("rnk,kd->drn", oblique.kernels, changes())
+        transfer = sum(
+            self._transfer(
+                farthest // _COARSER,
+                every,
+                self.kinds[kind],
+                functions,
+                functions.duals @ part.T,
+                (a, b),
+                _TRANSFER_SAMPLES // _COARSER,
+            )
+            for part, (a, b) in zip(parts, DIRECTIONS * oblique.largest, strict=True)
+        )
+        aside = count - count // _COARSER
+        small = self._placed(transfer, every * _COARSER, step, count - aside, kind)
+        return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
+
+    def _placed(
+        self, transfer: NDArray[np.complex64], every: int, step: float, count: int, kind: int
+    ) -> NDArray[np.float64]:
+        """Return kernels of `count` samples on either side from transfer functions at lags `every` steps apart."""
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
+        apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
+        farthest = transfer.shape[1] // 2
+        place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
+        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
     def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -267,18 +343,36 @@ class ArrayKernels:
         parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
         return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
 
+    def _beyond_paraxial(
+        self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind, cosines: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        """Return the phase of a lens in waves for light of some direction cosines without the paraxial one."""
+        camera = self.camera
+        power = 1 / kind.focal_length - camera.lens_data.converges / camera.pupil_distance
+        enlargement = LensKinds(camera).enlargement(kind.focal_length)
+        path = phase(u, v, cosines, power, camera.mla_medium, enlargement)
+        return np.asarray(path / in_millimetres(self.wavelength))
+
     def _transfer(
-        self, farthest: int, every: int, kind: Kind, polynomials: LensFunctions, coefficients: NDArray[np.float64]
+        self,
+        farthest: int,
+        every: int,
+        kind: Kind,
+        polynomials: LensFunctions,
+        coefficients: NDArray[np.float64],
+        cosines: tuple[float, float] = (0.0, 0.0),
+        samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.complex64]:
         """Return the integrals of combinations of polynomials, times T T*, over a cell at lags along y and x.
 
-        Along either axis there are `farthest` lags on either side, `every` steps apart. `coefficients` are those of the
-        combinations (polynomials, n).
+        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `samples` apart, and
+        two points for each step. `coefficients` are those of the combinations (polynomials, n). Light has some
+        direction cosines.
         """
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
         # Points lie between the borders of lenses. A lag of whole steps moves both points of a pair to such points.
-        step = lattice.pitches[0] / _TRANSFER_SAMPLES / 2
+        step = lattice.pitches[0] / samples / 2
         reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
@@ -289,16 +383,17 @@ class ArrayKernels:
         # Neighbours are assumed to deviate as the lens itself does.
         powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
         types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
-        phase = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
+        waves = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
             2 * wavelength
         )
         if not self.by_points:
             # A quadratic phase shifts the landing point in proportion to the position on the lens.
-            phase += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
+            waves += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
+            waves += self._beyond_paraxial(*lattice.to_frame(x - cx, y - cy), kind, cosines)
         if camera.mla_shape is not None:
-            phase += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
+            waves += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
         inside = lattice.in_aperture(x - cx, y - cy)
-        T = np.where(inside, np.exp(2j * np.pi * phase), 0).astype(np.complex64)
+        T = np.where(inside, np.exp(2j * np.pi * waves), 0).astype(np.complex64)
         # Functions are undefined outside the aperture, where rays have no coefficients.
         own = (i == kind.lens_type) & (j == 0) & inside
         rows, columns = (np.flatnonzero(own.any(axis)) for axis in (1, 0))
@@ -324,4 +419,4 @@ class ArrayKernels:
         # The weights are real.
         result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.
-        return np.asarray(result / result[0, farthest, farthest].real)
+        return np.asarray(result / np.float32(len(values)))

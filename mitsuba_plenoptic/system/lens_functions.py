@@ -24,6 +24,9 @@ _TIED = 1e-3
 """Relative difference of the errors that two functions remove below which both or neither are used, as they differ by
 the symmetry of a lens."""
 
+_MEAN_SQUARE = 0.5
+"""Mean square of light that is 0 or 1."""
+
 
 @dataclass(frozen=True)
 class LensFunctions:
@@ -93,6 +96,16 @@ class LensFunctions:
         duals = np.column_stack([first, expected @ others @ np.linalg.inv(others.T @ expected @ others)])
         parities = [(False, False), *(parity for _, parity, _ in found[:most])]
         return LensFunctions(self.scale, self.exponents, self.triangle, functions, duals, parities)
+
+    def light(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance of the functions' coefficients in light that has, on average, one edge on a lens.
+
+        The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
+        """
+        # An edge is between two points with a probability in proportion to their distance.
+        expected = self._expected(u, v) / (2 * np.pi)
+        expected[0, 0] += _MEAN_SQUARE
+        return np.asarray(self.duals.T @ expected @ self.duals)
 
     def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance of the polynomials' coefficients of light with random edges, without its mean."""

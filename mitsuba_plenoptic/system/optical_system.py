@@ -17,6 +17,7 @@ from ..camera.plenoptic_camera import require_ideal
 from ..lattice import Lattice
 from ..lenses.base import MainLens, PointLight
 from ..lenses.common import main_lens
+from ..optics import rays
 from ..optics.waves import in_millimetres
 from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
@@ -123,7 +124,9 @@ class RayPupil:
         The centres lie by a height nearer to the main lens than `detector_distance` before the detector.
         """
         z, n = detector_distance + height, self.system.camera.mla_medium
-        slopes = ((c - p) * n / z for c, p in zip(centre, detector, strict=True))
+        slopes = tuple((c - p) / z for c, p in zip(centre, detector, strict=True))
+        if n != 1:
+            slopes = rays.refracted(slopes, n)
         lens = self.system.lens
         return tuple(lens.pupil_point(c, slope, height) for c, slope in zip(centre, slopes, strict=True))
 

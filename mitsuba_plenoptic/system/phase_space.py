@@ -234,7 +234,7 @@ class PhaseSpace(ArrayKernels):
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions, whose table has the same nodes."""
         plan = replace(self, camera=camera)
-        vars(plan)["functions"] = self.functions
+        vars(plan)["functions"], vars(plan)["oblique"] = self.functions, self.oblique
         scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
         vars(plan)["nodes"] = [
             node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
