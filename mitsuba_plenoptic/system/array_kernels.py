@@ -25,14 +25,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..lattice import Lattice
 from ..optics.waves import in_millimetres
 from ..runtime.limits import require_memory, single_threaded_blas
 from .lens_functions import LensFunctions
-from .lens_kinds import Kind, LensKinds
-from .microlenses import aperture_points
-from .oblique import DIRECTIONS, Oblique, changes, phase
+from .lens_kinds import Kind
+from .lens_waves import LensWaves
+from .oblique import DIRECTIONS, Oblique, changes
 
 _TRANSFER_SAMPLES = 64
 """Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
@@ -59,39 +57,15 @@ MOST_PHASE = 8.0
 
 
 @dataclass(frozen=True)
-class ArrayKernels:
+class ArrayKernels(LensWaves):
     """Diffraction of one camera's microlenses at one wavelength, as kernels of images."""
 
-    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
-    camera: PlenopticCamera
-    wavelength: float
     # There are at most as many functions over a lens as polynomials of this degree, (degree + 1) (degree + 2) / 2.
     degree: int = 4
     # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
     shortest: float | None = None
     # Part of images of random light that is allowed to be missing for want of further oblique kernels.
     tolerance: float = 0.005
-
-    @property
-    def defocus(self) -> float:
-        """Largest defocus of the microlenses' waves on the detector, in radians at the edge of a lens."""
-        square = float(self.lattice.aperture_reach) ** 2
-        most = max(abs(self.convergence(kind)) for kind in self.kinds)
-        return math.pi * most * square / in_millimetres(self.wavelength)
-
-    @property
-    def aberration(self) -> float:
-        """Difference of the shape of lenses from the parabola by which rays land, in radians at the edge of a lens.
-
-        It is that of the slopes, since a phase may have jumps.
-        """
-        shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
-        assert shape is not None
-        u, v = lattice.to_frame(*aperture_points(lattice))
-        strength = shape.strength(self.wavelength)
-        slopes = (s * strength + place / focal_length for s, place in zip(shape.slopes(u, v), (u, v), strict=True))
-        most = float(np.hypot(*slopes).max())
-        return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
 
     @property
     def by_points(self) -> bool:
@@ -101,16 +75,6 @@ class ArrayKernels:
         then taken as that of the whole pupil for all of its points.
         """
         return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
-
-    @property
-    def lattice(self) -> Lattice:
-        """The microlens lattice."""
-        return self.camera.lattice
-
-    @cached_property
-    def kinds(self) -> list[Kind]:
-        """The kinds of microlenses."""
-        return LensKinds(self.camera).every
 
     @cached_property
     @single_threaded_blas()
@@ -256,17 +220,20 @@ class ArrayKernels:
         if not oblique.count:
             return kernels
         parts = np.einsum("rnk,kd->drn", oblique.kernels, changes())
-        transfer = sum(
-            self._transfer(
-                farthest // _COARSER,
-                every,
-                self.kinds[kind],
-                functions,
-                functions.duals @ part.T,
-                (a, b),
-                _TRANSFER_SAMPLES // _COARSER,
-            )
-            for part, (a, b) in zip(parts, DIRECTIONS * oblique.largest, strict=True)
+        transfer = np.sum(
+            [
+                self._transfer(
+                    farthest // _COARSER,
+                    every,
+                    self.kinds[kind],
+                    functions,
+                    functions.duals @ part.T,
+                    (a, b),
+                    _TRANSFER_SAMPLES // _COARSER,
+                )
+                for part, (a, b) in zip(parts, DIRECTIONS * oblique.largest, strict=True)
+            ],
+            axis=0,
         )
         aside = count - count // _COARSER
         small = self._placed(transfer, every * _COARSER, step, count - aside, kind)
@@ -329,30 +296,6 @@ class ArrayKernels:
             kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
         return kernels[:, ::parts, ::parts]
 
-    def convergence(self, kind: Kind) -> float:
-        """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
-        # Waves from a point of an objective's stop are plane.
-        own = self.camera.lens_data.converges / self.camera.pupil_distance
-        return 1 / kind.distance + own - 1 / kind.focal_length
-
-    def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves without that of the parabola by which rays land."""
-        shape = self.camera.mla_shape
-        assert shape is not None
-        ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
-        parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
-        return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
-
-    def _beyond_paraxial(
-        self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind, cosines: tuple[float, float]
-    ) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves for light of some direction cosines without the paraxial one."""
-        camera = self.camera
-        power = 1 / kind.focal_length - camera.lens_data.converges / camera.pupil_distance
-        enlargement = LensKinds(camera).enlargement(kind.focal_length)
-        path = phase(u, v, cosines, power, camera.mla_medium, enlargement)
-        return np.asarray(path / in_millimetres(self.wavelength))
-
     def _transfer(
         self,
         farthest: int,
@@ -369,33 +312,13 @@ class ArrayKernels:
         two points for each step. `coefficients` are those of the combinations (polynomials, n). Light has some
         direction cosines.
         """
-        lattice, camera = self.lattice, self.camera
-        wavelength = in_millimetres(self.wavelength)
+        lattice = self.lattice
         # Points lie between the borders of lenses. A lag of whole steps moves both points of a pair to such points.
         step = lattice.pitches[0] / samples / 2
         reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
-        # Lens types alternate along a row.
-        centre = lattice.centre(float(kind.lens_type), 0.0)
-        i, j = lattice.cell(x + centre[0], y + centre[1])
-        cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        # Neighbours are assumed to deviate as the lens itself does.
-        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
-        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
-        waves = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
-            2 * wavelength
-        )
-        if not self.by_points:
-            # A quadratic phase shifts the landing point in proportion to the position on the lens.
-            waves += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
-            waves += self._beyond_paraxial(*lattice.to_frame(x - cx, y - cy), kind, cosines)
-        if camera.mla_shape is not None:
-            waves += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
-        inside = lattice.in_aperture(x - cx, y - cy)
-        T = np.where(inside, np.exp(2j * np.pi * waves), 0).astype(np.complex64)
-        # Functions are undefined outside the aperture, where rays have no coefficients.
-        own = (i == kind.lens_type) & (j == 0) & inside
+        T, own = self.transmission(x, y, kind, cosines, steep=not self.by_points)
         rows, columns = (np.flatnonzero(own.any(axis)) for axis in (1, 0))
         top, bottom, left, width = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1 - columns[0]
         values = polynomials.values(*(place[own] for place in lattice.to_frame(x, y)))
