@@ -52,7 +52,8 @@ def phase(u: Any, v: Any, cosines: tuple[float, float], power: float, index: flo
     """
 
     def potential(a: Any, b: Any) -> Any:
-        return -index * np.sqrt(index * index - a * a - b * b)
+        # Beyond, light would be reflected totally.
+        return -index * np.sqrt(np.maximum(index * index - a * a - b * b, 0))
 
     a, b = cosines
     slope = [s / np.sqrt(1 - (a * a + b * b) / index**2) for s in cosines]
