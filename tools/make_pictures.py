@@ -26,6 +26,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from check_release import page_code, page_files
+from phase_space_picture import panels
 from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
@@ -356,6 +357,12 @@ def wavefront_sensors() -> Image.Image:
             ],
         ]
     )
+
+
+@picture
+def phase_space() -> Image.Image:
+    """Show coefficients and kernels of signed rays, and a wall against its exact sum."""
+    return sheet(panels())
 
 
 @cache
