@@ -31,9 +31,9 @@ from ..system.phase_space import PhaseSpace
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_DEGREES, _WINDOWS, _TOLERANCES = (4, 6), (9, 13), (0.005, 0.002)
-"""Degrees, which give the number of functions over a lens, windows, and tolerances of oblique kernels, of usual and of
-finer plans."""
+_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (12, 24), (0.005, 0.002)
+"""Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
+tolerances of oblique kernels, of usual and of finer plans."""
 
 _DEFOCUS = 4.0
 """Defocus of the microlenses in radians beyond which the degree is increased by two."""
@@ -239,6 +239,7 @@ def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: fl
         wavelength,
         degree=_DEGREES[fine],
         window=_WINDOWS[fine],
+        radial=_RADIAL[fine],
         tolerance=_TOLERANCES[fine],
         shortest=shortest,
     )
