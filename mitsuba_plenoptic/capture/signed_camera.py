@@ -33,12 +33,13 @@ from ..camera.vector import Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays
+from ..system.array_kernels import REACH
 from ..system.lens_kinds import LensKinds
 from ..system.phase_space import PhaseSpace, RayCoefficients
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot
-from .signed_rays import REACH, SignedRaySum
+from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""

@@ -31,9 +31,10 @@ from ..lenses.base import Pair
 from ..optics.rays import angular_response, transmittance
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..system.array_kernels import REACH
+from ..system.convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
-from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Cells, Drawn, Draws, Lot
@@ -52,9 +53,6 @@ _PROBES, _CELLS = 2**10, 2**16
 
 _LEAST = 2
 """Smallest count of rays from each cell through each lens: two halves of them correct each other."""
-
-REACH = 2.5
-"""Distance in microlens pitches to which kernels are computed."""
 
 
 class SignedRaySum:

@@ -47,6 +47,9 @@ _HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
 
+REACH = 2.5
+"""Distance in microlens pitches to which kernels are computed."""
+
 MOST_PHASE = 8.0
 """Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
 
