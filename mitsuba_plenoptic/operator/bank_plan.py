@@ -33,7 +33,7 @@ from .bank_rays import BankRays, Lanes
 from .patch_plan import Cost
 from .pupil_weights import PupilWeights
 
-_WINDOWS, _RADIAL, _SAMPLES = (5, 7), (12, 24), (1, 2)
+_WINDOWS, _RADIAL, _SAMPLES = (7, 9), (12, 24), (1, 2)
 """Windows of the table in lenses, its nodes along the pupil's radius, and points of a cell along each axis, of usual
 and of finer plans. Captures of scenes have wider windows: there the tails of the diffraction add up."""
 
@@ -100,30 +100,30 @@ class BankPlan:
     def images(self, which: NDArray[np.int64], weights: NDArray[np.float64], block: Box) -> list[NDArray[np.float32]]:
         """Return for each channel of weights (n, channels) the images (kernels, rows, columns) of some points."""
         kinds, count = len(self._plan.kinds), self._plan.functions.count
-        sums = np.zeros((weights.shape[1], kinds * block.rows * block.columns, count), np.float32)
+        sums = np.zeros((weights.shape[1], count, kinds * block.rows * block.columns), np.float32)
         for lanes, values in self.lots(which, block):
             used, row = np.unique(self._cells(lanes, block), return_inverse=True)
-            own = weights[lanes.point.numpy()].astype(np.float32)
-            shape, places = (len(used), len(row)), np.arange(len(row))
+            own, size = weights[lanes.point.numpy()].astype(np.float32), (len(used), len(row))
             for total, factor in zip(sums, own.T, strict=True):
-                total[used] += scipy.sparse.csr_matrix((factor, (row, places)), shape=shape) @ values
-        shape = kinds, block.rows, block.columns, count
-        return [np.moveaxis(total.reshape(shape), 3, 1).reshape(-1, block.rows, block.columns) for total in sums]
+                adder = scipy.sparse.csr_matrix((factor, (row, np.arange(len(row)))), shape=size)
+                for image, value in zip(total, values, strict=True):
+                    image[used] += adder @ value
+        shape = count, kinds, block.rows, block.columns
+        return [np.moveaxis(total.reshape(shape), 1, 0).reshape(-1, block.rows, block.columns) for total in sums]
 
     def products(self, which: NDArray[np.int64], images: NDArray[np.float32], block: Box) -> NDArray[np.float64]:
         """Return for every point the products of its coefficients with images (channels, kernels, rows, columns)."""
         kinds, count = len(self._plan.kinds), self._plan.functions.count
-        channels = len(images)
-        cells = np.moveaxis(images.reshape(channels, kinds, count, -1), 2, 3).reshape(channels, -1, count)
-        made = np.zeros((len(self._points), channels))
+        every = np.moveaxis(images.reshape(len(images), kinds, count, -1), 2, 1).reshape(len(images), count, -1)
+        made = np.zeros((len(self._points), len(images)))
         for lanes, values in self.lots(which, block):
-            places, point = self._cells(lanes, block), lanes.point.numpy()
-            for channel, own in enumerate(cells):
-                products = np.einsum("ln,ln->l", values, own[places])
+            cells, point = self._cells(lanes, block), lanes.point.numpy()
+            for channel, own in enumerate(every):
+                products = sum(value * image[cells] for value, image in zip(values, own, strict=True))
                 made[:, channel] += np.bincount(point, products, len(made))
         return made
 
-    def lots(self, which: NDArray[np.int64], block: Box) -> Iterator[tuple[Lanes, NDArray[np.float32]]]:
+    def lots(self, which: NDArray[np.int64], block: Box) -> Iterator[tuple[Lanes, list[NDArray[np.float32]]]]:
         """Yield the cells of a block that points light, and their coefficients."""
         lots = self.rays.lots(which, block)
         while True:
@@ -185,12 +185,11 @@ class BankPlan:
         memory, blocks = self.check_memory(batch_map), self.blocks(1)
         lit = np.unique(np.concatenate([self.rays.reaching(block) for block in blocks]))
         seconds, _ = cost_of([self.convolution(blocks)], blocks[0], sum(each.rows * each.columns for each in blocks))
-        some = lit[np.unique(np.linspace(0, max(len(lit) - 1, 0), _TRIED).astype(int))] if len(lit) else lit
+        some, taken = lit[:: max(1, len(lit) // _TRIED)], 0.0
+        # The first run compiles the kernels.
         for _ in range(2):
-            # The first run compiles the kernels, and averages the tables.
             start = time.perf_counter()
-            for _ in self.lots(some, blocks[0]):
-                pass
+            self.images(some, np.ones((len(self._points), 1)), blocks[0])
             taken = time.perf_counter() - start
         return Cost(len(lit), len(lit), seconds + taken / max(len(some), 1) * len(lit), memory)
 
@@ -235,7 +234,7 @@ class BankSum:
         self.arrays: Any = np
         self.box, self.channels = Box(0, 0, camera.shape[1], camera.shape[0]), weights.shape[1]
         self._all = plan.blocks(self.channels)
-        lit = weights.any(1)
+        lit = np.asarray(weights.any(1))
         reaching = [which[lit[which]] for which in (plan.rays.reaching(block) for block in self._all)]
         self._blocks = [(block, which) for block, which in zip(self._all, reaching, strict=True) if len(which)]
         self.items = np.array(_counts([which for _, which in self._blocks], len(weights)), np.int64)

@@ -158,7 +158,9 @@ class BankRays:
 
     def _at(self, point: Any, pupil: Pair) -> tuple[Pair, Any]:
         """Return where rays through points of the pupil meet the array, and their relative power."""
-        u, v = ((P + self._half) * ((_NODES - 1) / (2 * self._half)) for P in pupil)
+        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
+        half, scale = (dr.opaque(mi.Float, value) for value in (self._half, (_NODES - 1) / (2 * self._half)))
+        u, v = ((P + half) * scale for P in pupil)
         column, row = (dr.clip(dr.floor(t), 0, _NODES - 2) for t in (u, v))
         across, up = u - column, v - row
         first = point * _NODES**2 + mi.UInt32(row) * _NODES + mi.UInt32(column)
@@ -168,12 +170,12 @@ class BankRays:
 
     def _bright(self, point: Any, pupil: Pair, place: Pair, power: Any, sample: Any) -> tuple[Pair, Any]:
         """Return the points of the round pupil and the power of samples of the pupil, of which edges open a part."""
-        inner = self._pupil.inner(pupil, place)
+        inner, radius = self._pupil.inner(pupil, place), dr.opaque(mi.Float, self._radius)
         distance = dr.sqrt(dr.square(inner[0]) + dr.square(inner[1]))
-        power = power * dr.clip((self._radius - distance) / sample + 0.5, 0, 1)
+        power = power * dr.clip((radius - distance) / sample + 0.5, 0, 1)
         if self._weights is not None:
             power *= self._weights.at(point, *pupil, self._square, sample)[0]
-        inwards = dr.minimum(1, (1 - 1e-6) * self._radius / dr.maximum(distance, 1e-9))
+        inwards = dr.minimum(1, (1 - 1e-6) * radius / dr.maximum(distance, 1e-9))
         return (inner[0] * inwards, inner[1] * inwards), power
 
     def reaching(self, box: Box) -> NDArray[np.int64]:
@@ -190,8 +192,8 @@ class BankRays:
         """Distances of the full detector's corner from the axis."""
         return np.array(self._camera.resolution) * (self._camera.pixel_size / 2)
 
-    def lots(self, which: NDArray[np.int64], box: Box) -> Iterator[tuple[Lanes, NDArray[np.float32]]]:
-        """Yield cells of a box that points light, and their coefficients (lanes, n), in an order of the points' own."""
+    def lots(self, which: NDArray[np.int64], box: Box) -> Iterator[tuple[Lanes, list[NDArray[np.float32]]]]:
+        """Yield cells of a box that points light, and their coefficients, in an order of the points' own."""
         cells = math.pi * (self._reach / (self._step * min(self._landing.scales)) + 1) ** 2
         size = max(1, int(_LANES / (_LENSES * cells)))
         for level in np.unique(self._levels[which]).tolist():
@@ -268,27 +270,30 @@ class BankRays:
             return dr.opaque(mi.Float, values[0])
         return dr.gather(mi.Float, mi.Float(values), self._kinds.number(i, j, 0.0))
 
+    @property
+    def _numbers(self) -> list[Any]:
+        """The step of the grid, and the distances of the detector's corner from the axis, on the device."""
+        return [dr.opaque(mi.Float, value) for value in (self._step, *self._middle.tolist())]
+
     def _first(self, i: Any, j: Any) -> list[Any]:
         """Return the column and the row of the cells in which lenses image the pupil's centre."""
         base = self._of_kind(self._landing.bases, i, j)
-        centre = self._camera.lattice.centre(i, j)
-        return [
-            mi.Int(dr.floor((c * base + corner) / self._step))
-            for c, corner in zip(centre, self._middle.tolist(), strict=True)
-        ]
+        centre, (step, *corners) = self._camera.lattice.centre(i, j), self._numbers
+        return [mi.Int(dr.floor((c * base + corner) / step)) for c, corner in zip(centre, corners, strict=True)]
 
     def _ray(self, lanes: Lanes, within: Pair) -> tuple[Pair, Pair, Any]:
         """Return the points of the pupil and of the array, and the power, of rays to positions within cells."""
         scale, base = (self._of_kind(each, lanes.i, lanes.j) for each in (self._landing.scales, self._landing.bases))
-        centre, cells = self._camera.lattice.centre(lanes.i, lanes.j), (lanes.column, lanes.row)
+        centre, (step, *corners) = self._camera.lattice.centre(lanes.i, lanes.j), self._numbers
+        cells = lanes.column, lanes.row
         pupil = tuple(
-            scale * (base * c + corner - (mi.Float(n) + (0.5 + t)) * self._step)
-            for n, t, c, corner in zip(cells, within, centre, self._middle.tolist(), strict=True)
+            scale * (base * c + corner - (mi.Float(n) + (0.5 + t)) * step)
+            for n, t, c, corner in zip(cells, within, centre, corners, strict=True)
         )
         return (pupil, *self._at(lanes.point, pupil))
 
-    def _values(self, lanes: Lanes, level: int) -> NDArray[np.float32]:
-        """Return the coefficients (lanes, n) of cells, of points for which the table is averaged alike."""
+    def _values(self, lanes: Lanes, level: int) -> list[NDArray[np.float32]]:
+        """Return the coefficients of cells, for points for which the table is averaged over one distance."""
         if level != self._level:
             table = averaged(self._plan, self._finest * 2 ** (level / _PER_OCTAVE)) if level > -_PER_OCTAVE else None
             self._level, self._coefficients = level, RayCoefficients(self._plan, table or self._plan.table)
@@ -314,7 +319,7 @@ class BankRays:
         nothing = [dr.zeros(mi.Float, dr.width(lanes.point)) for _ in range(self._plan.functions.count)]
         _, sums = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < every, add, label="bank")
         dr.eval(sums)
-        return np.stack([each.numpy() for each in sums], 1)
+        return [each.numpy() for each in sums]
 
     def _chances(self, lanes: Lanes) -> list[Any]:
         """Return the first terms of the sequences by which the points of cells take nodes of the table."""
