@@ -48,6 +48,9 @@ _ACROSS, _TOGETHER = 128, 128
 _LANES, _LENSES = 2**21, 40
 """Approximate count of pairs of a cell and a lens that are tried at once, and of lenses per cell and point."""
 
+_TILE = 8
+"""Width of the tiles in which points are sorted, in lenses."""
+
 _PER_OCTAVE = 2
 """Distances per octave over which tables are averaged."""
 
@@ -198,6 +201,9 @@ class BankRays:
         size = max(1, int(_LANES / (_LENSES * cells)))
         for level in np.unique(self._levels[which]).tolist():
             same = which[self._levels[which] == level]
+            # Points that light the same cells are added together.
+            tile = self._bounds.mean(0)[same] // (_TILE * self._camera.mla_pitch)
+            same = same[np.lexsort(tile.T)]
             for first in range(0, len(same), size):
                 lanes = self._lit(same[first : first + size], box)
                 if dr.width(lanes.point):
