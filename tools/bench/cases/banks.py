@@ -109,7 +109,7 @@ def speed(
     for name, options in {
         "bank": {"method": "bank"}, "patch": {}, "exact": {"accuracy": 0}
     }.items():  # fmt: skip
-        operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, **options)
+        operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, virtual=True, **options)
         # Plans and compiles the kernels.
         operator.forward((np.arange(count) < 8) * weights)
         taken = []
