@@ -99,7 +99,7 @@ def test_a_hidden_point_is_dark():
     assert not made.any()
 
 
-@pytest.mark.parametrize("name", ["square", "three focal lengths"])
+@pytest.mark.parametrize("name", ["square", pytest.param("three focal lengths", marks=pytest.mark.slow)])
 def test_adjoint_is_the_transpose(name):
     camera = CAMERAS[name].replace(crop_offset=(50, 90), crop_size=(180, 150))
     generator = np.random.default_rng(0)
