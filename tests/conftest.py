@@ -68,7 +68,7 @@ def short_trials(monkeypatch):
 def trials_of_a_second(monkeypatch):
     """Have every trial of an estimate by waves last a second, however fast the machine is."""
     clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
-    for name in ("operator.patch_plan", "operator.full_field", "capture.signed_rays", "capture.convolution"):
+    for name in ("operator.patch_plan", "operator.full_field", "capture.signed_rays", "system.convolution"):
         monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
 
 

@@ -27,13 +27,14 @@ from ..lenses.base import Pair
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
+from ..system.phase_space import FINE
 from ..system.photodiodes import NEAR, lens_range
 from ..system.response_tables import PhotodiodeResponses
 from .noise import Mended
 from .response_draws import Tables
 from .scene_light import SceneLight, require_finite
 from .signed_capture import SignedCapture
-from .signed_colours import FINE, Node, mixed
+from .signed_colours import Node, mixed
 
 _LANES = 2**23
 """Approximate count of rays that are traced at once."""

@@ -33,12 +33,14 @@ from ..camera.vector import Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays
+from ..system.array_kernels import REACH
 from ..system.lens_kinds import LensKinds
 from ..system.phase_space import PhaseSpace, RayCoefficients
+from .control_variate import known_means
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
 from .signed_draws import Cells, Drawn, Lot
-from .signed_rays import REACH, SignedRaySum
+from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
@@ -214,7 +216,7 @@ class CameraAdjoint(_CameraSum):
         radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
         seen = dr.select(drawn.open, mi.Float(1), 0)
         require_finite(radiance, seen)
-        known, lit = self._known(radiance, seen, count)
+        known, lit = known_means(radiance, seen, count, self._spp)
         lit = dr.compress(lit)
         if not dr.width(lit):
             return

@@ -31,10 +31,12 @@ from ..io.checkpoints import digest
 from ..operator.patch_plan import Cost
 from ..optics.waves import in_millimetres
 from ..runtime.jobs import Job, SumTask
+from ..system.phase_space import FINE, parts_of
+from .control_variate import halves
 from .noise import PARTS, Mended, keep_spread, with_spread
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
-from .signed_colours import FINE, Lanes, Node, SignedColours, mixed
+from .signed_colours import Lanes, Node, SignedColours, mixed
 from .signed_draws import Lot
 from .signed_rays import SignedRaySum
 
@@ -45,11 +47,6 @@ _SAMPLES = 4
 
 _SPOTS = 1.5
 """Distance, in diffraction spots of a microlens, within which noise below zero is compensated."""
-
-_KEPT = (1.5, 4.0)
-"""Cells of the grid per period of the highest frequency of a microlens's diffraction, at usual and fine accuracy. Two
-would resolve it; 1.5 lose the last quarter of frequencies, which is negligible; 4 also resolve the interference of
-neighbouring lenses."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +71,9 @@ class SignedCapture:
     @property
     def _parts(self) -> int:
         """Return the count of grid cells across a pixel."""
-        camera = self.camera
         if any(node.plan.by_points for node in self.nodes):
             return 1  # the kernels of these plans are integrated over pixels
-        extent = in_millimetres(min(node.plan.wavelength for node in self.nodes)) * camera.reduced_distance
-        highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
-        return math.ceil(_KEPT[self.accuracy < FINE] * highest)
+        return parts_of(self.camera, min(node.plan.wavelength for node in self.nodes), self.accuracy < FINE)
 
     def sums(
         self,
@@ -225,7 +219,7 @@ class SignedRayAdjoint(SignedRaySum):
                 totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, others)
         seen = dr.select(drawn.open, mi.Float(1), 0)
         dr.eval(seen, totals)
-        (even, odd), *sums = self._halves(seen, [total[1] for total in totals.values()], dr.width(met))[0]
+        (even, odd), *sums = halves(seen, [total[1] for total in totals.values()], dr.width(met), self._spp)[0]
         by_mean = [
             (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
         ]

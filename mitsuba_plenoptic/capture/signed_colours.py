@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -26,17 +26,7 @@ from ..camera import PlenopticCamera
 from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
 from ..system.optical_system import OpticalSystem
-from ..system.phase_space import PhaseSpace
-
-FINE = 0.005
-"""Accuracy below which finer plans are made."""
-
-_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (12, 24), (0.005, 0.002)
-"""Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
-tolerances of oblique kernels, of usual and of finer plans."""
-
-_DEFOCUS = 4.0
-"""Defocus of the microlenses in radians beyond which the degree is increased by two."""
+from ..system.phase_space import FINE, PhaseSpace, plan_of
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
 """Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
@@ -226,24 +216,6 @@ class SignedColours:
             if len(channels):
                 found.append((place, tuple(channels.tolist()), weights[channels]))
         return found
-
-
-@functools.lru_cache(maxsize=16)
-def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
-    """Return a usual or a finer plan, which is cached for further captures of the camera.
-
-    `shortest` is the shortest wavelength of a capture's plans.
-    """
-    plan = PhaseSpace(
-        camera,
-        wavelength,
-        degree=_DEGREES[fine],
-        window=_WINDOWS[fine],
-        radial=_RADIAL[fine],
-        tolerance=_TOLERANCES[fine],
-        shortest=shortest,
-    )
-    return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
 
 
 def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.float64]:

@@ -31,10 +31,12 @@ from ..lenses.base import Pair
 from ..optics.rays import angular_response, transmittance
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..system.array_kernels import REACH
+from ..system.convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from ..system.oblique import ObliqueImages
 from ..system.optical_system import RayPupil
 from ..system.phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
-from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
+from .control_variate import known_means
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Cells, Drawn, Draws, Lot
@@ -53,9 +55,6 @@ _PROBES, _CELLS = 2**10, 2**16
 
 _LEAST = 2
 """Smallest count of rays from each cell through each lens: two halves of them correct each other."""
-
-REACH = 2.5
-"""Distance in microlens pitches to which kernels are computed."""
 
 
 class SignedRaySum:
@@ -178,7 +177,7 @@ class SignedRaySum:
 
     def _values_of(self, node: Node) -> int:
         """Return the count of values that a ray has for each image of a node."""
-        return self._sets * (node.plan.functions.count + node.plan.oblique.count)
+        return self._sets * node.plan.values
 
     def _lots(self, box: Box, cells: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield cells of a box with each lens that lights them, in lots."""
@@ -219,7 +218,7 @@ class SignedRaySum:
         They follow from `images`, those with respect to a node's images for one channel; see `_back`.
         """
         node, oblique = self._nodes[number], self._oblique[number]
-        count = node.plan.functions.count + node.plan.oblique.count
+        count = node.plan.values
         every = dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
         first = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), some)
         cosines = self._draws.cosines(replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, some)))
@@ -289,7 +288,7 @@ class SignedRaySum:
             # Any function may be the light; derivatives and band-limited light may be negative.
             if getattr(self._light, "is_radiance", False):
                 require_light(radiance)
-            known, lit = self._known(radiance, counted, count)
+            known, lit = known_means(radiance, counted, count, self._spp)
             for number in nodes:
                 brought += self._bring(lot.cells, key, radiance, known, lit, number, lanes)
         return brought
@@ -319,39 +318,6 @@ class SignedRaySum:
         aside, depth = self._draws.crossed(drawn)
         response = 1 if self._response is None else self._response(dr.atan(aside / depth))
         return response * transmittance(absorption, aside, depth)
-
-    def _known(self, radiance: list[Any], seen: Any, count: int) -> tuple[list[Pair], Any]:
-        """Return, for each value of the radiance, the means over the rays of even and over those of odd indices.
-
-        Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
-        """
-        (counts, *sums), lit = self._halves(seen, radiance, count)
-        means = [
-            tuple(dr.select(number > 0, total / number, 0) for total, number in zip(pair, counts, strict=True))
-            for pair in sums
-        ]
-        dr.eval(means, lit)
-        return means, lit
-
-    def _halves(self, seen: Any, values: list[Any], count: int) -> tuple[list[Pair], Any]:
-        """Return for each cell the sums over rays of even and of odd indices, of `seen` and of each of the values.
-
-        Return also the mask of the cells in which any of the values is not zero.
-        """
-        spp, first = dr.opaque(mi.UInt32, self._spp), dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, self._spp)
-
-        def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
-            own = [dr.gather(mi.Float, each, first + k) for each in (seen, *values)]
-            even = (k & 1) == 0
-            totals = [
-                (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
-                for (a, b), value in zip(totals, own, strict=True)
-            ]
-            return k + 1, totals, some | dr.any([value != 0 for value in own[1:]], axis=0)
-
-        state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
-        _, totals, some = dr.while_loop(state, lambda k, *_: k < spp, add, label="halves")
-        return totals, some
 
     def _bring(
         self,

@@ -68,10 +68,10 @@ _MANY = 1600
 def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
     """Return the allowed error of a method, by default its own, and refuse one that the method would ignore."""
     if accuracy is None:
-        return default if method == "patch" else 0.0
+        return 0.0 if method == "full_field" else default
     checked = require_accuracy(accuracy)
     refuse_if(
-        checked and method != "patch",
+        checked and method == "full_field",
         f"accuracy = {checked:g}: method = {method} takes none, as it computes every point spread without shortcuts",
     )
     return checked

@@ -52,6 +52,9 @@ _COARSER = 2
 _FIELD, _PUPIL = 9, 9
 """Positions across the detector and the pupil whose rays the oblique kernels are for."""
 
+REACH = 2.5
+"""Distance in microlens pitches to which kernels are computed."""
+
 MOST_PHASE = 8.0
 """Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
 
@@ -113,6 +116,11 @@ class ArrayKernels(LensWaves):
         ]
         light = functions.light(u[inside], v[inside])
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance)
+
+    @property
+    def values(self) -> int:
+        """Number of kernels of a kind of lenses, and of the values of an image that they are for."""
+        return self.functions.count + self.oblique.count
 
     def _cosines(self) -> NDArray[np.float64]:
         """Return the direction cosines (n, 2) on the array, in its frame, of light from the pupil to the detector."""

@@ -20,10 +20,10 @@ to the centre of the lens. The coefficients are tabulated here, and interpolated
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -37,6 +37,21 @@ from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem
+
+FINE = 0.005
+"""Accuracy below which finer plans are made."""
+
+_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (12, 24), (0.005, 0.002)
+"""Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
+tolerances of oblique kernels, of usual and of finer plans."""
+
+_DEFOCUS = 4.0
+"""Defocus of the microlenses in radians beyond which the degree is increased by two."""
+
+_CELLS = (1.5, 4.0)
+"""Cells of the grid per period of the highest frequency of a microlens's diffraction, at usual and fine accuracy. Two
+would resolve it; 1.5 lose the last quarter of frequencies, which is negligible; 4 also resolve the interference of
+neighbouring lenses."""
 
 _SPREADS = 2.0
 """Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
@@ -120,12 +135,12 @@ class PhaseSpace(ArrayKernels):
         near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
         return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
 
-    @cached_property
+    @functools.cached_property
     def system(self) -> OpticalSystem:
         """The camera, bound to the wavelength."""
         return OpticalSystem(self.camera, self.wavelength)
 
-    @cached_property
+    @functools.cached_property
     def nodes(self) -> list[TableNode]:
         """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
@@ -240,6 +255,31 @@ class PhaseSpace(ArrayKernels):
             node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
         ]
         return plan
+
+
+@functools.lru_cache(maxsize=16)
+def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
+    """Return a usual or a finer plan, which is cached for further captures of the camera.
+
+    `shortest` is the shortest wavelength of a capture's plans.
+    """
+    plan = PhaseSpace(
+        camera,
+        wavelength,
+        degree=_DEGREES[fine],
+        window=_WINDOWS[fine],
+        radial=_RADIAL[fine],
+        tolerance=_TOLERANCES[fine],
+        shortest=shortest,
+    )
+    return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
+
+
+def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
+    """Return the count of cells of the grid across a pixel, for usual or finer plans."""
+    extent = in_millimetres(wavelength) * camera.reduced_distance
+    highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
+    return math.ceil(_CELLS[fine] * highest)
 
 
 def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:

@@ -20,9 +20,9 @@ from mitsuba_plenoptic.capture.signed_camera import (
 )
 from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_draws import Cells
-from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, SumTask
+from mitsuba_plenoptic.system.array_kernels import REACH
 from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
 from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
 
