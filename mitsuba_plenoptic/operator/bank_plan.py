@@ -62,6 +62,14 @@ class BankPlan:
             has_small_lenses(camera, system.wavelength),
             f"mla_pitch = {camera.mla_pitch:g}: method bank takes lenses of at least 20 wavelengths; use patch",
         )
+        refuse_if(
+            pupil_weights is not None,
+            "pupil_weights: method bank takes none, as their edges diffract; use patch",
+        )
+        refuse_if(
+            camera.mla_medium != 1,
+            f"mla_medium = {camera.mla_medium:g}: method bank takes 1 only; use patch",
+        )
         self._plan = _plan(camera, system.wavelength, fine)
         refuse_if(
             self._plan.by_points,
@@ -69,14 +77,14 @@ class BankPlan:
             "microlenses; use patch",
         )
         self._system, self._camera, self._points = system, camera, points
-        self._pupil_weights, self._samples = pupil_weights, _SAMPLES[fine]
+        self._samples = _SAMPLES[fine]
         self._step = camera.pixel_size / max(_PARTS, parts_of(camera, system.wavelength, fine))
 
     @cached_property
     def rays(self) -> BankRays:
         """The rays of the points."""
         with busy_drjit():
-            return BankRays(self._system, self._points, self._pupil_weights, self._plan, self._step, self._samples)
+            return BankRays(self._system, self._points, self._plan, self._step, self._samples)
 
     @cached_property
     def kernels(self) -> list[NDArray[np.float32]]:

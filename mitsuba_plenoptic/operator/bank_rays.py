@@ -39,7 +39,6 @@ from ..system.oblique import ObliqueImages
 from ..system.optical_system import OpticalSystem, RayPupil
 from ..system.phase_space import PhaseSpace, RayCoefficients
 from ..system.sampling import footprint
-from .pupil_weights import PupilWeights
 
 _NODES, _WIDER = 33, 1.1
 """Nodes across the pupil between which rays are interpolated, and their extent over that of the pupil."""
@@ -98,13 +97,12 @@ class BankRays:
         self,
         system: OpticalSystem,
         points: NDArray[np.float64],
-        pupil_weights: PupilWeights | None,
         plan: PhaseSpace,
         step: float,
         # Points of a cell along each axis at which coefficients are computed.
         samples: int,
     ) -> None:
-        self._camera, self._plan, self._weights, self._step = system.camera, plan, pupil_weights, step
+        self._camera, self._plan, self._step = system.camera, plan, step
         self._samples, self._pupil, self._kinds = samples, RayPupil(system), LensKinds(system.camera)
         self._lens = system.lens
         self._landing, self._reach = Landing.of(system, plan), float(system.lens.reach)
@@ -127,7 +125,6 @@ class BankRays:
         lens, self._half = system.waves_of(points), _WIDER * self._reach
         found = footprint(lens, points)
         self._bounds = np.stack([found.centre - found.half_width, found.centre + found.half_width])
-        self._square = float(lens.pupil_radius)
         axis = np.linspace(-self._half, self._half, _NODES)
         pupil = np.stack([part.reshape(1, -1) for part in np.meshgrid(axis, axis)])
         # Nodes in the corners of the square are not used; rays there may not exist.
@@ -158,7 +155,7 @@ class BankRays:
             point = dr.opaque(mi.UInt32, first) + index // _ACROSS**2
             row, column = index // _ACROSS % _ACROSS, index % _ACROSS
             pupil = tuple((mi.Float(n) + 0.5) * step - self._half for n in (column, row))
-            made.append(dr.block_sum(self._bright(point, pupil, *self._at(point, pupil), step)[1], _ACROSS**2).numpy())
+            made.append(dr.block_sum(self._bright(pupil, *self._at(point, pupil), step)[1], _ACROSS**2).numpy())
         areas = np.concatenate(made) * step**2
         return mi.Float(np.where(areas > 0, areas, np.inf).astype(np.float32))
 
@@ -174,13 +171,11 @@ class BankRays:
         x, y, power, _ = dr.lerp(dr.lerp(a, b, across), dr.lerp(c, d, across), up)
         return (x, y), power
 
-    def _bright(self, point: Any, pupil: Pair, place: Pair, power: Any, sample: Any) -> tuple[Pair, Any]:
+    def _bright(self, pupil: Pair, place: Pair, power: Any, sample: Any) -> tuple[Pair, Any]:
         """Return the points of the round pupil and the power of samples of the pupil, of which edges open a part."""
         inner, radius = self._pupil.inner(pupil, place), dr.opaque(mi.Float, self._radius)
         distance = dr.sqrt(dr.square(inner[0]) + dr.square(inner[1]))
         power = power * dr.clip((radius - distance) / sample + 0.5, 0, 1)
-        if self._weights is not None:
-            power *= self._weights.at(point, *pupil, self._square, sample)[0]
         inwards = dr.minimum(1, (1 - 1e-6) * radius / dr.maximum(distance, 1e-9))
         return (inner[0] * inwards, inner[1] * inwards), power
 
@@ -316,7 +311,7 @@ class BankRays:
         def add(k: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
             within = tuple((mi.Float(n) + 0.5) / mi.Float(across) - 0.5 for n in (k % across, k // across))
             pupil, place, power = self._ray(lanes, within)
-            inner, power = self._bright(lanes.point, pupil, place, power, sample)
+            inner, power = self._bright(pupil, place, power, sample)
             weight = power * dr.square(sample) / area
             chance = tuple(mi.Float((each + k * turn) >> 8) * 2.0**-24 for each, turn in zip(start, turns, strict=True))
             point = place[0] - centre[0], place[1] - centre[1]

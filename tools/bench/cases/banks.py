@@ -38,22 +38,16 @@ def bank(
     points: int = 12,
     margin: int = 4,
     off_axis: float = 0.0,
-    half: bool = False,
 ) -> Iterator[Row]:
-    """Compare walls of some lenses, with points across a lens; with ``half`` only half of the pupil is open."""
+    """Compare walls of some lenses, with points across a lens."""
     for name, camera in pick(CAMERAS, cameras).items():
         for blur in blurs:
             wall = Wall(camera, blur, lenses, points, off_axis)
             view = around(camera, wall, margin)
-            options = {"pupil_weights": _half(len(wall.points))} if half else {}
-            made = CaptureOperator(view, wall.points, wavelength=WAVELENGTH, method="bank", **options)
+            made = CaptureOperator(view, wall.points, wavelength=WAVELENGTH, method="bank")
             image = made.forward(wall.weight).astype(float)
-            if half:
-                other = CaptureOperator(view, wall.points, wavelength=WAVELENGTH, accuracy=0, **options)
-                exact = other.forward(wall.weight).astype(float)
-            else:
-                exact = reference(view, wall)
-            usual, finer = (_single(view, wall, accuracy, half) for accuracy in (DEFAULT_ACCURACY, 0.0))
+            exact = reference(view, wall)
+            usual, finer = (_single(view, wall, accuracy) for accuracy in (DEFAULT_ACCURACY, 0.0))
             yield {
                 "camera": name, "blur": blur, "off_axis": off_axis, "wall": relative(image, exact),
                 "energy": float(image.sum() / wall.weight.sum()),
@@ -61,21 +55,15 @@ def bank(
             }  # fmt: skip
 
 
-def _half(count: int) -> np.ndarray:
-    """Return pupil weights of points of which the half at +x is open."""
-    return np.broadcast_to(np.arange(16) >= 8, (count, 16, 16))
-
-
-def _single(camera: PlenopticCamera, wall: Wall, accuracy: float, half: bool) -> float:
+def _single(camera: PlenopticCamera, wall: Wall, accuracy: float) -> float:
     """Return the mean difference of single spreads of points in the plane of a wall."""
     image = np.array(PLACES) * camera.mla_pitch + wall.centre
     scale = wall.points[0, :2] / (wall.axis[0] + wall.centre)
     points = np.column_stack([image * scale, np.full(len(image), wall.distance)])
-    options = {"pupil_weights": _half(1)} if half else {}
     found = []
     for point in points:
         made, exact = (
-            CaptureOperator(camera, [point], wavelength=WAVELENGTH, **chosen, **options).forward([1.0])
+            CaptureOperator(camera, [point], wavelength=WAVELENGTH, **chosen).forward([1.0])
             for chosen in ({"method": "bank", "accuracy": accuracy}, {"accuracy": 0})
         )
         found.append(relative(made.astype(float), exact.astype(float)))
