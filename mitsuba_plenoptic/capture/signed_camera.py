@@ -11,7 +11,8 @@ changes by
 where q is the logarithm of the width of the pupil's diffraction over the pitch, the only other quantity on which the
 coefficients depend. The rays that the changed camera would draw sample the same light, so this is the derivative of its
 capture; how radiance changes between rays need not be known. The part with the mean radiance c has a known integral
-over m, which does not change: only the landing positions of its rays and their density do.
+over m, which does not change: only the landing positions of its rays and their density do. Images of oblique kernels
+change with those of the functions, and with the direction in which light meets the microlenses.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from ..camera.vector import Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays
-from ..system.array_kernels import REACH
+from ..system.array_kernels import REACH, displaced
 from ..system.lens_kinds import LensKinds
 from ..system.phase_space import PhaseSpace, RayCoefficients
 from .control_variate import known_means
@@ -57,9 +58,6 @@ _REFUSED = (
 _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
 """Relative steps of finite differences of kernels, and of coefficient tables, whose sampled overlaps need more."""
 
-_REACHED, _SHAPE = 16, 8.0
-"""Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
-
 
 class Held(NamedTuple):
     """Rays that are fixed in the scene, as they meet a changed camera."""
@@ -68,6 +66,7 @@ class Held(NamedTuple):
     cell: Pair  # on the detector, in cells of the grid from the axis
     measure: Any  # logarithm of the weight of a ray
     density: Any  # logarithm of the density on the detector of rays whose directions fill the lens
+    cosines: Pair  # of the light that passes the lens's centre, in the lattice's frame
 
 
 def parameters_of(camera: PlenopticCamera) -> Values:
@@ -151,7 +150,7 @@ class CameraTangents(_CameraSum):
             held = hold(self._camera, varying, drawn, direction, self._step)
             changes = [
                 dr.forward_to(value, flags=dr.ADFlag.ClearInterior) if dr.grad_enabled(value) else mi.Float(0)
-                for value in (*held.point, *held.cell, held.measure, held.density)
+                for value in (*held.point, *held.cell, held.measure, held.density, *held.cosines)
             ]
         changes = [dr.detach(change) + dr.zeros(mi.Float, dr.width(radiance[0])) for change in changes]
         dr.eval(changes)
@@ -159,7 +158,7 @@ class CameraTangents(_CameraSum):
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             drawn, even = self._draws.draw(cells, k, key), (k & 1) == 0
-            du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes)
+            du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
             means = [dr.select(drawn.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
             lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
             nodes = drawn.point, drawn.inner, drawn.chance, drawn.open
@@ -179,7 +178,14 @@ class CameraTangents(_CameraSum):
                 result.append([old + part for old, part in zip(before, parts, strict=True)])
             return k + 1, result
 
-        return self._mean_of(bring, lit, number, cells)
+        brought = self._mean_of(bring, lit, number, cells)
+        # All rays of a cell and a lens have nearly the same direction.
+        bent = tuple(dr.gather(mi.Float, change, first) for change in changes[6:])
+        count, every, cosines = node.plan.functions.count, node.plan.values, self._draws.cosines(cells)
+        for values in brought:
+            more = self._oblique[number].changed(values[3 * every : 3 * every + count], cosines, bent)
+            values[count:every] = [a + b for a, b in zip(values[count:every], more, strict=True)]
+        return brought
 
 
 class CameraAdjoint(_CameraSum):
@@ -208,6 +214,14 @@ class CameraAdjoint(_CameraSum):
             self._vjp(lot, felt, total)
         return {name: total[name] for name in self._names}
 
+    def _by_direction(self, images: Any, number: int, lot: Lot, some: Any) -> list[list[Any]]:
+        """Return the gradients with respect to the direction of light over the functions' values; see `_felt`."""
+        plan = self._nodes[number].plan
+        own = self._gathered(images, number, lot, some, range(plan.functions.count, plan.values))
+        made = self._oblique[number].slopes(own, self._cosines_of(lot, some))
+        dr.eval(made)
+        return made
+
     def _vjp(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
         key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
@@ -232,7 +246,7 @@ class CameraAdjoint(_CameraSum):
             dr.select(drawn.open, dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1])), 0)
             for pair in known
         ]
-        by_held, by_width, by_kernels = [mi.Float(0)] * 6, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
+        by_held, by_width, by_kernels = [mi.Float(0)] * 8, mi.Float(0), [mi.Float(0)] * len(self._of_kernels)
         for number, (node, table, width, totals) in enumerate(
             zip(self._nodes, self._coefficients, self._by_width, felt, strict=True)
         ):
@@ -256,6 +270,10 @@ class CameraAdjoint(_CameraSum):
                     *(mixed(weighted, sets[each]) for each in (1, 2)),
                     strength * mixed(values, sets[0]),
                     mean * sets[0][0],
+                    *(
+                        mixed(weighted, [dr.gather(mi.Float, part, cell, drawn.open) for part in each])
+                        for each in self._by_direction(total_felt, number, lot, lit)
+                    ),
                 ]
                 by_held = [before + part for before, part in zip(by_held, brought, strict=True)]
                 by_width += strength * mixed(wider, sets[0])
@@ -271,7 +289,7 @@ class CameraAdjoint(_CameraSum):
             varying = varying_parameters(self._camera)
             dr.enable_grad(varying)
             held = hold(self._camera, varying, drawn, direction, self._step)
-            parts = *held.point, *held.cell, held.measure, held.density
+            parts = *held.point, *held.cell, held.measure, held.density, *held.cosines
             dr.backward(dr.sum(mixed(by_held, parts)) / rays)
             for name, values in varying.items():
                 total[name] += [float(dr.grad(value)[0]) for value in values]
@@ -298,10 +316,10 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
         own = focal * (kind.focal_length / camera.mla_focal_lengths[kind.lens_type])
         larger = dr.select(drawn.kind == index, kinds.enlargement(own, b, pitch), larger)
     # Back through the lens: a lens of the opposite focal length undoes the refraction.
-    cosines = (
+    before = (
         rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
     )
-    slope = rays.cosines_to_slopes(*cosines)
+    slope = rays.cosines_to_slopes(*before)
     centres = tuple(
         offset + (q - m - held) * pitch
         for m, q, offset, held in zip(drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True)
@@ -310,6 +328,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
         (rays.pupil_point(P, t, -b) - centre) / pitch for P, t, centre in zip(drawn.pupil, slope, centres, strict=True)
     ]
     behind = tuple((centre - P) / b for P, centre in zip(drawn.pupil, centres, strict=True))
+    cosines = rays.slopes_to_cosines(*camera.lattice.to_frame(*behind))
     if camera.mla_medium != 1:
         behind = rays.refracted(behind, 1 / camera.mla_medium)
     cell = step * width / camera.detector_width
@@ -322,6 +341,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
         (landed[0], landed[1]),
         2 * dr.log(z) + 2 * dr.log(1 + square) - 2 * dr.log(pitch) - grid,
         2 * dr.log(z / b) - grid,
+        cosines,
     )
 
 
@@ -370,15 +390,3 @@ def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[N
             sides.append(plan.moved(with_parts(camera, {name: changed})).sampled_kernels(step, samples, kind))
         slopes.append((sides[0] - sides[1]) / (2 * _KERNEL_STEP * start[part]))
     return slopes
-
-
-def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the changes of kernels per cell of displacement, along x and then along y."""
-    from scipy.ndimage import convolve1d
-
-    # Kernels end abruptly, and their slopes include these ends: a short filter confines them to their surroundings.
-    steps = np.arange(-_REACHED, _REACHED + 1)
-    ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
-    wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
-    both = [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]
-    return [kernel for along in both for kernel in along]

@@ -16,7 +16,7 @@ which has the same mean, because the coefficients' integral over m is known, and
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -217,19 +217,24 @@ class SignedRaySum:
 
         They follow from `images`, those with respect to a node's images for one channel; see `_back`.
         """
-        node, oblique = self._nodes[number], self._oblique[number]
-        count = node.plan.values
-        every = dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
-        first = dr.gather(mi.UInt32, lot.first(every, self._values_of(node)), some)
-        cosines = self._draws.cosines(replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, some)))
+        count, cosines = self._nodes[number].plan.values, self._cosines_of(lot, some)
+        gathered = self._gathered(images, number, lot, some, range(self._sets * count))
         felt = [
-            oblique.reduced(
-                [dr.gather(mi.Float, images, first + every * (count * each + n)) for n in range(count)], cosines
-            )
-            for each in range(self._sets)
+            self._oblique[number].reduced(gathered[first : first + count], cosines)
+            for first in range(0, len(gathered), count)
         ]
         dr.eval(felt)
         return felt
+
+    def _gathered(self, images: Any, number: int, lot: Lot, some: Any, values: Iterable[int]) -> list[Any]:
+        """Return values of some cells of a lot from a node's images for one channel."""
+        every = dr.opaque(mi.UInt32, lot.cells.box.rows * lot.cells.box.columns)
+        first = dr.gather(mi.UInt32, lot.first(every, self._values_of(self._nodes[number])), some)
+        return [dr.gather(mi.Float, images, first + every * n) for n in values]
+
+    def _cosines_of(self, lot: Lot, some: Any) -> Pair:
+        """Return the direction cosines of the light of some cells of a lot."""
+        return self._draws.cosines(replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, some)))
 
     def probe(self) -> NDArray[np.float32]:
         """Return the coefficients of some cells, which identify a scene and its camera."""

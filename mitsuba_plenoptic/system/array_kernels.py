@@ -55,6 +55,9 @@ _FIELD, _PUPIL = 9, 9
 REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
 
+_REACHED, _SHAPE = 16, 8.0
+"""Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
+
 MOST_PHASE = 8.0
 """Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
 
@@ -351,3 +354,15 @@ class ArrayKernels(LensWaves):
         result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.
         return np.asarray(result / np.float32(len(values)))
+
+
+def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the changes of kernels per cell of displacement, along x and then along y."""
+    from scipy.ndimage import convolve1d
+
+    # Kernels end abruptly, and their slopes include these ends: a short filter confines them to their surroundings.
+    steps = np.arange(-_REACHED, _REACHED + 1)
+    ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
+    wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
+    both = [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]
+    return [kernel for along in both for kernel in along]

@@ -29,6 +29,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lenses.base import Pair
+
 DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
 """Direction cosines, over the largest ones, for which kernels are computed to find their changes."""
 
@@ -42,6 +44,11 @@ _LEAST = 1e-9
 def terms(u: Any, v: Any) -> list[Any]:
     """Return the terms by which kernels change with direction cosines over the largest ones."""
     return [u, v, u * u, u * v, v * v]
+
+
+def _changes_of_terms(u: Any, v: Any, du: Any, dv: Any) -> list[Any]:
+    """Return the changes of `terms` by small changes of the cosines."""
+    return [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv]
 
 
 def phase(u: Any, v: Any, cosines: tuple[float, float], power: float, index: float, enlargement: float) -> Any:
@@ -136,7 +143,7 @@ class ObliqueImages:
     """The factors of an `Oblique` on the device of the active variant."""
 
     def __init__(self, oblique: Oblique) -> None:
-        self._largest, self._count = oblique.largest, oblique.count
+        self._largest, self._count, self._functions = oblique.largest, *oblique.factors.shape[:2]
         # The table is an input of Dr.Jit's kernels, so that those of other cameras are not compiled again.
         self._table = mi.Float(oblique.factors.ravel())
         numbers = np.arange(oblique.factors.size).reshape(oblique.factors.shape)
@@ -145,9 +152,8 @@ class ObliqueImages:
             for r, rows in enumerate(oblique.factors)
         ]
 
-    def _factors(self, cosines: tuple[Any, Any]) -> list[list[Any]]:
-        """Return for each combination the factors of each function, for light of some direction cosines."""
-        values = terms(*(s * dr.opaque(mi.Float, 1 / self._largest) for s in cosines))
+    def _factors(self, values: list[Any]) -> list[list[Any]]:
+        """Return for each combination the factors of each function, for given values of the terms; None if it is 0."""
         return [
             [
                 sum((dr.gather(mi.Float, self._table, mi.UInt32(place)) * values[k] for k, place in used), mi.Float(0))
@@ -158,16 +164,40 @@ class ObliqueImages:
             for rows in self._used
         ]
 
-    def extended(self, images: list[Any], cosines: tuple[Any, Any]) -> list[Any]:
-        """Return the values of the functions' images, followed by those of the combinations' images."""
-        return images + [
-            sum((f * value for f, value in zip(factors, images, strict=True) if f is not None), mi.Float(0))
-            for factors in self._factors(cosines)
-        ]
+    def _scaled(self, cosines: Pair) -> Pair:
+        """Return direction cosines over the largest ones."""
+        scale = dr.opaque(mi.Float, 1 / self._largest)
+        return cosines[0] * scale, cosines[1] * scale
 
-    def reduced(self, images: list[Any], cosines: tuple[Any, Any]) -> list[Any]:
+    def extended(self, images: list[Any], cosines: Pair) -> list[Any]:
+        """Return the values of the functions' images, followed by those of the combinations' images."""
+        return images + [_product(row, images) for row in self._factors(terms(*self._scaled(cosines)))]
+
+    def reduced(self, images: list[Any], cosines: Pair) -> list[Any]:
         """Return the adjoint of `extended`: values for the functions from those for all images."""
-        functions = images[: len(images) - self._count]
-        for factors, own in zip(self._factors(cosines), images[len(functions) :], strict=True):
-            functions = [value if f is None else value + f * own for f, value in zip(factors, functions, strict=True)]
-        return functions
+        functions, combinations = images[: len(images) - self._count], images[len(images) - self._count :]
+        rows = self._factors(terms(*self._scaled(cosines)))
+        return [value + _product([row[n] for row in rows], combinations) for n, value in enumerate(functions)]
+
+    def changed(self, images: list[Any], cosines: Pair, change: Pair) -> list[Any]:
+        """Return the change of the values of the combinations' images by a change of the direction cosines."""
+        (u, v), (du, dv) = self._scaled(cosines), self._scaled(change)
+        return [_product(row, images) for row in self._factors(_changes_of_terms(u, v, du, dv))]
+
+    def slopes(self, images: list[Any], cosines: Pair) -> list[list[Any]]:
+        """Return the adjoint of `changed` by the change along either axis: factors of the functions' values.
+
+        `images` are those of the combinations.
+        """
+        nothing, one = mi.Float(0), dr.opaque(mi.Float, 1 / self._largest)
+        made = []
+        for change in ((one, nothing), (nothing, one)):
+            (u, v), (du, dv) = self._scaled(cosines), change
+            rows = self._factors(_changes_of_terms(u, v, du, dv))
+            made.append([_product([row[n] for row in rows], images) for n in range(self._functions)])
+        return made
+
+
+def _product(factors: Sequence[Any], values: Sequence[Any]) -> Any:
+    """Return the sum of products, of those factors that are not None."""
+    return sum((f * value for f, value in zip(factors, values, strict=True) if f is not None), mi.Float(0))

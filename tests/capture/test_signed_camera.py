@@ -12,7 +12,6 @@ from mitsuba_plenoptic.capture.signed_camera import (
     PARAMETERS,
     CameraAdjoint,
     CameraTangents,
-    displaced,
     hold,
     parameters_of,
     require_parameters,
@@ -22,7 +21,7 @@ from mitsuba_plenoptic.capture.signed_colours import Node
 from mitsuba_plenoptic.capture.signed_draws import Cells
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, SumTask
-from mitsuba_plenoptic.system.array_kernels import REACH
+from mitsuba_plenoptic.system.array_kernels import REACH, displaced
 from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
 from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
 

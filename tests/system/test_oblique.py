@@ -120,6 +120,29 @@ def test_reduced_is_the_adjoint_of_extended():
     )
 
 
+def test_changes_of_combinations_are_slopes():
+    rng = np.random.default_rng(2)
+    factors, step = rng.normal(size=(2, 3, 5)), 1e-3
+    images = ObliqueImages(Oblique(0.2, factors, factors))
+    values = [mi.Float(rng.normal(size=4)) for _ in range(3)]
+    cosines, change = (tuple(mi.Float(rng.uniform(-0.2, 0.2, 4)) for _ in range(2)) for _ in range(2))
+    before, after = (
+        images.extended(values, tuple(s + side * step * d for s, d in zip(cosines, change, strict=True)))[3:]
+        for side in (-1, 1)
+    )
+    slopes = [(b.numpy() - a.numpy()) / (2 * step) for a, b in zip(before, after, strict=True)]
+    found = images.changed(values, cosines, change)
+    assert np.array([each.numpy() for each in found]) == pytest.approx(np.array(slopes), rel=0.02, abs=0.02)
+    felt = [mi.Float(rng.normal(size=4)) for _ in range(2)]
+    along = images.slopes(felt, cosines)
+    one = sum(dr.sum(a * b)[0] for a, b in zip(found, felt, strict=True))
+    other = sum(
+        dr.sum(d * sum(a * b for a, b in zip(parts, values, strict=True)))[0]
+        for d, parts in zip(change, along, strict=True)
+    )
+    assert one == pytest.approx(other, rel=1e-4)
+
+
 def test_cells_know_the_direction_of_their_light():
     camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
     draws = Draws(camera, [plan_of(camera, 633.0, False, 633.0)], camera.pixel_size)

@@ -18,6 +18,9 @@ MODELS: dict[str, dict[str, Any]] = {"ray": {"model": "ray"}, "wave": {"model": 
 
 CROP, SEEDS = 512, 16
 
+_LIT = 0.1
+"""Light of lit pixels over the median of pixels that have any."""
+
 
 @case(
     "signed-ray-cost",
@@ -79,7 +82,8 @@ def _variances(name: str, pixels: int, samples: int, seeds: int) -> Row:
     )
     # Of few seeds, a pixel's variance is known better with its neighbours.
     spread = [uniform_filter(each.var(0, ddof=1), 3) for each in (rays, waves)]
-    lit = (rays.mean(0) > 0.02 * rays.mean(0).max()) & (spread[0] > 0)
+    light = rays.mean(0)
+    lit = (light > _LIT * np.median(light[light > 0])) & (spread[0] > 0)
     ratio = spread[1][lit] / spread[0][lit]
     return {
         "variance": float(spread[1][lit].sum() / spread[0][lit].sum()),
