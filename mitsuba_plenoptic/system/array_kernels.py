@@ -113,8 +113,9 @@ class ArrayKernels(LensWaves):
         largest = float(np.hypot(*cosines.T).max())
         u, v, inside = self.aperture_grid(_LAGS)
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
+        coarse = _TRANSFER_SAMPLES // _COARSER
         images = [
-            np.concatenate([self._images(functions, kind, functions.duals, (a, b)) for kind in kinds], axis=1)
+            np.concatenate([self._images(functions, kind, functions.duals, (a, b), coarse) for kind in kinds], axis=1)
             for a, b in DIRECTIONS * largest
         ]
         light = functions.light(u[inside], v[inside])
@@ -145,15 +146,17 @@ class ArrayKernels(LensWaves):
         kind: Kind,
         coefficients: NDArray[np.float64],
         cosines: tuple[float, float] = (0.0, 0.0),
+        samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.float64]:
         """Return the spectra (n, values) of a kind's kernels of combinations of polynomials, as pixels record them."""
         scale = in_millimetres(self.wavelength) * kind.distance
-        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
-        farthest = min(2 * _TRANSFER_SAMPLES, int(scale / (2 * self.camera.pixel_size * fine)))
+        fine = self.lattice.pitches[0] / samples
+        farthest = min(2 * samples, int(scale / (2 * self.camera.pixel_size * fine)))
         every = max(1, farthest // _LAGS)
         lags = np.arange(-_LAGS, _LAGS + 1) * every
         weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        spectra = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines) * (weights[:, None] * weights)
+        transfer = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines, samples)
+        spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
     def aperture_grid(self, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:

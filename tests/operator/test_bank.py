@@ -52,7 +52,7 @@ def images(camera, points, weights, accuracy=0.01):
     ("name", "limit"),
     [
         ("square", 0.03),
-        ("double Gauss", 0.03),
+        pytest.param("double Gauss", 0.03, marks=pytest.mark.slow),
         pytest.param("hexagonal, turned", 0.025, marks=pytest.mark.slow),
         pytest.param("three focal lengths", 0.025, marks=pytest.mark.slow),
     ],
@@ -77,6 +77,7 @@ def test_an_objectives_points_against_exact_ones():
     assert error(made, exact) < 0.04
 
 
+@pytest.mark.slow
 def test_a_single_blurred_point_at_high_accuracy():
     point = grid(SMALL, 2.0, 3)[:1]
     made, exact = images(SMALL, point, [1.0], accuracy=0)
@@ -123,6 +124,7 @@ def test_blocks_of_the_detector_and_crops_are_parts_of_the_whole(monkeypatch):
     assert np.vdot(whole.astype(float), pixels) == pytest.approx(operator.adjoint(pixels).sum(), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_channels_of_a_spectrum_are_sums_at_its_wavelengths():
     points = grid(SMALL, 2.0, 2)
     operator = CaptureOperator(SMALL, points, spectrum=Spectrum.lines(633.0, 532.0), method="bank")
