@@ -13,7 +13,7 @@ from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 STEEP = {
     "focal_length": 50.0, "aperture_radius": 16.0, "mla_distance": 51.0, "mla_pitch": 0.04, "mla_medium": 1.5,
-    "mla_focal_length": 0.06, "detector_width": 0.04 * 6, "resolution": (48, 48),
+    "mla_focal_length": 0.06, "detector_width": 0.04 * 4, "resolution": (32, 32),
 }  # fmt: skip
 """Lenses of f/1, in units of which the absorption is strong."""
 
