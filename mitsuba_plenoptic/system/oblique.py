@@ -37,6 +37,9 @@ DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5*
 _ODD = [(True, False), (False, True), (False, False), (True, True), (False, False)]
 """Whether each of the terms is odd in s_u, and in s_v."""
 
+_MOST = 2
+"""Largest number of combinations over that of the functions: more are only needed for lenses faster than f/2."""
+
 _LEAST = 1e-9
 """Part of the mean variance that is added to all variances, so that their matrices can be inverted."""
 
@@ -97,6 +100,8 @@ class Oblique:
     ) -> Oblique:
         """Return the fewest combinations that leave at most a part `tolerance` of images of random light.
 
+        There are at most `_MOST` times as many as functions.
+
         `cosines` (rays, 2) are those of rays over the largest ones. `images` (directions, n, values) are the functions'
         kernels for each of `DIRECTIONS`, in an orthonormal basis of the detector; `light` (n, n) is the covariance of
         the functions' coefficients in random light, and `odd` their symmetry.
@@ -123,7 +128,7 @@ class Oblique:
                 found.append((float(value) ** 2, pair))
         found.sort(key=lambda each: -each[0])
         rest = np.cumsum([value for value, _ in found][::-1])[::-1]
-        count = int(np.count_nonzero(rest > tolerance**2 * whole))
+        count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), _MOST * len(light))
         used = np.array([pair for _, pair in found[:count]]).reshape(count, 2, *shape)
         return cls(largest, used[:, 0], used[:, 1])
 

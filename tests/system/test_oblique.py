@@ -104,6 +104,12 @@ def test_fewer_kernels_leave_more_of_the_change():
     assert 0 < counts[0] < counts[1]
 
 
+def test_there_are_at_most_twice_as_many_combinations_as_functions():
+    fast = PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=24.0)
+    plan = plan_of(fast, 633.0, False, 633.0)
+    assert plan.oblique.count == 2 * plan.functions.count
+
+
 def test_reduced_is_the_adjoint_of_extended():
     rng = np.random.default_rng(1)
     factors = rng.normal(size=(2, 3, 5))

@@ -56,16 +56,24 @@ CAMERAS = {
     "water": PlenopticCamera.preset("lfm_water"),
     "raytrix": PlenopticCamera.preset("raytrix"),
     "raytrix double Gauss": PlenopticCamera.preset("raytrix_double_gauss"),
+    "microlenses f4": PlenopticCamera(mla_focal_length=0.256, detector_distance=0.256, aperture_radius=12.0),
+    "microlenses f2": PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=12.0),
+    "medium": PlenopticCamera(mla_medium=1.5, mla_focal_length=0.768, detector_distance=0.768),
     "second": PlenopticCamera(
         focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
     ),
 }
 
-LIMITS = {"square": (0.009, 0.009), "hexagonal": (0.007, 0.010), "double Gauss f8": (0.008, 0.010)}
+LIMITS = {
+    "square": (0.009, 0.008), "hexagonal": (0.006, 0.007), "double Gauss f8": (0.008, 0.008), "keplerian": (0.007, 0.007)
+}  # fmt: skip
 """Largest difference on the axis and off it, by usual plans, of cameras that have limits of their own."""
 
-FINER, MOST = 0.8, 0.025
+FINER, MOST = 0.7, 0.025
 """Part of these limits for finer plans; limit of other cameras."""
+
+SMALL = 0.035
+"""Limit for walls of few lenses, which are nearly all edge."""
 
 BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
 
@@ -105,8 +113,7 @@ def walls(
         plan, planning, _ = once(lambda c=camera: planned(c, finer, parts))
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
-        # Walls of few lenses have more edge.
-        limit = MOST if lenses < 3 else own * FINER if finer else own
+        limit = SMALL if lenses < 3 else own * FINER if finer else own
         for blur in blurs:
             (image, exact, noise, whole), seconds, _ = once(
                 lambda p=plan, c=camera, b=blur: pair(p, c, b, lenses, points, samples, parts, margin, off_axis)
