@@ -65,8 +65,11 @@ CAMERAS = {
 }
 
 LIMITS = {
-    "square": (0.009, 0.008), "hexagonal": (0.006, 0.007), "double Gauss f8": (0.008, 0.008), "keplerian": (0.007, 0.007)
-}  # fmt: skip
+    "square": (0.009, 0.008),
+    "hexagonal": (0.006, 0.007),
+    "double Gauss f8": (0.008, 0.008),
+    "keplerian": (0.007, 0.007),
+}
 """Largest difference on the axis and off it, by usual plans, of cameras that have limits of their own."""
 
 FINER, MOST = 0.7, 0.025
