@@ -101,6 +101,8 @@ class HeldRays(CameraTangents):
         count = np.asarray(strength * dr.exp(there.measure - here.measure), float)
         values = [value * count for value in values]
         values[0] += np.asarray(mean * dr.exp(there.density - here.density), float)
+        # Light meets the lenses of the other camera in another direction.
+        values = self._oblique[number].extended([mi.Float(value) for value in values], there.cosines)
         place = [
             np.asarray(whole, float) + first + self.margin + np.asarray(after - before, float)
             for whole, first, after, before in zip(
@@ -112,7 +114,9 @@ class HeldRays(CameraTangents):
             )
         ]
         for value, felt in zip(values, self.felt_by, strict=True):
-            self.total += np.sum(value * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
+            self.total += (
+                np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
+            )
         return super()._bring(cells, key, radiance, known, mi.Bool(False), number, lanes)
 
     def interpolated(self, point, drawn):
