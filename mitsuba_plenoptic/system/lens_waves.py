@@ -31,9 +31,13 @@ class LensWaves:
         return self.camera.lattice
 
     @cached_property
+    def _lens_kinds(self) -> LensKinds:
+        return LensKinds(self.camera)
+
+    @property
     def kinds(self) -> list[Kind]:
         """The kinds of microlenses."""
-        return LensKinds(self.camera).every
+        return self._lens_kinds.every
 
     @property
     def defocus(self) -> float:
@@ -76,7 +80,7 @@ class LensWaves:
         """Return the phase of a lens in waves for light of some direction cosines without the paraxial one."""
         camera = self.camera
         power = 1 / kind.focal_length - camera.lens_data.converges / camera.pupil_distance
-        enlargement = LensKinds(camera).enlargement(kind.focal_length)
+        enlargement = self._lens_kinds.enlargement(kind.focal_length)
         path = phase(u, v, cosines, power, camera.mla_medium, enlargement)
         return np.asarray(path / in_millimetres(self.wavelength))
 
