@@ -43,8 +43,7 @@ class OpticalSystem:
     wavelength : float
         Wavelength in nanometres.
     lens_model : {"ideal", "parabolic"}, optional
-        Model of a thin main lens. Default: parabolic, as in the paper, or the camera's own in front of lenses of a few
-        wavelengths, because the aberrations of a fast parabolic phase are larger than such lenses.
+        Model of a thin main lens. Default: that of the camera.
     """
 
     camera: PlenopticCamera
@@ -75,8 +74,7 @@ class OpticalSystem:
     @cached_property
     def lens(self) -> MainLens:
         """The main lens, for waves and for rays; see `MainLens` for its methods."""
-        own = self.camera.lens_model if has_small_lenses(self.camera, self.wavelength) else "parabolic"
-        return _wave_lens(self.camera, self.wavelength, self.lens_model or own)
+        return _wave_lens(self.camera, self.wavelength, self.lens_model or self.camera.lens_model)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens for wave propagation from scene points (n, 3).

@@ -152,7 +152,7 @@ class PlaneWaveResponses:
     @cached_property
     def system(self) -> OpticalSystem:
         """The camera, bound to the wavelength; light up to the array follows the camera's own model of the lens."""
-        return OpticalSystem(self.camera, self.wavelength, self.camera.lens_model)
+        return OpticalSystem(self.camera, self.wavelength)
 
     @cached_property
     def count(self) -> int:
