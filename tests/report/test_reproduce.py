@@ -34,6 +34,12 @@ def files(folder):
     return {path.name: path.read_bytes() for path in (folder / "data").glob("*.exr")}
 
 
+def test_the_papers_lenses_are_parabolic_phases_by_rays_and_by_waves():
+    for settings in reproductions.PRESETS.values():
+        camera = load_scene(settings.scene, parameters=settings.parameters).sensors()[0].camera
+        assert camera.lens_model == "parabolic"
+
+
 def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figures, tiny, tmp_path, capsys):
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
