@@ -12,7 +12,7 @@ from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields, point_spread_function
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from tools.bench.cases import point_spreads
+from tools.bench.cases import lens_models, point_spreads
 
 SMALL = small_camera(16)
 # Other numbers throughout; 20.2 pixels to a lens, fewer rows than columns.
@@ -182,6 +182,17 @@ def test_mistakes(change, word):
     arguments = {"position": (0, 0, 240), "wavelength": 633} | change
     with pytest.raises(InputError, match=f"^{word}"):
         point_spread_function(SMALL, **arguments)
+
+
+def test_stars_behind_an_ideal_lens_are_airy_patterns():
+    """On the axis and off it, where the light of a parabolic phase is half as concentrated."""
+    rows = list(lens_models.stars(f_numbers=(5.6,), places=(0.0,)))
+    assert {row["model"] for row in rows} == {"ideal", "parabolic"}
+    for row in rows:
+        if row["model"] == "ideal":
+            assert row["worst"] < 0.003
+        elif row["degrees"]:
+            assert row["one"] < -0.2
 
 
 def test_light_that_never_reaches_the_mla_is_refused():
