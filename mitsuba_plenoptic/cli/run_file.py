@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import json
+import logging
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -16,6 +17,9 @@ import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
 from ..io.files import parse_yaml, read_yaml, require_writable, write_text
+from ..io.versions import KEY, VERSION, is_of_1_0
+
+_log = logging.getLogger(__name__)
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 """Words that YAML reads as they are, in lists, too."""
@@ -86,7 +90,26 @@ def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
     content = read_yaml(path)
     with naming(path):
-        return parse_run(content, commands)
+        steps = parse_run(content, commands)
+        if is_of_1_0(content) and any(_may_be_by_waves(step, commands[step.command]) for step in steps):
+            _log.info(
+                "%s: it states no version, as those of version 1.0 and earlier: waves refracted at a thin main lens as "
+                "lens_model parabolic then, and follow the camera's lens_model now; the line version: %s ends it",
+                path,
+                VERSION,
+            )
+    return steps
+
+
+_LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "method"}
+"""Options that choose rays or waves, by the command."""
+
+
+def _may_be_by_waves(step: RunStep, known: Mapping[str, Any]) -> bool:
+    """Return whether a step is not known to be by rays: the scene or the recipe may decide, too."""
+    name = _LIGHT.get(step.command)
+    by_rays = step.command != "dataset" if name is None else step.options.get(name, known[name].default) == "ray"
+    return not by_rays
 
 
 def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
@@ -95,7 +118,7 @@ def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
         not isinstance(content, dict) or not isinstance(content.get("steps"), list) or not content["steps"],
         "a run file must have 'steps', a list of commands with their options",
     )
-    require_known("", content, ("shared", "steps"))
+    require_known("", content, (KEY, "shared", "steps"))
     shared = content.get("shared") or {}
     refuse_if(not isinstance(shared, dict), f"shared = {short_repr(shared)}: it must be options by name")
     steps = []
@@ -172,7 +195,7 @@ def _seen_from(folder: Path, value: Any) -> str:
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
-    before = path.read_text(encoding="utf-8") if path.exists() else "steps:\n"
+    before = path.read_text(encoding="utf-8") if path.exists() else f"{KEY}: {VERSION}\nsteps:\n"
     steps = read_run_file(path, commands) if path.exists() else []
     if _commands_of([step], commands)[0] in _commands_of(steps, commands):
         return
