@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 import json
-import logging
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -17,9 +16,7 @@ import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
 from ..io.files import parse_yaml, read_yaml, require_writable, write_text
-from ..io.versions import KEY, VERSION, is_of_1_0
-
-_log = logging.getLogger(__name__)
+from ..io.versions import KEY, VERSION
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 """Words that YAML reads as they are, in lists, too."""
@@ -90,26 +87,7 @@ def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
     content = read_yaml(path)
     with naming(path):
-        steps = parse_run(content, commands)
-        if is_of_1_0(content) and any(_may_be_by_waves(step, commands[step.command]) for step in steps):
-            _log.info(
-                "%s: it states no version, as those of version 1.0 and earlier: waves refracted at a thin main lens as "
-                "lens_model parabolic then, and follow the camera's lens_model now; the line version: %s ends it",
-                path,
-                VERSION,
-            )
-    return steps
-
-
-_LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "method"}
-"""Options that choose rays or waves, by the command."""
-
-
-def _may_be_by_waves(step: RunStep, known: Mapping[str, Any]) -> bool:
-    """Return whether a step is not known to be by rays: the scene or the recipe may decide, too."""
-    name = _LIGHT.get(step.command)
-    by_rays = step.command != "dataset" if name is None else step.options.get(name, known[name].default) == "ray"
-    return not by_rays
+        return parse_run(content, commands)
 
 
 def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
