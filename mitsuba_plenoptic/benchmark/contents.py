@@ -260,8 +260,7 @@ def model_of(name: str) -> str:
 
 def capture_of(sample: Sample, name: str) -> Capture:
     """Return a capture of a sample by its name, one of `CAPTURES`."""
-    about = sample.facts["captures"][name]
-    return Capture(sample.arrays[name], sample.camera, about["wavelength"], model_of(name), about["metadata"])
+    return sample.capture_called(name, model_of(name))
 
 
 def central_truth(sample: Sample) -> dict[str, np.ndarray]:

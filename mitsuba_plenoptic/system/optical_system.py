@@ -18,18 +18,9 @@ from ..lattice import Lattice
 from ..lenses.base import MainLens, PointLight
 from ..lenses.common import main_lens
 from ..optics import rays
-from ..optics.waves import in_millimetres
 from ..prescription.glass import LINE_D
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
-
-_SMALLEST = 20.0
-"""Pitch in wavelengths below which paraxial kernels do not hold."""
-
-
-def has_small_lenses(camera: PlenopticCamera, wavelength: float) -> bool:
-    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
-    return min(camera.mla_pitches) < _SMALLEST * in_millimetres(wavelength)
 
 
 @dataclass(frozen=True)

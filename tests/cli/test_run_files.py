@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -104,6 +105,7 @@ def test_save_run_repeats_a_command(raw, tmp_path, run):
     run("epi", raw, "-o", here / "epi.png", "--at=-0.25", "--figure", "--save-run", file)
     text = file.read_text()
     assert text == (
+        f"version: {version('mitsuba-plenoptic')}\n"
         f"steps:\n- reconstruct:\n    capture: {raw}\n    output: {here / 'a b.exr'}\n    distance: [inf, 1000]\n"
         f"    oversample: 1\n- epi:\n    source: {raw}\n    output: {here / 'epi.png'}\n    at: -0.25\n"
         "    figure: true\n"
@@ -155,7 +157,7 @@ def test_values_by_name_are_definitions():
     ("text", "rule"),
     [
         ("steps: 3", "a run file must have 'steps', a list of commands with their options"),
-        ("steps:\n- render: {}\nstep: 1", "step: it is not one of shared, steps; did you mean steps?"),
+        ("steps:\n- render: {}\nstep: 1", "step: it is not one of version, shared, steps; did you mean steps?"),
         ("steps: [render]", "step 1 = 'render': it must be one command, with its options by name"),
         ("steps:\n- rendr: {}", "step 1: command = 'rendr': it must be one of "),
         ("steps:\n- run: {}", "step 1: command = 'run': it must be one of "),
