@@ -167,7 +167,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
         ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
         ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY': value 1 must be a number"),
         ("DISZ 5", "DISZ -5", "surface 1: thickness = -5"),
-        ("DISZ 5", "DISZ 1", "surfaces 1 and 2 cross"),
+        ("DISZ 5", "DISZ 0.005", "surfaces 1 and 2 cross"),
         ("DISZ 5", "DISZ 5,0", "value 1 must be a number"),
         ("  STOP\n", "", "0 surfaces have stop: true"),
         ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1': only files of one configuration are read"),
