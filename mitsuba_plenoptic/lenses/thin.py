@@ -245,6 +245,25 @@ class ThinLens(UniformLens, FinitePupil):
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
+    def paraxial_path(self, pupil: Pair, distance: Any, wavelength: float) -> Any:
+        r"""Return :math:`(-P^2 / 2 g' + W(P)) / \lambda`, the path for all points at one distance g together.
+
+        Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), spheres about the points are
+        parabolas, which differ by tilts only. Tilts are left out.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        distance : array
+            Distance g of the points from the lens in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
+        waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
+        return waves if self.is_round else waves + self._wavefront.path(Px, Py) * scale
+
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
         length = _distance(pupil, point)

@@ -237,15 +237,16 @@ def advance(
     *,
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
+    paraxial: bool = False,
 ) -> Field:
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
     ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
-    spectrum.
+    spectrum. `paraxial` is as in `transfer`.
     """
     packed = array_module().UInt64(as_words(spectrum))
-    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
+    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial)
     return as_field(packed, spectrum.shape)
 
 
@@ -257,6 +258,7 @@ def _advance(
     wavelength: float,
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
+    paraxial: bool = False,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
     types = array_types(packed)
@@ -266,11 +268,23 @@ def _advance(
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift))
+    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift, paraxial=paraxial))
 
 
-def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Any:
-    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves."""
+def transfer(
+    sx: Any,
+    sy: Any,
+    distance: float,
+    wavelength: float,
+    *,
+    shift: tuple[float, float] = (0.0, 0.0),
+    paraxial: bool = False,
+) -> Any:
+    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
+
+    The `paraxial` one is Fresnel's, :math:`\exp(-i k s^2 d / 2)`: light of the frequency :math:`s / \lambda` moves
+    sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section 4.2.3).
+    """
     types = array_types(sx)
 
     def in_waves(length: Any) -> Any:
@@ -278,11 +292,14 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
         return waves if dr.is_array_v(waves) else dr.opaque(types.Float64, waves)
 
     square = sx * sx + sy * sy
-    # The derivative of the square root does not exist at 0.
-    waves = in_waves(distance) * (dr.sqrt(dr.select(square < 1, 1 - square, 1)) - 1)
+    if paraxial:
+        waves = in_waves(distance) * (-0.5 * square)
+    else:
+        # The derivative of the square root does not exist at 0.
+        waves = in_waves(distance) * (dr.sqrt(dr.select(square < 1, 1 - square, 1)) - 1)
     if any(shift):
         waves = waves + sy * in_waves(shift[0]) + sx * in_waves(shift[1])
-    return dr.select(square < 1, phasor(waves), 0)
+    return phasor(waves) if paraxial else dr.select(square < 1, phasor(waves), 0)
 
 
 def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float) -> Any:

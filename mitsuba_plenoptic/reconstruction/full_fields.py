@@ -23,11 +23,12 @@ from ..runtime.limits import require_memory
 from ..system.microlenses import is_separable, transmission
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, FieldZone, ThinConjugates
+from .conjugates import Conjugates, FieldZone, ThinConjugates, is_paraxial
 from .methods import Progress, portion
 from .passages import (
     BinSums,
     FieldWorkspace,
+    FreeSpace,
     Rows,
     ThinElement,
     propagate,
@@ -156,6 +157,9 @@ class BackwardFields:
     ) -> None:
         self._camera, self._wavelength, self._grids = camera, wavelength, grids
         self._interleave, self._relay = interleave, relay
+        shorter, paraxial = camera.medium_wavelength(wavelength), is_paraxial(camera)
+        self._to_mla = FreeSpace(camera.detector_distance, shorter, paraxial)
+        self._to_main_lens = FreeSpace(camera.mla_distance, wavelength, paraxial)
         on_array = sum(8.0 * math.prod(strip.to_mla.shape) for strip in grids.strips)
         steps = list(grids.steps)
         if with_vjp:
@@ -194,10 +198,9 @@ class BackwardFields:
                     light = self._workspace.blocks(held)
                 else:
                     light = self._on_array(strip, amplitude, None if self._relay else subset)
-                step, b = strip.to_main_lens, self._camera.mla_distance
-                self._add_within(
-                    field, propagate(light, self._lenses(step, subset), step, b, self._wavelength, self._workspace)
-                )
+                step = strip.to_main_lens
+                lenses = self._lenses(step, subset)
+                self._add_within(field, propagate(light, lenses, step, self._to_main_lens, self._workspace))
             yield field
 
     def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
@@ -206,7 +209,7 @@ class BackwardFields:
 
     def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
         """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
-        workspace, camera, wavelength = self._workspace, self._camera, self._wavelength
+        workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
         for subset, gradient in zip(self._subsets, gradients, strict=True):
@@ -216,15 +219,14 @@ class BackwardFields:
             self._add_within(field, to_directions_vjp(spectrum, _main_lens(step, zone), step, workspace))
             for strip, own in zip(self._grids.strips, on_array, strict=True):
                 on = strip.to_main_lens
-                back = workspace.blocks(field), self._lenses(on, subset), on, camera.mla_distance
-                for rows, samples in propagate_vjp(*back, wavelength, workspace):
+                back = workspace.blocks(field), self._lenses(on, subset), on, self._to_main_lens
+                for rows, samples in propagate_vjp(*back, workspace):
                     own[rows] += samples
         found, n = [], self._grids.subsamples
         for strip, own in zip(self._grids.strips, on_array, strict=True):
             onto = strip.to_mla
-            light = converging(onto, camera, wavelength), onto, camera.detector_distance
-            shorter = camera.medium_wavelength(wavelength)
-            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, shorter, workspace), onto.reversed)
+            light = converging(onto, self._camera, self._wavelength), onto, self._to_mla
+            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, workspace), onto.reversed)
             real = workspace.libraries.to_host(samples).real
             shape = onto.y.count // n, n, onto.x.count // n, n
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
@@ -242,8 +244,7 @@ class BackwardFields:
         """
         step, camera = strip.to_mla, self._camera
         light = converging(step, camera, self._wavelength, self._interleave, subset)
-        z, wavelength = camera.detector_distance, camera.medium_wavelength(self._wavelength)
-        return propagate(self._samples(amplitude[strip.rows]), light, step, z, wavelength, self._workspace)
+        return propagate(self._samples(amplitude[strip.rows]), light, step, self._to_mla, self._workspace)
 
     def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
         if not self._relay:

@@ -29,7 +29,7 @@ from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, ThinConjugates
+from .conjugates import Conjugates, ThinConjugates, is_paraxial
 from .lens_tiles import LensTile, reconstruction_tile
 from .methods import Progress
 
@@ -320,12 +320,17 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     )
     b = dr.opaque(types.Float64, camera.mla_distance)
     conjugate = conjugates.at(x, y, batch.centre, lens, distance)
-    # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
-    sideways = x * x + y * y + b * b
-    chief = dr.sqrt(sideways)
-    Px, Py = (w * chief / b / (1 - c * c / sideways) for w, c in ((u, x), (v, y)))
-    along = Px * Px + Py * Py - 2 * (Px * x + Py * y)
-    from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
+    if is_paraxial(camera):
+        # Tilts, to and from the centres, cancel.
+        Px, Py = u, v
+        from_mla = -parabola(u * u + v * v, b, tile.wavelength)
+    else:
+        # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
+        sideways = x * x + y * y + b * b
+        chief = dr.sqrt(sideways)
+        Px, Py = (w * chief / b / (1 - c * c / sideways) for w, c in ((u, x), (v, y)))
+        along = Px * Px + Py * Py - 2 * (Px * x + Py * y)
+        from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
     to_object = conjugate.path((Px, Py))
     # The first object sample is half a patch from the centre.
     half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch

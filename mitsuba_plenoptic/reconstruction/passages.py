@@ -9,16 +9,18 @@ out, and so are frequencies and destination samples that nobody asks for.
 The vjp of a step is the step back: free space of the opposite length between the same samples, then the conjugate of
 the element, over the ratio of the areas of the samples.
 
-At the end the power of a field over direction cosines is summed over bins. Bins are even in the slope X / g, fields in
-the cosine X / |X|. For a fixed cosine along x, the edges of bins along y are known cosines; so the power is integrated
-along y for every sample in x as the samples come, and the sums then along x for every row of bins, with the edges that
-the row's middle has. Between the samples the power goes as a cubic (Keys, "Cubic convolution interpolation for digital
-image processing", 1981), whose integral is the sum of the samples between two edges and a few near each.
+At the end the power of a field over directions is summed over bins. Bins are even in the slope X / g, and so are the
+directions of paraxial light. Those of other light are even in the cosine X / |X|. For a fixed cosine along x, the edges
+of bins along y are known cosines; so the power is integrated along y for every sample in x as the samples come, and the
+sums then along x for every row of bins, with the edges that the row's middle has. Between the samples the power goes as
+a cubic (Keys, "Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum of the
+samples between two edges and a few near each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -29,6 +31,7 @@ from ..camera import PlenopticCamera
 from ..optics.waves import advance, in_millimetres
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, pack, split
+from .conjugates import is_paraxial
 from .planning import AxisStep, Step
 
 Rows = Iterable[tuple[slice, Field]]
@@ -135,29 +138,43 @@ class FieldWorkspace:
             yield rows, field[rows]
 
 
-def propagate(
-    source: Rows, element: ThinElement, step: Step, distance: float, wavelength: float, workspace: FieldWorkspace
-) -> Rows:
+@dataclass(frozen=True)
+class FreeSpace:
+    """A length of free space in millimetres, for light of a wavelength there in nanometres, by slopes or by cosines."""
+
+    distance: float
+    wavelength: float
+    paraxial: bool
+
+    @property
+    def back(self) -> FreeSpace:
+        """The way back."""
+        return FreeSpace(-self.distance, self.wavelength, self.paraxial)
+
+
+def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace) -> Rows:
     """Yield a field at the destination samples of a step, without the carrier, of one at its source samples.
 
-    It passes the element first, then the distance, in millimetres. Rows may come from another step's with the same
-    workspace.
+    The field passes the element first, then free space. Rows may come from another step's with the same workspace.
     """
     x, y, columns = step.x, step.y, workspace.columns(step)
     pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
     for mine, spectrum in to_directions(source, element, step, workspace):
-        part = advance(spectrum, pitches, distance, wavelength, shift=shift, part=(mine.start, x.held))
+        part = advance(
+            spectrum, pitches, space.distance, space.wavelength, shift=shift, part=(mine.start, x.held),
+            paraxial=space.paraxial,
+        )  # fmt: skip
         columns[mine, : y.wanted] = _from_lowest(part, y, workspace)
     yield from _to_rows(columns, step, workspace)
 
 
 def propagate_vjp(
-    gradient: Rows, element: ThinElement, step: Step, distance: float, wavelength: float, workspace: FieldWorkspace
+    gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
     """Take the gradient by the destination samples of `propagate` back to its source samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
-    for rows, samples in propagate(gradient, ThinElement(back), back, -distance, wavelength, workspace):
+    for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
         yield rows, element.back(rows, samples, scale)
 
 
@@ -322,8 +339,11 @@ class BinSums:
         slope_x, slope_y = ((np.arange(count + 1) - count / 2) * -width for count in (columns, rows))
         middle = (slope_y[:-1, None] + slope_y[1:, None]) / 2
         cosine = (np.fft.fftfreq(step.x.new_padded, 1 / step.x.new_padded) * across)[:, None]
-        along_y = slope_y * np.sqrt((1 - cosine * cosine) / (1 + slope_y * slope_y))
-        along_x = slope_x / np.sqrt(1 + slope_x * slope_x + middle * middle)
+        if is_paraxial(camera):
+            along_y, along_x = slope_y + 0 * cosine, slope_x + 0 * middle
+        else:
+            along_y = slope_y * np.sqrt((1 - cosine * cosine) / (1 + slope_y * slope_y))
+            along_x = slope_x / np.sqrt(1 + slope_x * slope_x + middle * middle)
         self._along_y, self._along_x = (
             Integrals(along_y / down, step.y.new_padded),
             Integrals(along_x / across, step.x.new_padded),
