@@ -334,7 +334,7 @@ def require_in_use(scene: str, parameters: dict[str, str]) -> None:
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    return check_scene_file(Path(scene) if Path(scene).exists() else scene_path(scene), parameters)
+    return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
 
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:

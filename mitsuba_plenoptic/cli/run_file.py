@@ -158,16 +158,20 @@ def _step_of(context: Any, folder: Path) -> RunStep:
             continue
         value = context.params[parameter.name]
         if parameter.nargs != 1 or getattr(parameter, "multiple", False):
-            options[name] = [_seen_from(folder, one) for one in value]
+            options[name] = [_seen_from(folder, name, one) for one in value]
         else:
-            options[name] = value if isinstance(value, bool) else _seen_from(folder, value)
+            options[name] = value if isinstance(value, bool) else _seen_from(folder, name, value)
     return RunStep(context.command.name, options)
 
 
-def _seen_from(folder: Path, value: Any) -> str:
-    """Return a value as a word; a file's path relative to the folder, where it is not absolute."""
+_FILES_OR_NAMES = {"scene", "camera", "source"}
+"""Options whose text is the path of a file or the name of something built in; other texts name no files."""
+
+
+def _seen_from(folder: Path, name: str, value: Any) -> str:
+    """Return an option's value as a word; a file's path relative to the folder, where it is not absolute."""
     word = _word("", value)
-    named = isinstance(value, Path) or (isinstance(value, str) and Path(value).exists())
+    named = isinstance(value, Path) or (name in _FILES_OR_NAMES and Path(word).is_file())
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word
 
 

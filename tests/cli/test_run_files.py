@@ -123,10 +123,15 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
     (tmp_path / "raw.exr").write_bytes(raw.read_bytes())
-    run("render", "letters", "-o", "small.exr", "--spp", 1, "-D", "resolution=64", "--save-run", "runs/run.yaml")
+    # A folder and a file that have the names of a scene and of a value.
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "ray").write_text("")
+    words = ["--spp", 1, "-D", "resolution=64", "--model", "ray"]
+    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml")
     run("views", "raw.exr", "-o", "views.png", "--count", 1, "--save-run", "runs/run.yaml")
     text = (tmp_path / "runs" / "run.yaml").read_text()
     assert "scene: letters" in text and "source: ../raw.exr" in text and "define: [resolution=64]" in text
+    assert "model: ray\n" in text
     before = read_capture("small.exr")
     (tmp_path / "small.exr").unlink()
     run("run", "runs/run.yaml")
