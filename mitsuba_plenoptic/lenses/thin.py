@@ -262,7 +262,12 @@ class ThinLens(UniformLens, FinitePupil):
         """
         (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
         waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
-        return waves if self.is_round else waves + self._wavefront.path(Px, Py) * scale
+        return waves if self.is_round else waves + self.aberration(pupil, wavelength)
+
+    def aberration(self, pupil: Pair, wavelength: float) -> Any:
+        """Return the path W(P) that light gains by aberrations and a screen at a pupil point, in waves."""
+        Px, Py = pupil
+        return 0 * Px + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
