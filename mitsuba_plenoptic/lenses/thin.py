@@ -119,7 +119,7 @@ class ThinLens(UniformLens, FinitePupil):
         Distance b to the MLA.
     model : {"ideal", "parabolic"}
         Refraction of rays: ``"ideal"`` by slopes, which is stigmatic, or ``"parabolic"`` by direction cosines, as
-        by a parabolic phase element. Fields have the paths that belong to it.
+        by a parabolic phase. Fields have the paths that belong to it.
     aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
     screen : PhaseScreen, optional

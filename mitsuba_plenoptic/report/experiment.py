@@ -141,7 +141,7 @@ class Experiment:
     """Results of an experiment."""
 
     settings: Settings
-    # The camera, with parabolic lenses.
+    # The camera, whose `lens_model` is parabolic, as that of both captures is.
     camera: PlenopticCamera
     ray: Capture
     wave: Capture
@@ -176,7 +176,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     scene = load_with_sensor(settings.scene, settings.parameters)
     sensor = scene.sensors()[0]
     PlenopticCamera.from_sensor(sensor)
-    # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
+    # The paper's lenses are thin parabolic phases; both models and all reconstructions have them.
     sensor.lens_model = "parabolic"
     sensor.parameters_changed()
     camera = PlenopticCamera.from_sensor(sensor)
