@@ -177,6 +177,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
         ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
         ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
         ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
+        ("  DIAM 5\n", "  DIAM 5\n  XYZW 1\n", "'XYZW 1': XYZW is not understood"),
     ],
 )
 def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
@@ -190,6 +191,7 @@ def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
     "old, new, message",
     [
         ("RDM;", "", "RDM must precede it: whether radii or curvatures are written is not known"),
+        ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I': DIM is given twice"),
         ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
         ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
         ("REF 1", "", "the primary wavelength is missing"),
