@@ -53,7 +53,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "mla_rotation": 5.0,
     },
 }
-"""Parameters of the cameras."""
+"""Parameters of the cameras. Their `lens_model` is ``ideal``: rays and waves differ by no aberrations."""
 
 HELD_OUT = ("square_other", "hexagonal_other")
 """Cameras that are not to be used in training."""
