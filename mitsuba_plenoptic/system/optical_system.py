@@ -20,6 +20,7 @@ from ..lenses.common import main_lens
 from ..optics import rays
 from ..optics.waves import in_millimetres
 from ..prescription.glass import LINE_D
+from ..runtime.backend import drjit_array
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
 
@@ -160,7 +161,7 @@ class RayPupil:
         assert found is not None
         # Outside its border the map continues with the border's values, which lie outside the pupil.
         return mi.Texture3f(
-            mi.TensorXf(found.points),
+            drjit_array(mi.TensorXf, found.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
