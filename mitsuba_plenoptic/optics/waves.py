@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime.backend import array_module, backend, backend_of, one_at_a_time
+from ..runtime.backend import array_module, backend, backend_of, drjit_array, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
 from . import guards
 
@@ -213,12 +213,14 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
-    arrays = libraries.arrays if on_device else np
-    samples = arrays.array(field, np.complex64, order="C", copy=None if overwrite else True)
-    refuse_if(samples.ndim != 2 or samples.size == 0, f"field of shape {samples.shape}: it must have rows and columns")
+    given = (libraries.arrays if on_device else np).asarray(field, np.complex64, order="C")
+    refuse_if(given.ndim != 2 or given.size == 0, f"field of shape {given.shape}: it must have rows and columns")
+    samples = given if overwrite else backend_of(given).empty(given.shape, np.complex64)
+    if not overwrite:
+        samples[...] = given
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
-    packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
+    packed = fft2_packed(drjit_array(libraries.types.UInt64, as_words(samples)), shape)
     guard.see_spectrum(packed)
     packed = _advance(packed, shape, pitch, distance, wavelength)
     result = as_field(fft2_packed(packed, shape, inverse=True), shape)
@@ -245,7 +247,7 @@ def advance(
     ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
     spectrum. `paraxial` is as in `transfer`.
     """
-    packed = array_module().UInt64(as_words(spectrum))
+    packed = drjit_array(array_module().UInt64, as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial)
     return as_field(packed, spectrum.shape)
 

@@ -25,7 +25,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
 from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
-from ..runtime.backend import backend
+from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
@@ -312,10 +312,10 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
     lens, row, column = split(types, index, count, count)
-    P = types.Float64(tile.pupil)
+    P = drjit_array(types.Float64, tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y, ax, ay = (
-        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), lens)
+        dr.gather(types.Float64, drjit_array(types.Float64, values), lens)
         for values in (*batch.centre.T, *batch.aside.T)
     )
     b = dr.opaque(types.Float64, camera.mla_distance)
@@ -338,7 +338,7 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     # The patch is centred on a bin, not on the lens's image.
     waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
     inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
-    aimed = unpack(types.UInt64(as_words(fields))) * phasor(waves) * inside
+    aimed = unpack(drjit_array(types.UInt64, as_words(fields))) * phasor(waves) * inside
     return as_field(pack(aimed), fields.shape)
 
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.waves import advance, in_millimetres
-from ..runtime.backend import backend
+from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, fft, pack, split
 from .conjugates import is_paraxial
 from .planning import AxisStep, Step
@@ -104,8 +104,7 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
     types = backend().types
     _, row, column = split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
     at = [
-        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), index)
-        for values, index in ((x, column), (y, row))
+        dr.gather(types.Float64, drjit_array(types.Float64, values), index) for values, index in ((x, column), (y, row))
     ]
     return as_field(pack(function(*at)), (len(y), len(x)))
 

@@ -19,6 +19,7 @@ from ..lenses.base import MainLens, PointLight
 from ..lenses.common import main_lens
 from ..optics import rays
 from ..prescription.glass import LINE_D
+from ..runtime.backend import drjit_array
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
 
@@ -151,7 +152,7 @@ class RayPupil:
         assert found is not None
         # Outside its border the map continues with the border's values, which lie outside the pupil.
         return mi.Texture3f(
-            mi.TensorXf(found.points),
+            drjit_array(mi.TensorXf, found.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )
