@@ -26,7 +26,7 @@ from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require
 from ..io.captures import MODELS
 from ..io.checkpoints import digest, flattened
 from ..io.files import atomic_output, h5py_module, read_text, require_file, stored_array
-from ..io.versions import is_of_1_0, stamped
+from ..io.versions import KEY, is_of_1_0, stamped
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import require_memory, software
 from .recipe import Recipe
@@ -81,7 +81,7 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
         if source.scene
     }
     facts = {"recipe": dict(recipe.content), "files": scenes, "software": software()}
-    return dict(json.loads(json.dumps(facts)))
+    return dict(json.loads(json.dumps(stamped(facts))))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -133,9 +133,11 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
         before, now = flattened(found), flattened(facts)
-        for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
+        names = {*now, *(key for key in before if key.partition(".")[0] in facts)}
+        # Another version comes with other scenes and software.
+        for name in [KEY, *sorted(names - {KEY})]:
             if before.get(name) != now.get(name) and name != _GROWING:
-                kind = "made by other software" if name.startswith("software.") else "of another recipe"
+                kind = "made by other software" if name.startswith(("software.", KEY)) else "of another recipe"
                 raise InputError(
                     f"{folder}: it holds samples {kind}: {name} was {short_repr(before.get(name))}, is "
                     f"{short_repr(now.get(name))}; choose another folder"
@@ -147,7 +149,7 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
     elif any(path.name != _LOCK for path in folder.iterdir()):
         raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
     sizes = {"count": recipe.count, "samples_per_shard": recipe.samples_per_shard}
-    write_json(folder / MANIFEST, stamped({**sizes, "name": recipe.name, **facts}))
+    write_json(folder / MANIFEST, {**sizes, "name": recipe.name, **facts})
     layout = Layout(folder, recipe.count, recipe.samples_per_shard)
     for part in (layout.shard(0), layout.sample(0)):
         part.parent.mkdir(exist_ok=True)

@@ -135,7 +135,7 @@ def test_a_data_set_is_read_and_not_mixed_with_this_version(tmp_path, remarks):
     assert made[0].capture("wave").camera == made[0].camera.replace(lens_model="parabolic")
     assert made.damaged() == []
     recipe = parse_recipe(made.manifest["recipe"] | {"count": 2})
-    with pytest.raises(mp.InputError, match=r"it holds samples made by other software: software.* choose another fo"):
+    with pytest.raises(mp.InputError, match=f"samples made by other software: version was None, is '{VERSION}'"):
         make_dataset(recipe, folder)
 
 
