@@ -237,15 +237,16 @@ def advance(
     *,
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
+    beyond_paraxial: bool = False,
 ) -> Field:
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
     ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
-    spectrum.
+    spectrum. `beyond_paraxial` is as in `transfer`.
     """
     packed = array_module().UInt64(as_words(spectrum))
-    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part)
+    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, beyond_paraxial)
     return as_field(packed, spectrum.shape)
 
 
@@ -257,6 +258,7 @@ def _advance(
     wavelength: float,
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
+    beyond_paraxial: bool = False,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
     types = array_types(packed)
@@ -266,11 +268,23 @@ def _advance(
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift))
+    passed = transfer(sx, sy, distance, wavelength, shift=shift, beyond_paraxial=beyond_paraxial)
+    return pack(unpack(packed) * passed)
 
 
-def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Any:
-    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves."""
+def transfer(
+    sx: Any,
+    sy: Any,
+    distance: float,
+    wavelength: float,
+    *,
+    shift: tuple[float, float] = (0.0, 0.0),
+    beyond_paraxial: bool = False,
+) -> Any:
+    r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
+
+    With `beyond_paraxial`, return its ratio to the paraxial one, :math:`\exp(-i k s^2 d / 2)`.
+    """
     types = array_types(sx)
 
     def in_waves(length: Any) -> Any:
@@ -279,7 +293,8 @@ def transfer(sx: Any, sy: Any, distance: float, wavelength: float, *, shift: tup
 
     square = sx * sx + sy * sy
     # The derivative of the square root does not exist at 0.
-    waves = in_waves(distance) * (dr.sqrt(dr.select(square < 1, 1 - square, 1)) - 1)
+    cosine = dr.sqrt(dr.select(square < 1, 1 - square, 1))
+    waves = in_waves(distance) * (cosine - 1 + square / 2 if beyond_paraxial else cosine - 1)
     if any(shift):
         waves = waves + sy * in_waves(shift[0]) + sx * in_waves(shift[1])
     return dr.select(square < 1, phasor(waves), 0)
