@@ -23,8 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
+from ..io.captures import MODELS
 from ..io.checkpoints import digest, flattened
 from ..io.files import atomic_output, h5py_module, read_text, require_file, stored_array
+from ..io.versions import is_of_1_0, stamped
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import require_memory, software
 from .recipe import Recipe
@@ -145,7 +147,7 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
     elif any(path.name != _LOCK for path in folder.iterdir()):
         raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
     sizes = {"count": recipe.count, "samples_per_shard": recipe.samples_per_shard}
-    write_json(folder / MANIFEST, {**sizes, "name": recipe.name, **facts})
+    write_json(folder / MANIFEST, stamped({**sizes, "name": recipe.name, **facts}))
     layout = Layout(folder, recipe.count, recipe.samples_per_shard)
     for part in (layout.shard(0), layout.sample(0)):
         part.parent.mkdir(exist_ok=True)
@@ -262,6 +264,18 @@ def whole_samples(path: Path) -> set[int]:
     return found
 
 
+def _remark(folder: Path, manifest: dict[str, Any]) -> None:
+    """Say of a data set of version 1.0 or earlier how its wave captures are read."""
+    recipe = manifest.get("recipe")
+    models = recipe.get("models", MODELS) if isinstance(recipe, dict) else ()
+    if is_of_1_0(manifest) and "wave" in models:
+        _log.info(
+            "%s: a data set of version 1.0 or earlier: the lens_model of its wave captures is read as parabolic, "
+            "unless they have a main_lens or lenses of fewer than 20 wavelengths",
+            folder,
+        )
+
+
 class DataSet:
     """A data set in its folder: ``dataset[17]`` is a `Sample`.
 
@@ -287,6 +301,7 @@ class DataSet:
         self._layout = Layout(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
+        _remark(self.folder, self.manifest)
         for index in range(self._layout.shards):
             refuse_if(
                 not self._layout.shard(index).is_file(),

@@ -118,8 +118,8 @@ class ThinLens(UniformLens, FinitePupil):
     pupil_distance : float or Dr.Jit array
         Distance b to the MLA.
     model : {"ideal", "parabolic"}
-        Refraction of rays: ``"ideal"`` by slopes, which is stigmatic, or ``"parabolic"`` by direction cosines, as
-        by a parabolic phase element. Fields have the paths that belong to it.
+        ``"ideal"`` is stigmatic for every point and refracts rays by slopes. ``"parabolic"`` is a thin parabolic phase
+        and refracts rays by direction cosines.
     aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
     screen : PhaseScreen, optional
@@ -216,11 +216,11 @@ class ThinLens(UniformLens, FinitePupil):
         return x, y
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
+        r"""Return the path from a scene point X to a pupil point P, less that to the pupil's centre, in waves.
 
-        The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
-        aberrations W. Behind an ideal lens all paths to the image X' are equal, so that this one is
-        :math:`(|X'| - |P - X'| + W) / \lambda`.
+        With aberrations W, that of a thin parabolic phase is :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
+        (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
+        equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are free of cancellation.
 
         Parameters
         ----------
@@ -244,6 +244,30 @@ class ThinLens(UniformLens, FinitePupil):
         difference = (square - 2 * (Px * X + Py * Y)) / (_distance(pupil, point) + axis)
         waves = difference * (1 / in_millimetres(wavelength)) + parabola(square, self.focal_length, wavelength)
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
+
+    def paraxial_path(self, pupil: Pair, distance: Any, wavelength: float) -> Any:
+        r"""Return :math:`(-P^2 / 2 g' + W(P)) / \lambda`, the path for all points at one distance g together.
+
+        Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), spheres about the points are
+        parabolas, which differ by tilts only. Tilts are left out.
+
+        Parameters
+        ----------
+        pupil : (array, array)
+            Point on the exit pupil in millimetres.
+        distance : array
+            Distance g of the points from the lens in millimetres.
+        wavelength : float
+            Wavelength in nanometres.
+        """
+        (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
+        waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
+        return waves if self.is_round else waves + self.aberration(pupil, wavelength)
+
+    def aberration(self, pupil: Pair, wavelength: float) -> Any:
+        """Return the path W(P) that light gains by aberrations and a screen at a pupil point, in waves."""
+        Px, Py = pupil
+        return 0 * Px + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
         r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
@@ -279,6 +303,8 @@ class ThinLens(UniformLens, FinitePupil):
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
+
+        For an ideal lens this is an upper bound: its light changes with the field only as defocus does in tilted cones.
 
         Parameters
         ----------

@@ -25,9 +25,10 @@ from ..runtime.fft import Field, fft, fft2, resting_drjit
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import Footprint, check_memory, footprint
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
+from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_microlenses, pixel_integrals
-from .nonuniform import PlaneWaves
-from .pupil_sums import Layer, PupilGrid, layers
+from .nonuniform import POINT_BYTES
+from .pupil_sums import Layer, layers, memory
 
 PLANES = ("pupil", "array", "detector")
 """Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
@@ -58,7 +59,9 @@ class CoherentFields:
         what = f"coherent field of {len(points)} points"
         self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
         self._pupil = PupilGrid(lens, self.grids.wide_origin, self._pupil_pitch)
-        check_memory(PlaneWaves.memory(len(points), self._pupil.count) + 8.0 * self.grids.wide_pupil**2, what)
+        self._parts = layers(system, lens, points)
+        sums = max(memory(lens, points[part], self._pupil) for part in self._parts)
+        check_memory(POINT_BYTES * len(points) + sums + 8.0 * self.grids.wide_pupil**2, what)
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
@@ -110,7 +113,7 @@ class CoherentFields:
 
     @cached_property
     def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
-        return list(layers(self.system, self._lens, self._points, self._pupil))
+        return [(part, Layer(self.system, self._lens, self._points[part], self._pupil)) for part in self._parts]
 
     def _on_pupil(self, amplitudes: NDArray[np.complex64]) -> SampledField:
         grid = self._pupil

@@ -30,7 +30,7 @@ _OVERSAMPLING = 2
 _SHAPE = math.pi * math.sqrt((_WIDTH / _OVERSAMPLING * (_OVERSAMPLING - 0.5)) ** 2 - 0.8)
 """Parameter of the Kaiser-Bessel function; with it the sums have a relative error of about 1e-6."""
 
-_POINT_BYTES = 8.0 * _WIDTH**2 + 80
+POINT_BYTES = 8.0 * _WIDTH**2 + 80
 """Memory per plane wave: its weights and their indices."""
 
 
@@ -58,9 +58,13 @@ class PlaneWaves:
         self._correction = (1 / _bessel_transform(order / self._length)).astype(np.float32)
 
     @staticmethod
-    def memory(points: int, count: int) -> float:
-        """Return an upper bound of the memory in bytes that the sums of some plane waves need."""
-        return _POINT_BYTES * points + 8.0 * length(count) * (2.0 * count + length(count))
+    def memory(count: int, band: float = 1.0) -> float:
+        """Return an upper bound of the memory in bytes that the sums need, besides that of each plane wave.
+
+        `band` is the part of the frequencies from -1/2 to 1/2, along each axis, that occurs.
+        """
+        held = band * length(count) + 2 * _WIDTH
+        return 8.0 * held * (2.0 * count + held)
 
     def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of plane waves with these amplitudes (n,)."""

@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..runtime.backend import Backend, backend_of, lanes
+from ..runtime.backend import Backend, backend_of, drjit_array
 from ..runtime.fft import split
 
 HALF_WIDTH = 6
@@ -57,7 +57,9 @@ class PixelAxis:
         first = np.floor(edges).astype(np.int64) - (_BORDERS // 2 - 1)
         at, places = edges - first, np.arange(_BORDERS)
         others = [np.delete(places, place) for place in places]
-        share = np.stack([np.prod((at[:, None] - o) / (p - o), axis=1) for p, o in zip(places, others, strict=True)], -1)
+        share = np.stack(
+            [np.prod((at[:, None] - o) / (p - o), axis=1) for p, o in zip(places, others, strict=True)], -1
+        )
         # A sample counts up to all borders beyond it.
         beyond = np.cumsum(share[:, ::-1], axis=1)[:, ::-1]
         reach = np.arange(math.ceil(self.pixel_size / self.pitch) + _BORDERS + 1)
@@ -239,7 +241,7 @@ class TurnedSamples:
         """Interpolate the intensity (rows, columns) at the new samples."""
         libraries = backend_of(intensity)
         types, arrays = libraries.types, libraries.arrays
-        values = types.Float(arrays.pad(intensity, HALF_WIDTH).reshape(-1))
+        values = drjit_array(types.Float, arrays.pad(intensity, HALF_WIDTH))
         result = arrays.empty(self._shape, np.float32)
         for lines, active, across, visit in self._visited(libraries):
 
@@ -263,7 +265,7 @@ class TurnedSamples:
         types = libraries.types
         sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
         for lines, active, across, visit in self._visited(libraries):
-            given = types.Float(lanes(samples[lines]))
+            given = drjit_array(types.Float, samples[lines])
 
             def spread(
                 row: Any, weight: Any, total: Any, active: Any = active, across: Any = across, given: Any = given
@@ -282,7 +284,7 @@ class TurnedSamples:
     ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
         """Yield lines of the new grid, a mask of their samples, weights across, and a loop over the rows around."""
         types = libraries.types
-        table = types.Float(self._weights.reshape(-1))
+        table = drjit_array(types.Float, self._weights)
         rows, columns = self._samples
         height, width = self._shape
         together = max(1, _BLOCK // width)

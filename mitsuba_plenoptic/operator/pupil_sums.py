@@ -2,17 +2,16 @@ r"""The field on the pupil of many scene points with complex amplitudes, layer b
 
 At the point P of the pupil, the field of the point X is the amplitude of X times
 
-.. math:: B(P, X) \, e^{2 \pi i p(P, X)}, \qquad
-    p(P, X) = p(P, X_0) + (s - s_0) \cdot P / \lambda + r(P, X)
+.. math:: B(P, X) \, e^{2 \pi i p(P, X)}, \qquad p(P, X) = p_0(P) + c(P, X) + r(P, X)
 
-with the path p in waves as in `lenses`, that to the pupil's centre being 0. :math:`X_0` is the middle of a layer, and
-s are the direction cosines at the pupil's centre. The first term is common to the layer. The second is a plane wave,
-and sums of plane waves are non-uniform Fourier transforms. What is left, r, is small and smooth: the defocus within the
-layer, and the non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a
+with the path p in waves as in `lenses`, that to the pupil's centre being 0. :math:`p_0` is common to a layer, and c are
+waves of which sums over points are convolutions or transforms (see `carriers`): spheres of one radius behind an ideal
+main lens, tilts behind a parabolic one. What is left, r, is small and smooth: the defocus within the layer and, with
+tilts, the non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a
 few products of a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and
 a singular value decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier
-integral operators", 2009, use the same separation). The cost is one transform for each of these products, whatever the
-count of points, and no step is paraxial.
+integral operators", 2009, use the same separation). The cost is one convolution or transform for each of these
+products, whatever the count of points, and no step is paraxial.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from ..runtime.backend import array_module
 from ..runtime.fft import Field, as_field, pack, rows_and_columns
 from ..system.optical_system import OpticalSystem
 from .arrival import blocks
-from .nonuniform import PlaneWaves
+from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
 _LAYER = 2.0
 """Largest range of the defocus of a layer's points at the pupil's edge, in waves."""
@@ -58,27 +57,11 @@ _MISSED = 5e-5
 _ADDED = 256
 """Largest number of such points from which products are found together."""
 
-_FARTHEST = 1e20
-"""Largest distance of the middle of a layer, in millimetres."""
+_WIDEST = 4.0
+"""Largest width of the window in which spheres are summed, over that of the pupil."""
 
 _RINGS, _SPOKES = 8, 24
 """Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
-
-
-class PupilGrid:
-    """The square of a wide grid's samples that contains the pupil; `count` x `count`."""
-
-    def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float) -> None:
-        self.pitch = pitch
-        self.count = 2 * math.ceil(lens.pupil_radius / pitch) + 3
-        middle = [round(-start / pitch) for start in origin]
-        self.middle = np.array([start + index * pitch for start, index in zip(origin, middle, strict=True)])
-        left, top = (index - self.count // 2 for index in middle)
-        self.rows, self.columns = slice(top, top + self.count), slice(left, left + self.count)
-
-    def along(self, axis: int) -> NDArray[np.float64]:
-        """Return the coordinates of the samples along an axis (0: x, 1: y)."""
-        return np.asarray(self.middle[axis] + (np.arange(self.count) - self.count // 2) * self.pitch)
 
 
 class Layer:
@@ -86,39 +69,31 @@ class Layer:
 
     def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
-        vergence = 1 / points[:, 2]
-        middle = (vergence.min() + vergence.max()) / 2
-        # Finite where points before the lens and behind it have opposite distances.
-        distance = 1 / math.copysign(max(abs(middle), 1 / _FARTHEST), middle)
-        tilt = points[:, :2] * vergence[:, None]
-        self._middle = np.append((tilt.min(0) + tilt.max(0)) / 2 * distance, distance)
-        frequencies = self._cosines(points) - self._cosines(self._middle[None])
-        frequencies /= in_millimetres(self._wavelength)
-        self._waves = PlaneWaves(frequencies * grid.pitch, grid.count)
-        nodes = self._nodes(points, frequencies)
+        made: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
+        self._carrier = made
+        nodes = self._nodes(points)
         self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
         x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
-        basis = _principal(self._remainder(x, y, points[some], frequencies[some]))
+        basis = _principal(self._remainder(x, y, points, some))
         parts = []
         step = max(1, _TOGETHER // len(x))
         for first in range(0, len(points), step):
             part = slice(first, first + step)
-            factors = self._remainder(x, y, points[part], frequencies[part])
+            factors = self._remainder(x, y, points, part)
             basis, found = _completed(basis, factors)
             parts.append(found)
         self.rank = basis.shape[1]
         self._on_pupil = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
-        shift = np.exp(2j * math.pi * (frequencies @ grid.middle))
         # Points before the last completion do without the products that came later.
         padded = [np.pad(part, ((0, self.rank - len(part)), (0, 0))) for part in parts]
-        self._of_points = (np.concatenate(padded, 1) * shift).astype(np.complex64)
+        self._of_points = (np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)
 
     def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
         """Add the field of points with these amplitudes (n,) to samples of the grid."""
         common = self._common()
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
-            for rows, waves in self._waves.forward(amplitudes * of_points):
+            for rows, waves in self._carrier.forward(amplitudes * of_points):
                 waves *= self._values(on_pupil, rows)
                 waves *= common[rows]
                 field[rows] += waves
@@ -133,7 +108,7 @@ class Layer:
                 for rows in blocks(self._grid.count):
                     yield rows, given[rows] * self._values(on_pupil, rows).conj()
 
-            total += of_points.conj() * self._waves.adjoint(products())
+            total += of_points.conj() * self._carrier.adjoint(products())
         return total
 
     @property
@@ -142,7 +117,7 @@ class Layer:
         return self._grid.pitch * (self._grid.count // 2 + 1)
 
     def _common(self) -> Field:
-        """Return the field of the middle of the layer on the samples, with modulus 1 in the pupil."""
+        """Return what the fields of all points have in common on the samples, with modulus 1 in the pupil."""
         types, grid = array_module(), self._grid
         row, column = rows_and_columns(types, grid.count, grid.count)
         x, y = (
@@ -150,9 +125,8 @@ class Layer:
             + dr.opaque(types.Float64, float(start))
             for index, start in zip((column, row), grid.middle, strict=True)
         )
-        point = tuple(dr.opaque(types.Float64, float(value)) for value in self._middle)
         cover = types.Float(soft_edge(self._lens.inside((x, y)) / grid.pitch))
-        light = phasor(self._lens.path((x, y), (point[0], point[1], point[2]), self._wavelength)) * cover
+        light = phasor(self._carrier.common((x, y))) * cover
         return as_field(pack(light), (grid.count, grid.count))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
@@ -160,57 +134,60 @@ class Layer:
         along_x, along_y = self._interpolation
         return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
 
-    def _cosines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
-
-    def _nodes(self, points: NDArray[np.float64], frequencies: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return as many Chebyshev nodes between -1 and 1 as the layer needs."""
         some = _extremes(points)
         radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
         # A sunflower's pattern covers the pupil evenly.
         angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
         x, y = radius * np.cos(angle), radius * np.sin(angle)
-        exact = self._remainder(
-            x * self._lens.pupil_radius, y * self._lens.pupil_radius, points[some], frequencies[some]
-        )
+        exact = self._remainder(x * self._lens.pupil_radius, y * self._lens.pupil_radius, points, some)
         scale = self._lens.pupil_radius / self._half
         for count in _NODES:
             nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
             given = [part.ravel() * self._half for part in np.meshgrid(nodes, nodes)]
-            factors = self._remainder(given[0], given[1], points[some], frequencies[some])
+            factors = self._remainder(given[0], given[1], points, some)
             across, down = (_interpolation(nodes, place * scale, np.float64) for place in (x, y))
             found = np.einsum("pj,pi,jin->pn", down, across, factors.reshape(count, count, -1), optimize=True)
             if np.all(np.abs(found - exact) <= _TOLERANCE * np.abs(exact).max(0)):
                 return nodes
-        x, y, g = self._middle
+        x, y, g = points.mean(0)
         raise InputError(
             f"points about ({x:g}, {y:g}, {g:g}): the wavefronts of their field differ too much across the pupil to be "
             "computed together; use a smaller field or aperture_radius"
         )
 
     def _remainder(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], frequencies: NDArray[Any]
+        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], which: Any
     ) -> NDArray[np.complex128]:
-        """Return B exp(2 pi i r) at m positions on the pupil for n points, (m, n)."""
-        pupil, (X, Y, g) = (x[:, None], y[:, None]), points.T
-        a, b, c = self._middle
-        waves = self._lens.path(pupil, (X, Y, g), self._wavelength)
-        waves = waves - self._lens.path(pupil, (a, b, c), self._wavelength) - np.stack([x, y], 1) @ frequencies.T
-        amplitude = self._lens.amplitude(pupil, (X, Y, g)) / np.sqrt(passed_power(self._lens, points))
+        """Return B exp(2 pi i r) at m positions on the pupil for some of the points, (m, n)."""
+        point = tuple(points[which].T)
+        waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
+        waves = self._carrier.remainder(waves, x, y, which)
+        amplitude = self._lens.amplitude((x[:, None], y[:, None]), point)
+        amplitude = amplitude / np.sqrt(passed_power(self._lens, points[which]))
         return np.asarray(amplitude * np.exp(2j * math.pi * waves))
 
 
-def layers(
-    system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid
-) -> Iterator[tuple[NDArray[np.int64], Layer]]:
-    """Yield layers of points (n, 3) by distance, each with the indices of its points."""
+def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
+    """Return the waves from which the fields of points differ least: spheres behind an ideal lens, else tilts."""
+    spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
+    return Spheres if spheres else Tilts
+
+
+def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Return the indices of the points (n, 3) of each layer of distance."""
     defocus = lens.pupil_radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
     order = np.argsort(defocus, kind="stable")
     span = defocus[order] - defocus[order[0]]
     count = max(1, math.ceil(span[-1] / _LAYER))
     which = np.minimum(span * (count / max(span[-1], 1e-300)), count - 1).astype(int)
-    for part in np.split(order, np.flatnonzero(np.diff(which)) + 1):
-        yield part, Layer(system, lens, points[part], grid)
+    return np.split(order, np.flatnonzero(np.diff(which)) + 1)
+
+
+def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+    """Return an upper bound of the memory in bytes of the field of a layer's points (n, 3), besides that of each."""
+    return carrier_type(lens, points, grid).memory(lens, points, grid)
 
 
 def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:

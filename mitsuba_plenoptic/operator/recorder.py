@@ -144,9 +144,7 @@ class Recorder:
             step = min(pitch)
             pitch, origin, samples = (step, step), self._upright_origin, self._upright_shape
         shape = self._pixels.rows, self._pixels.columns
-        return PixelIntegrals.of(
-            samples, pitch, origin, self._camera.pixel_size, self._edge, shape, self._grid.means
-        )
+        return PixelIntegrals.of(samples, pitch, origin, self._camera.pixel_size, self._edge, shape, self._grid.means)
 
     @cached_property
     def _upright(self) -> TurnedSamples | None:

@@ -27,6 +27,7 @@ from ..lenses.base import Light, Pair
 from ..lenses.fitted_lens import FAR, FittedLens
 from ..lenses.pupil_fit import Pupils
 from ..lenses.real_lens import RealLens
+from ..lenses.thin import ThinLens
 from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module
 from ..system.optical_system import OpticalSystem
@@ -83,6 +84,29 @@ class FieldZone:
         )
 
 
+def is_paraxial(camera: PlenopticCamera) -> bool:
+    """Return whether the waves of a camera move by slopes, so that one parabola images all points of a plane.
+
+    These are the waves of an ideal thin main lens. Others move by direction cosines: see `planning`.
+    """
+    return camera.main_lens is None and camera.lens_model == "ideal"
+
+
+@dataclass(frozen=True)
+class ParaxialLight:
+    """The phase of an ideal thin main lens for all points at the distance of any of them, without tilts."""
+
+    lens: ThinLens
+
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+        """Return the path in waves."""
+        return self.lens.paraxial_path(pupil, point[2], wavelength)
+
+    def inside(self, pupil: Pair) -> Any:
+        """Return the distance in millimetres by which a point lies inside the pupil's edge."""
+        return self.lens.inside(pupil)
+
+
 @dataclass(frozen=True)
 class ThinConjugates:
     """Conjugates behind a thin main lens."""
@@ -104,11 +128,13 @@ class ThinConjugates:
         return self._light((-x * g / b, -y * g / b, g))
 
     def zones(self, distance: float) -> Iterator[FieldZone]:
-        """Yield the whole field: what changes over it is neglected, see `planning`."""
+        """Yield the whole field: of a parabolic lens, what changes over it is neglected, see `planning`."""
         yield FieldZone(self._light((0.0, 0.0, distance)))
 
     def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
-        return Conjugate(self.system.lens, point, self.system.wavelength)
+        lens = cast(ThinLens, self.system.lens)
+        light = ParaxialLight(lens) if is_paraxial(self.camera) else lens
+        return Conjugate(light, point, self.system.wavelength)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,10 +233,14 @@ _MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
 
 
 def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
-    """Return a camera with a thin main lens in the exit pupil, as the array sees the real one."""
+    """Return a camera with a thin main lens in the exit pupil, as the array sees the real one.
+
+    Its light moves by direction cosines, of which the path through a real lens is a function.
+    """
     lens = cast(RealLens, system.lens)
     return system.camera.replace(
         main_lens=None,
+        lens_model="parabolic",
         focal_length=1 / Pupils.of(lens).at_infinity,
         aperture_radius=lens.reach,
         mla_distance=float(lens.pupil_distance),

@@ -14,7 +14,7 @@ from ..errors import InputError, refuse_if, require_choice, require_count, requi
 from ..io.captures import as_array, require_pixels
 from ..lens_data import image_distance
 from ..optics import guards
-from ..runtime.backend import backend, one_at_a_time
+from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
 from .conjugates import ThinConjugates
@@ -119,15 +119,15 @@ class _RefocusOp(dr.CustomOp):
         """Refocus."""
         image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
         self._kind = type(capture)
-        return self._kind(image)
+        return drjit_array(self._kind, image)
 
     def forward(self) -> None:
         """Refocus the change of the capture."""
-        self.set_grad_out(self._kind(self._jvp(self.grad_in("capture").numpy())))
+        self.set_grad_out(drjit_array(self._kind, self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
         """Take the gradient back to the capture."""
-        self.set_grad_in("capture", self._kind(self._vjp(self.grad_out().numpy())))
+        self.set_grad_in("capture", drjit_array(self._kind, self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
         """Return what Dr.Jit calls it."""

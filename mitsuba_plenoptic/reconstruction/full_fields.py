@@ -23,11 +23,12 @@ from ..runtime.limits import require_memory
 from ..system.microlenses import is_separable, transmission
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, FieldZone, ThinConjugates
+from .conjugates import Conjugates, FieldZone, ThinConjugates, is_paraxial
 from .methods import Progress, portion
 from .passages import (
     BinSums,
     FieldWorkspace,
+    FreeSpace,
     ParaxialPath,
     Rows,
     ThinElement,
@@ -36,7 +37,18 @@ from .passages import (
     to_directions,
     to_directions_vjp,
 )
-from .planning import Directions, FieldPlan, LensAxis, Step, Strip, Window, field_memory, object_extent, plan, require_feasible
+from .planning import (
+    Directions,
+    FieldPlan,
+    LensAxis,
+    Step,
+    Strip,
+    Window,
+    field_memory,
+    object_extent,
+    plan,
+    require_feasible,
+)
 
 
 def reconstruct_subsets(
@@ -151,6 +163,9 @@ class BackwardFields:
     ) -> None:
         self._camera, self._wavelength, self._grids = camera, wavelength, grids
         self._interleave, self._relay = interleave, relay
+        shorter, paraxial = camera.medium_wavelength(wavelength), is_paraxial(camera)
+        self._to_mla = FreeSpace(camera.detector_distance, shorter, paraxial)
+        self._beyond_paraxial = FreeSpace(camera.mla_distance, wavelength, paraxial, beyond_paraxial=True)
         on_array = sum(8.0 * math.prod(strip.to_mla.shape) for strip in grids.strips)
         steps = list(grids.steps)
         if with_vjp:
@@ -189,9 +204,8 @@ class BackwardFields:
                     light = self._workspace.blocks(held)
                 else:
                     light = self._on_array(strip, amplitude, None if self._relay else subset)
-                step = strip.beyond_paraxial
-                way = step, self._camera.mla_distance, self._wavelength, self._workspace
-                displaced = propagate(light, self._lenses(step, subset), *way, beyond_paraxial=True)
+                lenses = self._lenses(strip.beyond_paraxial, subset)
+                displaced = propagate(light, lenses, strip.beyond_paraxial, self._beyond_paraxial, self._workspace)
                 self._add_within(field, self._path(strip).forward(displaced, self._workspace))
             yield field
 
@@ -211,7 +225,7 @@ class BackwardFields:
 
     def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
         """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
-        workspace, camera, wavelength = self._workspace, self._camera, self._wavelength
+        workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
         for subset, gradient in zip(self._subsets, gradients, strict=True):
@@ -221,15 +235,14 @@ class BackwardFields:
             for strip, own in zip(self._grids.strips, on_array, strict=True):
                 on = strip.beyond_paraxial
                 displaced = self._path(strip).vjp(workspace.blocks(field), workspace)
-                back = displaced, self._lenses(on, subset), on, camera.mla_distance, wavelength, workspace
-                for rows, samples in propagate_vjp(*back, beyond_paraxial=True):
+                back = displaced, self._lenses(on, subset), on, self._beyond_paraxial, workspace
+                for rows, samples in propagate_vjp(*back):
                     own[rows] += samples
         found, n = [], self._grids.subsamples
         for strip, own in zip(self._grids.strips, on_array, strict=True):
             onto = strip.to_mla
-            light = converging(onto, camera, wavelength), onto, camera.detector_distance
-            shorter = camera.medium_wavelength(wavelength)
-            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, shorter, workspace), onto.reversed)
+            light = converging(onto, self._camera, self._wavelength), onto, self._to_mla
+            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, workspace), onto.reversed)
             real = workspace.libraries.to_host(samples).real
             shape = onto.y.count // n, n, onto.x.count // n, n
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
@@ -248,8 +261,7 @@ class BackwardFields:
         """
         step, camera = strip.to_mla, self._camera
         light = converging(step, camera, self._wavelength, self._interleave, subset)
-        z, wavelength = camera.detector_distance, camera.medium_wavelength(self._wavelength)
-        return propagate(self._samples(amplitude[strip.rows]), light, step, z, wavelength, self._workspace)
+        return propagate(self._samples(amplitude[strip.rows]), light, step, self._to_mla, self._workspace)
 
     def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
         if not self._relay:

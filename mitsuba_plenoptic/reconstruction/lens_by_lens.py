@@ -25,12 +25,12 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
 from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
-from ..runtime.backend import backend
+from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..runtime.limits import single_threaded_blas
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, ThinConjugates
+from .conjugates import Conjugates, ThinConjugates, is_paraxial
 from .lens_tiles import LensTile, reconstruction_tile
 from .methods import Progress
 
@@ -309,20 +309,25 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
     lens, row, column = split(types, index, count, count)
-    P = types.Float64(tile.pupil)
+    P = drjit_array(types.Float64, tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y, ax, ay = (
-        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), lens)
+        dr.gather(types.Float64, drjit_array(types.Float64, values), lens)
         for values in (*batch.centre.T, *batch.aside.T)
     )
     b = dr.opaque(types.Float64, camera.mla_distance)
     conjugate = conjugates.at(x, y, batch.centre, lens, distance)
-    # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
-    sideways = x * x + y * y + b * b
-    chief = dr.sqrt(sideways)
-    Px, Py = (w * chief / b / (1 - c * c / sideways) for w, c in ((u, x), (v, y)))
-    along = Px * Px + Py * Py - 2 * (Px * x + Py * y)
-    from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
+    if is_paraxial(camera):
+        # Tilts, to and from the centres, cancel.
+        Px, Py = u, v
+        from_mla = -parabola(u * u + v * v, b, tile.wavelength)
+    else:
+        # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
+        sideways = x * x + y * y + b * b
+        chief = dr.sqrt(sideways)
+        Px, Py = (w * chief / b / (1 - c * c / sideways) for w, c in ((u, x), (v, y)))
+        along = Px * Px + Py * Py - 2 * (Px * x + Py * y)
+        from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
     to_object = conjugate.path((Px, Py))
     # The first object sample is half a patch from the centre.
     half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch
@@ -330,7 +335,7 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     # The patch is centred on a bin, not on the lens's image.
     waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
     inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
-    aimed = unpack(types.UInt64(as_words(fields))) * phasor(waves) * inside
+    aimed = unpack(drjit_array(types.UInt64, as_words(fields))) * phasor(waves) * inside
     return as_field(pack(aimed), fields.shape)
 
 

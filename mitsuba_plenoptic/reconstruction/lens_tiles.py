@@ -15,7 +15,7 @@ from ..optics.waves import advance, in_millimetres, phasor
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fast_length
 from ..system.optical_system import OpticalSystem
-from .conjugates import behind_thin_lens
+from .conjugates import behind_thin_lens, is_paraxial
 from .planning import GUARD, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.
@@ -183,7 +183,8 @@ class LensTile:
     def transfer(self) -> Field:
         """Transfer function from detector to MLA."""
         ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
-        return advance(ones, self.pitch, self.camera.detector_distance, self.camera.medium_wavelength(self.wavelength))
+        z, wavelength = self.camera.detector_distance, self.camera.medium_wavelength(self.wavelength)
+        return advance(ones, self.pitch, z, wavelength, paraxial=is_paraxial(self.camera))
 
     @property
     def transformed(self) -> int:

@@ -9,17 +9,19 @@ out, and so are frequencies and destination samples that nobody asks for.
 The vjp of a step is the step back: free space of the opposite length between the same samples, then the conjugate of
 the element, over the ratio of the areas of the samples.
 
-At the end the power of a field over direction cosines is summed over bins. Bins are even in the slope X / g, fields in
-the cosine X / |X|. For a fixed cosine along y, the edges of bins along x are known cosines; so the power is integrated
-along x for every sample in y as the samples come, and the sums then along y for every column of bins, with the edges
-that the column's middle has. Between the samples the power goes as a cubic (Keys, "Cubic convolution interpolation for digital
-image processing", 1981), whose integral is the sum of the samples between two edges and a few near each.
+At the end the power of a field over directions is summed over bins. Bins are even in the slope X / g, and so are the
+directions of paraxial light. Those of other light are even in the cosine X / |X|. For a fixed cosine along y, the edges
+of bins along x are known cosines; so the power is integrated along x for every sample in y as the samples come, and the
+sums then along y for every column of bins, with the edges that the column's middle has. Between the samples the power goes as
+a cubic (Keys, "Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum of the
+samples between two edges and a few near each.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -28,8 +30,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.waves import advance, in_millimetres, parabola, phasor
-from ..runtime.backend import backend
+from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, fft, pack, split
+from .conjugates import is_paraxial
 from .planning import AxisStep, Directions, LensAxis, Step
 
 Rows = Iterable[tuple[slice, Field]]
@@ -102,8 +105,7 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
     types = backend().types
     _, row, column = split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
     at = [
-        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), index)
-        for values, index in ((x, column), (y, row))
+        dr.gather(types.Float64, drjit_array(types.Float64, values), index) for values, index in ((x, column), (y, row))
     ]
     return as_field(pack(function(*at)), (len(y), len(x)))
 
@@ -159,45 +161,47 @@ class FieldWorkspace:
         return found
 
 
-def propagate(
-    source: Rows,
-    element: ThinElement,
-    step: Step,
-    distance: float,
-    wavelength: float,
-    workspace: FieldWorkspace,
-    *,
-    beyond_paraxial: bool = False,
-) -> Rows:
+@dataclass(frozen=True)
+class FreeSpace:
+    """A length of free space in millimetres, for light of a wavelength there in nanometres, by slopes or by cosines.
+
+    With `beyond_paraxial`, only what it does beyond its paraxial part.
+    """
+
+    distance: float
+    wavelength: float
+    paraxial: bool
+    beyond_paraxial: bool = False
+
+    @property
+    def back(self) -> FreeSpace:
+        """The way back."""
+        return FreeSpace(-self.distance, self.wavelength, self.paraxial, self.beyond_paraxial)
+
+
+def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace) -> Rows:
     """Yield a field at the destination samples of a step, without the carrier, of one at its source samples.
 
-    It passes the element first, then the distance, in millimetres; with `beyond_paraxial` only what the distance does
-    beyond its paraxial part. Rows may come from another step's with the same workspace.
+    The field passes the element first, then free space. Rows may come from another step's with the same workspace.
     """
     x, y, columns = step.x, step.y, workspace.columns(step)
     pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
     for mine, spectrum in to_directions(source, element, step, workspace):
-        where = {"shift": shift, "part": (mine.start, x.held), "beyond_paraxial": beyond_paraxial}
-        part = advance(spectrum, pitches, distance, wavelength, **where)
+        part = advance(
+            spectrum, pitches, space.distance, space.wavelength, shift=shift, part=(mine.start, x.held),
+            paraxial=space.paraxial, beyond_paraxial=space.beyond_paraxial,
+        )  # fmt: skip
         columns[mine, : y.wanted] = _from_lowest(part, y, workspace)
     yield from _to_rows(columns, step, workspace)
 
 
 def propagate_vjp(
-    gradient: Rows,
-    element: ThinElement,
-    step: Step,
-    distance: float,
-    wavelength: float,
-    workspace: FieldWorkspace,
-    *,
-    beyond_paraxial: bool = False,
+    gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
     """Take the gradient by the destination samples of `propagate` back to its source samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
-    given = gradient, ThinElement(back), back, -distance, wavelength, workspace
-    for rows, samples in propagate(*given, beyond_paraxial=beyond_paraxial):
+    for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
         yield rows, element.back(rows, samples, scale)
 
 
@@ -435,8 +439,11 @@ class BinSums:
         slope_x, slope_y = ((np.arange(count + 1) - count / 2) * -width for count in (columns, rows))
         middle = (slope_x[:-1, None] + slope_x[1:, None]) / 2
         cosine = (np.fft.fftfreq(in_y.new_padded, 1 / in_y.new_padded) * down)[:, None]
-        along_x = slope_x * np.sqrt((1 - cosine * cosine) / (1 + slope_x * slope_x))
-        along_y = slope_y / np.sqrt(1 + slope_y * slope_y + middle * middle)
+        if is_paraxial(camera):
+            along_x, along_y = slope_x + 0 * cosine, slope_y + 0 * middle
+        else:
+            along_x = slope_x * np.sqrt((1 - cosine * cosine) / (1 + slope_x * slope_x))
+            along_y = slope_y / np.sqrt(1 + slope_y * slope_y + middle * middle)
         self._along_x = Integrals(along_x / across, in_x.new_padded)
         self._along_y = Integrals(along_y / down, in_y.new_padded)
         # Parseval, of transforms that were divided by their lengths, over the area of a pixel.

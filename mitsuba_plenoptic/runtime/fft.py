@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of, lanes
+from .backend import backend_of, drjit_array
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -166,7 +166,7 @@ def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -
     field = as_field(packed, shape)
     with resting_drjit():
         field = fft2(field, inverse=inverse)
-    return words(as_words(field))
+    return drjit_array(words, as_words(field))
 
 
 def pack(field: Any) -> Any:
@@ -190,8 +190,8 @@ def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
 
 
 def as_words(field: Field) -> Any:
-    """Return the memory of a contiguous field, or a copy, as 64-bit words for an array of Dr.Jit; see `lanes`."""
-    return lanes(field.reshape(-1).view(np.uint64))
+    """Return the memory of a contiguous field, or a copy, as 64-bit words for `drjit_array`."""
+    return field.reshape(-1).view(np.uint64)
 
 
 def array_types(array: Any) -> Any:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array, empty_packets
 from ..runtime.limits import single_threaded_blas
 from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem
@@ -315,12 +316,13 @@ class RayCoefficients:
         self._packets = -(-count // 4)
         # Coefficients are gathered four at a time.
         parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
-        self._table = mi.Float(np.concatenate(parts))
+        whole = empty_packets((sum(part.size for part in parts),), np.float32)
+        self._table = drjit_array(mi.Float, np.concatenate(parts, out=whole))
         first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
-        self._first = mi.Int(first.astype(np.int32))
+        self._first = drjit_array(mi.Int, first)
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
-        self._sides = [mi.Float(column) for column in sides.T]
-        self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
+        self._sides = [drjit_array(mi.Float, column) for column in sides.T]
+        self._counts = [drjit_array(mi.Int, column) for column in counts.T]
         self._nodes = TableNodes(plan)
 
     def __call__(

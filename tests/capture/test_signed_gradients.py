@@ -360,8 +360,15 @@ def test_camera_and_light_together_reverse_against_forward():
     assert abs(np.vdot(change, gradient) - back) < 1e-6 * np.linalg.norm(change) * np.linalg.norm(gradient)
 
 
-def test_light_that_depends_on_no_parameter_is_refused():
-    scene = wall_of({"type": "diffuse"}, light=facing(300.0, 1.0, **radiating()))
+@pytest.mark.parametrize("gradient", [None, "lamp.position"])
+def test_light_without_a_derivative_is_refused_with_what_is_missing(gradient):
+    """By the position of a lamp, on which the light depends, and by nothing."""
+    scene = wall_of({"type": "diffuse"}, light={"type": "point", "position": [0, 0, 100]})
     params = mi.traverse(scene)
-    with pytest.raises(InputError, match="scene: its light does not depend on the parameters with a gradient"):
+    if gradient:
+        dr.enable_grad(params[gradient])
+        params.update()
+    with pytest.raises(
+        InputError, match=r"no derivative .* none by positions of lamps; capture by rays with the integ"
+    ):
         scene.integrator().render_backward(scene, params, dr.ones(mi.TensorXf, (32, 32, 1)))

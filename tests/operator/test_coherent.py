@@ -13,6 +13,12 @@ from mitsuba_plenoptic.operator.point_spread import point_fields
 from mitsuba_plenoptic.optics.spectrum import Spectrum
 
 CAMERA = small_camera(4, **HALF)
+FAST = PlenopticCamera(
+    focal_length=1, aperture_radius=0.25, focus_distance=6.4, mla_pitch=0.002, mla_focal_length=0.0044,
+    detector_width=0.032, resolution=(160, 160),
+)  # fmt: skip
+"""A camera of f/2, of a fiftieth of the size of common ones."""
+
 WIDE = PlenopticCamera(**HALF, resolution=(40000, 40000), detector_width=40)
 
 NEAR = scattered(12, distances=(119.5, 120.5))
@@ -20,6 +26,8 @@ NEAR = scattered(12, distances=(119.5, 120.5))
 
 DEEP = scattered(6, distances=(100.0, 140.0))
 """Points in several layers."""
+
+models = pytest.mark.parametrize("model", ["ideal", "parabolic"])
 
 
 def amplitudes(count, seed=0):
@@ -32,7 +40,7 @@ def operator_of(points, camera=CAMERA):
 
 
 def direct_pupil(camera, points, given, x, y):
-    """Sum of point sources behind a thin parabolic lens with aberrations, each of unit power, in double precision."""
+    """Sum of point sources behind a thin lens with aberrations, each of unit power, in double precision."""
     k, f1, radius = 2 * np.pi / (WAVELENGTH * 1e-6), camera.focal_length, camera.aperture_radius
     rng = np.random.default_rng(5)
     r, angle = radius * np.sqrt(rng.random(20000)), 2 * np.pi * rng.random(20000)
@@ -42,7 +50,13 @@ def direct_pupil(camera, points, given, x, y):
             np.pi * radius**2 * np.mean((g / ((r * np.cos(angle) - X) ** 2 + (r * np.sin(angle) - Y) ** 2 + g**2)) ** 2)
         )
         square = (x - X) ** 2 + (y - Y) ** 2 + g**2
-        path = np.sign(g) * (np.sqrt(square) - np.sqrt(X**2 + Y**2 + g**2)) - (x**2 + y**2) / (2 * f1)
+        if camera.lens_model == "parabolic":
+            path = np.sign(g) * (np.sqrt(square) - np.sqrt(X**2 + Y**2 + g**2)) - (x**2 + y**2) / (2 * f1)
+        else:
+            # A sphere about the image.
+            d = 1 / (1 / f1 - 1 / g)
+            left, up = -X * d / g, -Y * d / g
+            path = np.sign(d) * (np.sqrt(left**2 + up**2 + d**2) - np.sqrt((x - left) ** 2 + (y - up) ** 2 + d**2))
         total += amplitude * abs(g) / square / np.sqrt(power) * np.exp(1j * k * path)
     if any(camera.wavefront):
         # Noll 4, defocus, over the unit pupil
@@ -53,8 +67,9 @@ def direct_pupil(camera, points, given, x, y):
 
 @pytest.mark.parametrize("points", [NEAR, DEEP], ids=["a layer", "layers"])
 @pytest.mark.parametrize("wavefront", [(), (0, 0, 0, 0.3)], ids=["perfect", "aberrated"])
-def test_pupil_against_direct_sums(points, wavefront):
-    camera = CAMERA.replace(wavefront=wavefront)
+@models
+def test_pupil_against_direct_sums(points, wavefront, model):
+    camera = CAMERA.replace(wavefront=wavefront, lens_model=model)
     given = amplitudes(len(points))
     field = operator_of(points, camera).field(given, plane="pupil")
     x, y = (start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin)
@@ -77,7 +92,8 @@ def error_on_pupil(points, given, camera=CAMERA, **options):
     return error(field.samples.ravel()[some], exact)
 
 
-def test_a_point_far_from_thousands_of_others(monkeypatch):
+@models
+def test_a_point_far_from_thousands_of_others(monkeypatch, model):
     # The products of a layer are found from a part of its points, to which this one does not belong.
     monkeypatch.setattr(pupil_sums, "_BASIS", 200)
     monkeypatch.setattr(pupil_sums, "_TOGETHER", 300 * 36)
@@ -86,17 +102,41 @@ def test_a_point_far_from_thousands_of_others(monkeypatch):
     for lit in ([501], [3, 990], [3, 501, 990]):
         given = np.zeros(1000, complex)
         given[lit] = amplitudes(len(lit))
-        assert error_on_pupil(points, given) < 2e-5
+        assert error_on_pupil(points, given, CAMERA.replace(lens_model=model)) < 2e-5
 
 
-def test_points_of_opposite_distances_are_one_layer():
+@models
+def test_points_all_over_the_field_of_a_fast_camera(model):
+    rng = np.random.default_rng(0)
+    g = rng.uniform(6.3, 6.5, 12)
+    points = np.column_stack([rng.uniform(-0.016, 0.016, (12, 2)) * -g[:, None] / FAST.mla_distance, g])
+    camera = FAST.replace(lens_model=model)
+    assert error_on_pupil(points, amplitudes(12), camera) < 2e-5
+    # Their light does not interfere on average: the capture is the sum of their full fields.
+    operator, weights = operator_of(points[:3], camera), np.array([1.0, 0.5, 2.0])
+    total = sum(operator.coherent_fields.intensity(row.astype(np.complex64)) for row in np.diag(np.sqrt(weights)))
+    assert error(total, operator.forward(weights)) < 2e-3
+
+
+@models
+def test_points_of_opposite_distances_are_one_layer(model):
     points = [(0, 0, 1e6), (10, 0, -1e6)]
     with np.errstate(all="raise"):
-        assert error_on_pupil(points, [1, 1j], virtual=True) < 2e-5
+        assert error_on_pupil(points, [1, 1j], CAMERA.replace(lens_model=model), virtual=True) < 2e-5
 
 
-def test_a_single_point_is_the_full_field():
-    field, planes = operator_of(NEAR[:1]).field([1j]), point_fields(CAMERA, NEAR[0], wavelength=WAVELENGTH)
+def test_the_light_of_a_layer_may_leave_an_ideal_lens_collimated():
+    points = np.array([(0, 0, 98.5), (1, 0, 99.5)])
+    camera = CAMERA.replace(focal_length=1 / np.mean(1 / points[:, 2]))
+    with np.errstate(all="raise"):
+        assert error_on_pupil(points, [1, 1j], camera) < 2e-5
+
+
+@models
+def test_a_single_point_is_the_full_field(model):
+    camera = CAMERA.replace(lens_model=model)
+    field = operator_of(NEAR[:1], camera).field([1j])
+    planes = point_fields(camera, NEAR[0], wavelength=WAVELENGTH)
     assert field.samples.shape == planes.detector.samples.shape
     assert (field.origin, field.pitch) == (planes.detector.origin, planes.detector.pitch)
     assert error(field.samples, 1j * planes.detector.samples) < 1e-5
@@ -123,11 +163,11 @@ def test_squared_fields_are_the_incoherent_capture():
         {},
         {
             "mla_lattice": "hexagonal", "mla_rotation": 7.0, "crop_offset": (20, 31), "crop_size": (80, 61),
-            "mla_medium": 1.5,
+            "mla_medium": 1.5, "lens_model": "parabolic",
         },
         pytest.param({"mla_jitter": (0.002, 0.002)}, marks=pytest.mark.slow),
     ],
-    ids=["square", "hexagonal, cropped, in a medium", "irregular"],
+    ids=["square", "parabolic, hexagonal, cropped, in a medium", "irregular"],
 )  # fmt: skip
 def test_adjoint(plane, changes):
     operator, given = operator_of(DEEP[:3], CAMERA.replace(**changes)), amplitudes(3)

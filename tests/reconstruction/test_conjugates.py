@@ -32,7 +32,7 @@ def real_camera(lens="double_gauss", lenses=12, **numbers):
 )
 def test_the_thin_lens_by_the_way_of_real_ones_gives_its_reconstructions(method):
     """Light within the pupil, whose edge is drawn otherwise: in and out of focus."""
-    camera = small_camera(6, mla_distance=118.0)
+    camera = small_camera(6, mla_distance=118.0, lens_model="parabolic")
     x, y = camera.pixel_coordinates(0), camera.pixel_coordinates(1)[:, None]
     pitch = camera.micro_image_pitch
     inner = np.hypot(x % pitch - pitch / 2, y % pitch - pitch / 2) < 0.35 * camera.micro_image_diameter

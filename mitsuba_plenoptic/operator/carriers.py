@@ -1,0 +1,254 @@
+r"""Waves on the pupil that the fields of points of similar distance are but for smooth factors: tilts, or spheres.
+
+The factors are functions of the pupil's point and of the scene's point: see `pupil_sums`. A parabolic main lens adds
+the same phase to the light of all points. Their fields differ by tilts and by little else; sums of tilts are
+non-uniform Fourier transforms (`Tilts`).
+
+An ideal main lens turns the sphere of each point into one about the point's own image, and these differ by much more
+than tilts: by 35 waves at f/2, 4 mm off the axis. With the vergence v behind the lens and the slopes u of the point,
+
+.. math:: p(P, X) = \frac{1}{\lambda v} \left((1 + u^2)^{1/2} - (1 + |v P + u|^2)^{1/2}\right) .
+
+So p depends on P and u by :math:`v P + u` only: waves that converge to points of one plane, at the distance 1 / v, are
+copies of one sphere, shifted by :math:`m = -u / v`. Their sum is a convolution of that sphere with the points of the
+plane (`Spheres`). The transform of the points is again a non-uniform one.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import drjit as dr
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..lenses.thin import ThinLens
+from ..optics.waves import in_millimetres, phasor
+from ..runtime.backend import array_module
+from ..runtime.fft import Field, fast_length, fft
+from .arrival import blocks
+from .nonuniform import PlaneWaves
+
+_FADED = 0.3
+"""Width of the edge over which the sphere is faded out, over the half width of the part of it that is needed."""
+
+_SIGMAS = 5.0
+"""Standard deviations of the edge's normal distribution in half of its width."""
+
+_FARTHEST = 1e20
+"""Largest distance of the middle of a layer or of its images, in millimetres."""
+
+
+class PupilGrid:
+    """The square of a wide grid's samples that contains the pupil; `count` x `count`."""
+
+    def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float) -> None:
+        self.pitch = pitch
+        self.count = 2 * math.ceil(lens.pupil_radius / pitch) + 3
+        middle = [round(-start / pitch) for start in origin]
+        self.middle = np.array([start + index * pitch for start, index in zip(origin, middle, strict=True)])
+        left, top = (index - self.count // 2 for index in middle)
+        self.rows, self.columns = slice(top, top + self.count), slice(left, left + self.count)
+
+    def along(self, axis: int) -> NDArray[np.float64]:
+        """Return the coordinates of the samples along an axis (0: x, 1: y)."""
+        return np.asarray(self.middle[axis] + (np.arange(self.count) - self.count // 2) * self.pitch)
+
+
+class Carrier(Protocol):
+    """Waves of the points of a layer, without their smooth factors.
+
+    `shift` (n,) are factors of the points that the sums leave out.
+    """
+
+    shift: NDArray[np.complex128]
+
+    def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
+        """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
+
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
+        """Return for each wave the inner product with samples, which come in blocks of rows."""
+
+    def common(self, pupil: tuple[Any, Any]) -> Any:
+        """Return the path in waves that all points have besides, at points of the pupil."""
+
+    def remainder(
+        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
+    ) -> NDArray[np.float64]:
+        """Return paths in waves (m, n) at m points of the pupil, of some points, less those of their waves here."""
+
+
+class Tilts:
+    """Plane waves about the path of the middle of a layer's points (n, 3)."""
+
+    def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
+        self._lens, self._wavelength = lens, wavelength
+        vergence = 1 / points[:, 2]
+        middle = (vergence.min() + vergence.max()) / 2
+        distance = _finite_inverse(middle)
+        tilt = points[:, :2] * vergence[:, None]
+        self.middle = np.append((tilt.min(0) + tilt.max(0)) / 2 * distance, distance)
+        self._frequencies = self._cosines(points) - self._cosines(self.middle[None])
+        self._frequencies /= in_millimetres(wavelength)
+        waves = PlaneWaves(self._frequencies * grid.pitch, grid.count)
+        self.forward, self.adjoint = waves.forward, waves.adjoint
+        self.shift = np.exp(2j * math.pi * (self._frequencies @ grid.middle))
+
+    @staticmethod
+    def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+        """Return an upper bound of the memory in bytes that the sums need, besides that of each point."""
+        return PlaneWaves.memory(grid.count)
+
+    def common(self, pupil: tuple[Any, Any]) -> Any:
+        """Return the path of the middle of the layer."""
+        opaque = array_module().Float64
+        X, Y, g = (dr.opaque(opaque, float(value)) for value in self.middle)
+        return self._lens.path(pupil, (X, Y, g), self._wavelength)
+
+    def remainder(
+        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
+    ) -> NDArray[np.float64]:
+        """Return paths less that of the middle and the tilts."""
+        of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
+        return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[which].T)
+
+    def _cosines(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
+
+
+class Spheres:
+    """Waves that an ideal lens makes converge to the images of points (n, 3), moved into one plane behind the pupil."""
+
+    def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
+        self._lens, self._wavelength, self._grid = lens, wavelength, grid
+        self._distance, self._images = _images(lens, points)
+        self._reach = _reach(self._images, grid)
+        # What is beyond the window is faded out there, so that nothing comes in on the other side.
+        self._count = 2 * fast_length(self._reach * (1 + _FADED))
+        # At the pupil's centre paths are zero.
+        self.shift = np.exp(2j * math.pi * self._path((self._images**2).sum(1)))
+        self._waves = PlaneWaves((grid.middle - self._images) / (grid.pitch * self._count), self._count)
+
+    @staticmethod
+    def window(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+        """Return the width of the window of the convolution, in samples of the pupil."""
+        return 2 * (1 + _FADED) * _reach(_images(lens, points)[1], grid)
+
+    @classmethod
+    def memory(cls, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+        """Return an upper bound of the memory in bytes that the sums need, besides that of each point."""
+        count = fast_length(cls.window(lens, points, grid))
+        # The points' plane is a part of the window, as wide as the images.
+        held = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
+        return 8.0 * count * (grid.count + count / 2) + PlaneWaves.memory(count, min(1.0, held / 2))
+
+    def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
+        """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
+        wide = np.empty((self._count, self._grid.count), np.complex64)
+        for rows, spectrum in self._waves.forward(amplitudes):
+            spectrum *= self._kernel(rows)
+            wide[rows] = _to_samples(spectrum, 1)[:, self._inner]
+        found = np.empty((self._grid.count,) * 2, np.complex64)
+        for columns in blocks(self._grid.count):
+            found[:, columns] = _to_samples(wide[:, columns], 0)[self._inner]
+        for rows in blocks(self._grid.count):
+            yield rows, found[rows]
+
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
+        """Return for each wave the inner product with samples, which come in blocks of rows."""
+        wide = np.zeros((self._count, self._grid.count), np.complex64)
+        for rows, block in samples:
+            wide[self._inner][rows] = block
+        for columns in blocks(self._grid.count):
+            wide[:, columns] = _to_frequencies(wide[:, columns], 0)
+
+        def spectra() -> Iterator[tuple[slice, Field]]:
+            for rows in blocks(self._count):
+                padded = np.zeros((rows.stop - rows.start, self._count), np.complex64)
+                padded[:, self._inner] = wide[rows]
+                yield rows, _to_frequencies(padded, 1) * self._kernel(rows).conj()
+
+        return self._waves.adjoint(spectra())
+
+    def common(self, pupil: tuple[Any, Any]) -> Any:
+        """Return the aberrations of the lens."""
+        return self._lens.aberration(pupil, self._wavelength)
+
+    def remainder(
+        self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
+    ) -> NDArray[np.float64]:
+        """Return paths less those of the spheres and the aberrations."""
+        X, Y = self._images[which].T
+        away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
+        sphere = self._path(X**2 + Y**2) - self._path(away)
+        return np.asarray(waves - sphere - self._lens.aberration((x[:, None], y[:, None]), self._wavelength))
+
+    def _path(self, square: Any) -> Any:
+        return _sphere(square, self._distance, self._wavelength)
+
+    @property
+    def _inner(self) -> slice:
+        """The samples of the pupil among those of the window."""
+        first = self._count // 2 - self._grid.count // 2
+        return slice(first, first + self._grid.count)
+
+    def _kernel(self, rows: slice) -> Field:
+        """Return rows of the spectrum of the sphere, with zero frequency in the middle."""
+        order = np.abs(np.arange(self._count) - self._count // 2)
+        quarter = _spectrum(self._count, self._grid.pitch, self._reach, self._distance, self._wavelength)
+        return np.asarray(quarter[order[rows]][:, order])
+
+
+def _sphere(square: Any, radius: float, wavelength: float) -> Any:
+    """Return by how many waves a sphere is behind its vertex, at squared distances from the axis through that."""
+    return square / (radius * (np.sqrt(1 + square / radius**2) + 1) * in_millimetres(wavelength))
+
+
+@functools.lru_cache(maxsize=1)
+def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float) -> Field:
+    """Return the spectrum of a sphere, which is even along both axes, at frequencies that are not negative.
+
+    The sphere fades out beyond `reach` samples of the `count` of its window. That of the last layer is remembered.
+    """
+    step = np.arange(count // 2 + 1)
+    # The edge is so wide that it holds no steeper light than the samples do.
+    middle, scale = 1 + _FADED / 2, math.sqrt(2) * _FADED / (2 * _SIGMAS)
+    edge = scipy.special.erfc((step / reach - middle) / scale) / (2 * count)
+    square = (step * pitch) ** 2
+    quarter = np.empty((len(step),) * 2, np.complex64)
+    for rows in blocks(len(step)):
+        quarter[rows] = phasor(-_sphere(square[rows, None] + square, radius, wavelength)) * (edge[rows, None] * edge)
+    for part in (quarter.real, quarter.imag):
+        part[...] = scipy.fft.dctn(part, type=1)
+    return quarter
+
+
+def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    """Return the distance of the plane in the middle of the images of points, and their chief rays' places (n, 2)."""
+    vergence = lens.vergence(points[:, 2])
+    distance = _finite_inverse((vergence.min() + vergence.max()) / 2)
+    return distance, points[:, :2] * (-distance / points[:, 2:])
+
+
+def _finite_inverse(nearness: float) -> float:
+    """Return the distance of a nearness; that of points on opposite sides may be zero."""
+    return 1 / math.copysign(max(abs(nearness), 1 / _FARTHEST), nearness)
+
+
+def _reach(images: NDArray[np.float64], grid: PupilGrid) -> float:
+    """Return the largest distance, along an axis, between a sample of the pupil and an image, in samples."""
+    return grid.count / 2 + float(np.abs(images - grid.middle).max()) / grid.pitch
+
+
+def _to_samples(spectrum: Field, axis: int) -> Field:
+    """Transform an axis whose zero is in the middle back, without a factor."""
+    return np.fft.fftshift(fft(np.fft.ifftshift(spectrum, axis), axis=axis, inverse=True, norm="forward"), axis)
+
+
+def _to_frequencies(samples: Field, axis: int) -> Field:
+    """Apply the adjoint of `_to_samples`."""
+    return np.fft.fftshift(fft(np.fft.ifftshift(samples, axis), axis=axis), axis)
