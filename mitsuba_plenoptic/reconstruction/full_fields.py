@@ -320,7 +320,7 @@ class _Pupil:
         return slice(int(self._first[line]), int(self._end[line]))
 
     def edge(self, lines: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
-        """Return the samples of some lines at the edge, by line and place, and the part of the amplitude that passes."""
+        """Return the samples of some lines at the edge, by line and place, and the part of the field that passes."""
         own = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
         return self._lines[own] - lines.start, self._places[own], self._passed[own]
 

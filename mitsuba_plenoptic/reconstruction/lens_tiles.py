@@ -188,7 +188,7 @@ class LensTile:
 
     @property
     def transformed(self) -> int:
-        """Samples that the Fourier transforms of one lens go through; its matrix products count as what takes as long."""
+        """Samples that one lens's Fourier transforms go through; matrix products count by their time."""
         products = self.cell_samples * self.pupil_samples * (self.cell_samples + self.pupil_samples)
         return (
             4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size) + products // _PRODUCTS

@@ -12,9 +12,9 @@ the element, over the ratio of the areas of the samples.
 At the end the power of a field over directions is summed over bins. Bins are even in the slope X / g, and so are the
 directions of paraxial light. Those of other light are even in the cosine X / |X|. For a fixed cosine along y, the edges
 of bins along x are known cosines; so the power is integrated along x for every sample in y as the samples come, and the
-sums then along y for every column of bins, with the edges that the column's middle has. Between the samples the power goes as
-a cubic (Keys, "Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum of the
-samples between two edges and a few near each.
+sums then along y for every column of bins, with the edges that the column's middle has. Between the samples the power
+goes as a cubic (Keys, "Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum
+of the samples between two edges and a few near each.
 """
 
 from __future__ import annotations
