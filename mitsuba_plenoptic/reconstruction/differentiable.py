@@ -18,7 +18,7 @@ from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
 from .conjugates import ThinConjugates
-from .full_fields import BackwardFields, squared
+from .full_fields import BackwardFields
 from .lens_tiles import fine_bins
 from .methods import FOOTPRINTS
 from .passages import BinSums
@@ -280,7 +280,7 @@ class _BinnedPower:
         sent = float(image.sum(dtype=np.float64))
         if checked and sent:
             guards.check(guards.PUPIL, 1 - passed / sent)
-        power: Any = sum(squared((slice(None), field))[1] for field in self._at)
+        power: Any = sum(field.real**2 + field.imag**2 for field in self._at)
         bins = backend().to_host(self._sums.forward([(slice(None), power)]))
         spread = bins if refocus._spread is None else refocus._spread.forward(bins)
         self._lit = spread > 0
