@@ -27,9 +27,9 @@ from ..optics import guards, rays
 from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
-from ..system.optical_system import OpticalSystem
+from ..system.optical_system import OpticalSystem, is_paraxial
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, ThinConjugates, is_paraxial
+from .conjugates import Conjugates, ThinConjugates
 from .lens_tiles import LensTile, reconstruction_tile
 from .methods import Progress
 

@@ -31,7 +31,7 @@ from ..camera import PlenopticCamera
 from ..optics.waves import advance, in_millimetres
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, pack, split
-from .conjugates import is_paraxial
+from ..system.optical_system import is_paraxial
 from .planning import AxisStep, Step
 
 Rows = Iterable[tuple[slice, Field]]
