@@ -17,12 +17,13 @@ from ..lenses.base import PointLight
 from ..lenses.collimated import CollimatedLens
 from ..lenses.exit_pupil import ExitPupil
 from ..lenses.telecentric import TelecentricLens
+from ..lenses.thin import ThinLens
 from ..optics import guards
 from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fast_length, fft, fft2, pack, resting_drjit, rows_and_columns
 from ..system.microlenses import diffraction, scattering
-from ..system.optical_system import OpticalSystem
+from ..system.optical_system import OpticalSystem, is_paraxial
 from ..system.sampling import Footprint, bundle_footprint, check_memory, footprint
 from .pupil_weights import PupilWeights
 
@@ -193,7 +194,11 @@ def pupil_field(
     X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
     if incident is not None:
-        turned = as_field(pack(phasor(lens.path(pupil, point, system.wavelength))), (count, count))
+        if isinstance(lens, ThinLens) and is_paraxial(system.camera):
+            waves = lens.paraxial_path(pupil, g, system.wavelength)
+        else:
+            waves = lens.path(pupil, point, system.wavelength)
+        turned = as_field(pack(phasor(waves)), (count, count))
         entering = interpolated(incident, grids.wide_origin, pitch, (count, count)) / np.float32(incident.power**0.5)
         guards.check(guards.APERTURE, 1 - power(entering) * pitch**2)
         return SampledField(entering * turned, grids.wide_origin, pitch)
@@ -214,14 +219,16 @@ def pupil_field(
     return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
 
 
-def at_mla(camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField) -> SampledField:
+def at_mla(
+    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField, paraxial: bool = False
+) -> SampledField:
     """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
     spectrum = backend().empty(pupil.samples.shape, np.complex64)
     spectrum[...] = pupil.samples
     with resting_drjit():
         spectrum = fft2(spectrum)
     guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
-    spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength)
+    spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength, paraxial=paraxial)
     return onto_window(spectrum, grids)
 
 

@@ -38,7 +38,7 @@ from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rff
 from ..runtime.jobs import Job
 from ..system.microlens_orders import ArrayFactor
 from ..system.microlenses import transmission
-from ..system.optical_system import OpticalSystem
+from ..system.optical_system import OpticalSystem, is_paraxial
 from ..system.sampling import check_memory
 from .arrival import (
     FieldGrids,
@@ -82,11 +82,13 @@ def full_field(
 
     `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
     `grids` may be those of a camera that hardly differs, so that differences are free of the grids'. `incident` is a
-    field on the pupil of a thin lens or a collimator that replaces a far point's light, with its own aperture.
+    field on the pupil of a thin lens or a collimator that replaces a far point's light, with its own aperture. It may
+    be the light of many far points, to which an ideal thin lens is a parabola in paraxial propagation.
     """
     grids = grids or field_grids(system, position, refinement, growth)
-    _, mla = _arrival(system, position, grids, pupil_weights, incident)
-    spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
+    paraxial = incident is not None and is_paraxial(system.camera)
+    _, mla = _arrival(system, position, grids, pupil_weights, incident, paraxial)
+    spectrum = detector_spectrum(system, grids, mla.samples, microlenses, paraxial)
     del mla
     dr.flush_malloc_cache()
     return backend().to_host(pixel_integrals(system.camera, spectrum, grids))
@@ -109,6 +111,7 @@ def _arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
     incident: SampledField | None = None,
+    paraxial: bool = False,
 ) -> tuple[SampledField, SampledField]:
     """Return the field behind the pupil, and that before the MLA."""
     lens = system.lens
@@ -117,10 +120,12 @@ def _arrival(
     if isinstance(lens, TelecentricLens):
         return telecentric_arrival(lens, position, system.wavelength, grids, weights)
     pupil = pupil_field(system, position, grids, weights, incident)
-    return pupil, at_mla(system.camera, system.wavelength, grids, pupil)
+    return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
 
 
-def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
+def detector_spectrum(
+    system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool, paraxial: bool = False
+) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
         before = _passed_power(system, grids, samples)
@@ -130,7 +135,8 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
     camera = system.camera
     with resting_drjit():
         spectrum = fft2(samples)
-    return advance(spectrum, grids.pitch, camera.detector_distance, camera.medium_wavelength(system.wavelength))
+    wavelength = camera.medium_wavelength(system.wavelength)
+    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength, paraxial=paraxial)
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:

@@ -30,7 +30,7 @@ from ..lenses.real_lens import RealLens
 from ..lenses.thin import ThinLens
 from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module
-from ..system.optical_system import OpticalSystem
+from ..system.optical_system import OpticalSystem, is_paraxial
 
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""
@@ -82,14 +82,6 @@ class FieldZone:
         return tuple(
             slice(*(round(end * size) for end in ends)) for ends, size in zip(self.bounds[::-1], shape, strict=True)
         )
-
-
-def is_paraxial(camera: PlenopticCamera) -> bool:
-    """Return whether the waves of a camera move by slopes, so that one parabola images all points of a plane.
-
-    These are the waves of an ideal thin main lens. Others move by direction cosines: see `planning`.
-    """
-    return camera.main_lens is None and camera.lens_model == "ideal"
 
 
 @dataclass(frozen=True)

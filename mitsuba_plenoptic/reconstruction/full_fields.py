@@ -21,9 +21,9 @@ from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
 from ..system.microlenses import is_separable, transmission
-from ..system.optical_system import OpticalSystem
+from ..system.optical_system import OpticalSystem, is_paraxial
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, FieldZone, ThinConjugates, is_paraxial
+from .conjugates import Conjugates, FieldZone, ThinConjugates
 from .methods import Progress, portion
 from .passages import (
     BinSums,

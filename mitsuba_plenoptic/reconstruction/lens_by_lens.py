@@ -28,9 +28,9 @@ from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..runtime.limits import single_threaded_blas
-from ..system.optical_system import OpticalSystem
+from ..system.optical_system import OpticalSystem, is_paraxial
 from ..system.sampling import check_memory
-from .conjugates import Conjugates, ThinConjugates, is_paraxial
+from .conjugates import Conjugates, ThinConjugates
 from .lens_tiles import LensTile, reconstruction_tile
 from .methods import Progress
 

