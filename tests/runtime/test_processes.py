@@ -189,7 +189,7 @@ def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(python, tmp
 
 
 def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch):
-    """The request returns only once Dr.Jit has work, as where a thread of its sleeps through it; nothing is compiled."""
+    """The request returns only once Dr.Jit has work, as where a thread of its sleeps; nothing is compiled for it."""
     woken, before = threading.Event(), dr.thread_count()
     launch, recorded = dr.sum, dr.flag(dr.JitFlag.KernelHistory)
 
