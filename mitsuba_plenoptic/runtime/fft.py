@@ -97,7 +97,9 @@ def stop_threads() -> None:
 
     A thread that falls asleep at this very moment can miss the request, and `drjit.set_thread_count` then waits for
     ever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. Any kernel
-    wakes the thread. To launch one, the request is made in another thread and without the interpreter's lock.
+    wakes the thread. To launch one, the request is made in another thread and without the interpreter's lock. Only a
+    sum does so, of as many numbers as threads share, for which nothing is compiled: which kernels a process compiles
+    must not depend on when its threads fall asleep.
     """
     if dr.thread_count() == 1:
         return
@@ -107,7 +109,7 @@ def stop_threads() -> None:
         return
     request = _requests().submit(pool_set_size, None, 1, 0)
     while not wait([request], _PATIENCE).done:
-        dr.eval(dr.arange(dr.llvm.UInt32, 64))
+        dr.sum(dr.opaque(dr.llvm.UInt32, 1, 2**17))
         dr.sync_thread()
 
 
