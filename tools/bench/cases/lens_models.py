@@ -63,7 +63,7 @@ def stars(
 ) -> Iterator[Row]:
     """Compare stars on the axis and off it, over a lens's centre (0.5) and over the corner of four (0).
 
-    The focal length is 10 mm, so that a full field takes less than 4 GiB; 3.9 degrees are 40 lenses of a camera of
+    The focal length is 8 mm, so that a full field takes less than 4 GiB; 3.9 degrees are 40 lenses of a camera of
     50 mm. Stars by a parabolic phase are stated, not judged.
     """
     from scipy.special import j0, j1
@@ -72,7 +72,7 @@ def stars(
         for model in MODELS:
             for angle in degrees:
                 for place in places:
-                    camera = camera_of(number, model, focal_length=10.0, lenses=2)
+                    camera = camera_of(number, model, focal_length=8.0, lenses=2)
                     side = (
                         camera.mla_pitch * place
                         + round(camera.mla_distance * math.tan(math.radians(angle)) / camera.mla_pitch)
