@@ -47,7 +47,10 @@ _ACROSS, _TOGETHER = 128, 128
 """Samples across the pupil for its power, and points of which it is computed together."""
 
 _LANES, _LENSES = 2**21, 40
-"""Approximate count of pairs of a cell and a lens that are tried at once, and of lenses per cell and point."""
+"""Approximate count of pairs of a cell and a lens tried at once, and least count of lenses per cell and point."""
+
+_PER_RADIUS = 8.0
+"""Least points of cells along each axis per radius of the pupil's image."""
 
 _TILE = 8
 """Width of the tiles in which points are sorted, in lenses."""
@@ -99,19 +102,19 @@ class BankRays:
         points: NDArray[np.float64],
         plan: PhaseSpace,
         step: float,
-        # Points of a cell along each axis at which coefficients are computed.
+        # Points of a cell along each axis at which coefficients are computed; images of small pupils take more.
         samples: int,
     ) -> None:
         self._camera, self._plan, self._step = system.camera, plan, step
-        self._samples, self._pupil, self._kinds = samples, RayPupil(system), LensKinds(system.camera)
-        self._lens = system.lens
+        self._lens, self._pupil, self._kinds = system.lens, RayPupil(system), LensKinds(system.camera)
         self._landing, self._reach = Landing.of(system, plan), float(system.lens.reach)
         self._radius = float(system.camera.pupil_radius)
+        self._samples = max(samples, math.ceil(_PER_RADIUS * step * max(self._landing.scales) / self._radius))
         self._keys = mi.UInt32(np.array([zlib.crc32(point.tobytes()) for point in points], np.uint32))
         self._tabulate(system, points)
         # The distance on the array from one point of a cell to the next, in steps from the finest detail of the table.
         finest = in_millimetres(plan.wavelength) * system.camera.pupil_distance / (2 * self._radius)
-        widths = self._steep.mean(1) * step * max(self._landing.scales) / samples / finest
+        widths = self._steep.mean(1) * step * max(self._landing.scales) / self._samples / finest
         self._levels = np.maximum(np.rint(_PER_OCTAVE * np.log2(np.maximum(widths, 1e-9))).astype(int), -_PER_OCTAVE)
         self._finest, self._level = finest, -_PER_OCTAVE
         self._coefficients, self._oblique = RayCoefficients(plan, plan.table), ObliqueImages(plan.oblique)
@@ -196,7 +199,8 @@ class BankRays:
     def lots(self, which: NDArray[np.int64], box: Box) -> Iterator[tuple[Lanes, list[NDArray[np.float32]]]]:
         """Yield cells of a box that points light, and their coefficients, in an order of the points' own."""
         cells = math.pi * (self._reach / (self._step * min(self._landing.scales)) + 1) ** 2
-        size = max(1, int(_LANES / (_LENSES * cells)))
+        windows = max(math.prod(node.sides) for node in self._plan.nodes) / self._camera.lattice.cell_area
+        size = max(1, int(_LANES / (max(_LENSES, windows / 2) * cells)))
         for level in np.unique(self._levels[which]).tolist():
             same = which[self._levels[which] == level]
             # Points that light the same cells are added together.
@@ -234,6 +238,8 @@ class BankRays:
         parts = [[np.zeros(0, kind) for kind in (np.uint32, np.float32, np.float32, np.int32, np.int32)]]
         for number, side in enumerate(sides):
             own = dr.compress(lit & (window == number))
+            if not dr.width(own):
+                continue  # behind small pupils few cells are lit
             steps = self._steps(side, 1.5 * change)
             pair = dr.arange(mi.UInt32, dr.width(own) * len(steps))
             source, which = dr.gather(mi.UInt32, own, pair // len(steps)), pair % len(steps)
