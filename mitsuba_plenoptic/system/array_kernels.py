@@ -252,9 +252,9 @@ class ArrayKernels(LensWaves):
             ],
             axis=0,
         )
-        # The period of these is shorter, but not the border of their windows.
-        small = self._placed(transfer, every * _COARSER, step, count // _COARSER + _BORDER // 2, kind)
-        aside = (kernels.shape[1] - small.shape[1]) // 2
+        # Their period is shorter, but not the border of their windows.
+        reached = min(count, count // _COARSER + _BORDER // 2)
+        small, aside = self._placed(transfer, every * _COARSER, step, reached, kind), count - reached
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
     def _placed(
@@ -265,7 +265,7 @@ class ArrayKernels(LensWaves):
         apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
         farthest = transfer.shape[1] // 2
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
-        # All repetitions of the window add up to 1, so that a kernel's spectrum is the transfer function at each lag.
+        # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
         beyond = (np.abs(place) - scale / (2 * apart)) / (_BORDER * step)
         window = (1 - np.sin(np.pi * np.clip(beyond, -0.5, 0.5))) / 2
         waves = window[:, None] * np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
