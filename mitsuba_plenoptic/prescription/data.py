@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from scipy.optimize import brentq
 
 from ..errors import (
     LONGEST,
@@ -363,6 +362,9 @@ def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
     after = max(1, int(crossed[0]))
     if not gap(squares[after - 1]) > 0:
         return float(np.sqrt(squares[after - 1]))
+    # Imported here because it takes longer than the rest of the package.
+    from scipy.optimize import brentq
+
     return float(np.sqrt(brentq(gap, squares[after - 1], squares[after])))
 
 

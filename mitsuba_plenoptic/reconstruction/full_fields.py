@@ -282,7 +282,8 @@ class BackwardFields:
         """Add lines to a field within the pupil, whose edge is softened over one sample."""
         for lines, samples in blocks:
             numbers, places, passed = self._pupil.edge(lines)
-            samples[numbers, places] *= passed
+            to_device = self._workspace.libraries.arrays.asarray
+            samples[to_device(numbers), to_device(places)] *= passed
             # A line's chord of the pupil: a mask of the whole would cost several times that.
             for number, line in zip(range(lines.start, lines.stop), samples, strict=True):
                 chord = self._pupil.chord(number)

@@ -177,7 +177,7 @@ class TestReconstruction:
 
     def test_light_that_leaves_the_object_window(self, monkeypatch):
         """One lens's light, kept in a window without a margin."""
-        monkeypatch.setattr("mitsuba_plenoptic.reconstruction.planning.OBJECT_MARGIN", -0.2)
+        monkeypatch.setattr("mitsuba_plenoptic.reconstruction.planning.OBJECT_MARGIN", -7.0)
         image = np.zeros((512, 512), np.float32)
         image[261:283, 261:283] = 1
         with pytest.warns(PhysicsWarning, match="misses the computed window"):

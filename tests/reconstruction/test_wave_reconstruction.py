@@ -418,15 +418,17 @@ def test_a_plane_that_no_ray_reaches_is_refused_by_waves_as_by_rays():
             refocus(np.ones(camera.shape), 160.0, camera, 1000.0, method=method)
 
 
-def test_single_lenses_do_not_need_the_memory_of_full_fields(monkeypatch):
-    """Of few lenses that lie far apart."""
+def test_few_lenses_far_apart_need_little_memory(monkeypatch):
+    """One by one and in full fields, of 2048 x 2048 pixels."""
     camera = wave_cases.small_camera(64)
     image = np.zeros(camera.shape, np.float32)
     image[100:124, 100:124] = image[-124:-100, -124:-100] = 1
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.025")
     assert refocus(image, 160.0, camera, method="partial", interleave="auto").image.any()
-    with pytest.raises(InputError, match="its wave reconstruction: it would need"):
-        refocus(image, 160.0, camera, method="partial", interleave=2)
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.01")
+    for interleave, what in (("auto", "lens by lens"), (2, "its wave reconstruction")):
+        with pytest.raises(InputError, match=f"{what}: it would need"):
+            refocus(image, 160.0, camera, method="partial", interleave=interleave)
 
 
 @wave_methods

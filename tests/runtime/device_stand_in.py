@@ -15,8 +15,8 @@ from mitsuba_plenoptic.runtime.backend import Backend
 _dr_numpy = dr.ArrayBase.numpy
 
 _FUNCTIONS = (
-    "add", "arange", "ascontiguousarray", "bincount", "copyto", "cumsum", "einsum", "empty", "eye", "maximum",
-    "moveaxis", "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack", "tensordot", "where", "zeros",
+    "arange", "ascontiguousarray", "bincount", "copyto", "cumsum", "einsum", "empty", "eye",
+    "iscomplexobj", "matmul", "maximum", "moveaxis", "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack", "tensordot", "where", "zeros",
 )  # fmt: skip
 
 
@@ -120,6 +120,12 @@ class _Matrix:
         return DeviceArray(np.asfortranarray(self._matrix @ _unwrap(other)))
 
 
+def _with_reduceat():
+    add = _function(np.add)
+    add.reduceat = _function(np.add.reduceat)
+    return add
+
+
 class StandIn:
     """The libraries of a CUDA device, in the processor's memory."""
 
@@ -127,6 +133,8 @@ class StandIn:
         self.to_host = []
         arrays = SimpleNamespace(
             **{name: _function(getattr(np, name)) for name in _FUNCTIONS},
+            # A universal function of CuPy has this method, too.
+            **{"add": _with_reduceat()},
             ndarray=DeviceArray,
             asarray=self._asarray,
             array=self._array,
@@ -142,8 +150,10 @@ class StandIn:
         transforms = SimpleNamespace(**{name: _transform(getattr(scipy.fft, name)) for name in names})
         self.backend = Backend(dr.llvm, arrays, transforms, SimpleNamespace(csr_matrix=_Matrix), is_cuda=True)
 
-    def _asarray(self, array, dtype=None):
-        return array if isinstance(array, DeviceArray) else DeviceArray(np.array(array, dtype))
+    def _asarray(self, array, dtype=None, order="K"):
+        if isinstance(array, DeviceArray):
+            return array if order == "K" else DeviceArray(np.asarray(array._host, dtype, order=order))
+        return DeviceArray(np.array(array, dtype, order=order))
 
     def _array(self, array, dtype=None, copy=True, order="K"):
         host = array._host if isinstance(array, DeviceArray) else array
