@@ -143,7 +143,7 @@ def test_gloss_that_lamps_of_some_size_light():
     scene = wall_of({"type": "roughconductor", "alpha": 0.3}, child="prb", light=lamp())
     weights = np.ones((32, 32, 1))
     expected = np.vdot(difference(scene, ROUGHNESS, 0.01), weights)
-    assert pulled(scene, ROUGHNESS, weights, spp=64) == pytest.approx(expected, rel=0.01)
+    assert pulled(scene, ROUGHNESS, weights, spp=256) == pytest.approx(expected, rel=0.01)
 
 
 def proportional(scene):
@@ -261,7 +261,7 @@ def test_drawn_wavelengths_are_differentiated_in_reverse():
 def test_absorbing_fog_darkens_by_its_thickness():
     scene = scene_of(sensor(4, 8), through("volpath"), fog=fog(albedo=0.0), wall=facing(260.0, 20.0, **radiating()))
     weights = np.ones((32, 32, 1))
-    assert pulled(scene, SIGMA, weights, spp=64) == pytest.approx(-20 * captured(scene, spp=256).sum(), rel=0.01)
+    assert pulled(scene, SIGMA, weights, spp=256) == pytest.approx(-20 * captured(scene, spp=256).sum(), rel=0.01)
 
 
 def test_light_scattered_once_is_proportional_to_the_albedo():
