@@ -14,7 +14,7 @@ import numpy as np
 from .array_functions import Shape
 from .capture.render import MOST_SAMPLES
 from .errors import refuse_if, require_count, require_known, short_repr
-from .runtime.backend import lanes, one_at_a_time
+from .runtime.backend import drjit_array, one_at_a_time
 
 _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"
 
@@ -156,4 +156,4 @@ def _tensor(array: Any) -> Any:
     """Return an array as a tensor of Dr.Jit."""
     if dr.is_tensor_v(array):
         return array
-    return mi.TensorXf(mi.Float(lanes(np.asarray(array, np.float32))), np.shape(array))
+    return drjit_array(mi.TensorXf, np.asarray(array))

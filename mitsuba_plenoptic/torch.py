@@ -30,6 +30,7 @@ from .array_functions import (
 from .camera import PlenopticCamera
 from .errors import InputError, refuse_if, short_repr
 from .operator.operator import CaptureOperator
+from .runtime.backend import drjit_array
 from .scene_functions import Rendering
 
 try:
@@ -332,5 +333,6 @@ def _tensor(array: Any, like: torch.Tensor) -> torch.Tensor:
 
 
 def _drjit(tensor: torch.Tensor) -> Any:
-    """Return a tensor as one of Dr.Jit, by DLPack."""
-    return mi.TensorXf(tensor.detach().contiguous())
+    """Return a tensor as one of Dr.Jit, on a device by DLPack."""
+    tensor = tensor.detach()
+    return drjit_array(mi.TensorXf, tensor.numpy() if tensor.device.type == "cpu" else tensor.contiguous())

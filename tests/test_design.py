@@ -374,6 +374,7 @@ def test_scenes(name, camera):
         ({"resolution": (128, 128)}, None, "no refocusing"),
         ({"resolution": (2048, 2048)}, 633, "undersamples the diffraction spot"),
         ({"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)}, 633, "hardly focus"),
+        ({"lens_model": "parabolic"}, 633, "lens_model parabolic: the main lens aberrates light by 0.74 waves"),
     ],
 )
 def test_warnings(numbers, wavelength, words):
@@ -381,7 +382,8 @@ def test_warnings(numbers, wavelength, words):
 
 
 def test_no_warnings_where_all_is_well():
-    for numbers, wavelength in ((KEPLERIAN, None), (GALILEAN, None), ({}, None), ({}, 633)):
+    narrow = {"lens_model": "parabolic", "detector_width": 2.048, "resolution": (1024, 1024)}
+    for numbers, wavelength in ((KEPLERIAN, None), (GALILEAN, None), ({}, None), ({}, 633), (narrow, 633)):
         assert design.design_warnings(PlenopticCamera(**numbers), wavelength) == []
     # The MLA stands within the focal length, as it must to see what is far.
     far = PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
@@ -393,3 +395,43 @@ def test_remedy_for_overlap_makes_micro_images_touch():
     diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])
     camera = PlenopticCamera(aperture_radius=diameter / 2)
     assert camera.micro_image_diameter == pytest.approx(camera.micro_image_pitch, rel=1e-3)
+
+
+@pytest.mark.parametrize("aperture, distance", [(5.0, 240.0), (8.0, 240.0), (5.0, 1000.0)])
+def test_the_spherical_aberration_of_a_parabolic_lens(aperture, distance):
+    """On the axis, less defocus: a quarter of the path of third order at the edge."""
+    camera = PlenopticCamera(
+        aperture_radius=aperture, focus_distance=distance, detector_width=0.008, resolution=(4, 4), mla_pitch=0.002
+    )
+    edge = aperture**4 / 8 * (1 / distance**3 + 1 / camera.mla_distance**3)
+    found = design.parabolic_aberration(camera, 550)
+    assert found == pytest.approx(edge / 4 / 550e-6, rel=0.01)
+    assert design.parabolic_aberration(camera.replace(lens_model="parabolic"), 1100) == pytest.approx(found / 2)
+
+
+@pytest.mark.parametrize("width", [1.0, 8.0])
+def test_the_aberration_of_a_parabolic_lens_over_the_field(width):
+    """That of third order, of a stop at the lens: spherical aberration, coma, astigmatism and curvature of the field.
+
+    Fitted on a grid over the pupil: piston, tilt and defocus of each height, then the mean defocus.
+    """
+    camera = PlenopticCamera(detector_width=width, resolution=(256, 256))
+    a, b, g, f = camera.aperture_radius, camera.mla_distance, camera.focus_distance, camera.focal_length
+    x, y = np.meshgrid(*[np.linspace(-a, a, 401)] * 2)
+    x, y = x[x * x + y * y <= a * a], y[x * x + y * y <= a * a]
+    square, found = x * x + y * y, []
+    for slope in np.linspace(0, math.sqrt(2) * width * (1 - 1 / 256) / 2 / b, 5):
+        path = square**2 / 8 * (1 / g**3 + 1 / b**3) - square * x * slope / 2 * (1 / g**2 - 1 / b**2)
+        path += (x * slope) ** 2 / 2 / f + square * slope**2 / 4 / f
+        terms = np.stack([np.ones_like(x), x, y, square], axis=1)
+        fitted = np.linalg.lstsq(terms, path, rcond=None)[0]
+        found.append((path - terms @ fitted, fitted[3]))
+    mean = np.mean([defocus for _, defocus in found])
+    worst = max(np.ptp(path + (defocus - mean) * square) for path, defocus in found) / 633e-6
+    assert design.parabolic_aberration(camera, 633) == pytest.approx(worst, rel=0.03)
+
+
+def test_only_thin_lenses_are_parabolic():
+    for name in ("paper_double_gauss", "lfm", "shack_hartmann"):
+        assert design.parabolic_aberration(PlenopticCamera.preset(name), 550) == 0
+    assert design.parabolic_aberration(PlenopticCamera(mla_distance=70.0), 550) == 0

@@ -3,6 +3,8 @@
 Usage: ``python tools/make_examples.py [-o FOLDER]``; without a folder, the files in ``mitsuba_plenoptic/examples/`` are
 replaced. It takes about 20 s.
 
+The camera's `lens_model` is that of the scenes, ``ideal``, so that rays and waves differ by no aberrations.
+
 Radiances are rounded to 2^-14, as by a detector of 14 bits whose white is radiance 1, and depths to 2^-10 mm: far below
 the noise of the samples, and the files become half as large.
 """

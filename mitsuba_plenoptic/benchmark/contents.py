@@ -53,7 +53,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "mla_rotation": 5.0,
     },
 }
-"""Parameters of the cameras."""
+"""Parameters of the cameras. Their `lens_model` is ``ideal``: rays and waves differ by no aberrations."""
 
 HELD_OUT = ("square_other", "hexagonal_other")
 """Cameras that are not to be used in training."""
@@ -260,8 +260,7 @@ def model_of(name: str) -> str:
 
 def capture_of(sample: Sample, name: str) -> Capture:
     """Return a capture of a sample by its name, one of `CAPTURES`."""
-    about = sample.facts["captures"][name]
-    return Capture(sample.arrays[name], sample.camera, about["wavelength"], model_of(name), about["metadata"])
+    return sample.capture_called(name, model_of(name))
 
 
 def central_truth(sample: Sample) -> dict[str, np.ndarray]:

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter
 
 from ..camera import PlenopticCamera
 from ..dataset.generators import Illumination
+from ..runtime.backend import drjit_array
 
 NEAR, FAR = 222.0, 262.0
 """Distances in millimetres between which every camera of the benchmark resolves depth."""
@@ -65,7 +66,7 @@ class Frame:
             row, column = (np.indices(field.shape) + 0.5) / texels * lenses / period
             values = 0.5 + contrast / 2 * np.sign(np.sin(2 * math.pi * row) * np.sin(2 * math.pi * column))
         image = np.clip(values, 0.02, 0.95).astype(np.float32)[..., None]
-        texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(image)}
+        texture = {"type": "bitmap", "raw": True, "data": drjit_array(mi.TensorXf, image)}
         return {"type": "twosided", "surface": {"type": "diffuse", "reflectance": texture}}
 
     def card(

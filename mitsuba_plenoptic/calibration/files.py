@@ -61,6 +61,8 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         "weak_directions": [
             {"weakness": weakness, "numbers": parts} for weakness, parts in calibration.weak_directions()
         ],
+        "open_direction": calibration.open_direction,
+        "prediction_deviation_px": calibration.prediction_deviation,
         "pose_convention": _POSES,
         "poses": {str(frame): pose.tolist() for frame, pose in zip(seen.frames, seen.poses, strict=True)},
         "outlier_rows": (seen.outliers + 2).tolist(),

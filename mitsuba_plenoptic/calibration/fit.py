@@ -22,7 +22,7 @@ from .observations import (
     observations,
     require_on_detector,
 )
-from .result import Calibration, Evaluation, deviations, moved_solutions
+from .result import OPEN, REMEDY, Calibration, Evaluation, deviations, moved_solutions, prediction_deviation
 from .start import board_images, start_values, upright_poses
 
 # How often it is decided anew which rows are outliers.
@@ -39,9 +39,8 @@ _CORRELATED = 16
 # counted in shifted rows, too, but these have cells and types of lenses that it does not have.
 _MOST_UNLIKE = 1.1
 
-# Focal lengths whose deviation is a greater part of them are open: over such a range the model is not linear in them,
-# which a deviation supposes.
-_OPEN = 0.25
+# Pixels by which boards in other poses may deviate from where they are predicted.
+_UNPREDICTED = 1.0
 
 # How much farther from the centres of their micro-images than the pupil's image reaches corners may be seen, and how
 # much wider than the lenses' distance that image may be: the f-number need not be exact.
@@ -66,12 +65,14 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         Provides what the data do not determine: detector, lattice, f-number, focal lengths of the microlenses, models.
         All other parameters are found from the data alone.
     centres : Table, optional
-        Centres of micro-images, fitted jointly: without them pitch and focal length are strongly correlated.
+        Centres of micro-images, fitted jointly: without them pitch and focal length are strongly correlated, and the
+        centres are about where corners are seen.
 
     Raises
     ------
     InputError
-        If the data cannot determine a camera; the message says what they lack.
+        If the data cannot determine what a camera predicts; the message says what they lack. Parameters that
+        they leave open have wide deviations (`Calibration.open_direction`).
     """
     require_camera(start, "start").require_thin("cameras are calibrated")
     require_no_shape(start, "cameras are calibrated")
@@ -94,6 +95,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     if centres:
         used, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
         problem = _with_centres(problem, centres, used, index, weight)
+    else:
+        problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
     found, steps = adjust(problem, numbers, poses, weights=weights), 0
     for _ in range(_MOST_ROUNDS):
@@ -107,13 +110,13 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     weights = _weights(problem, found, frames)
     final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
     known = deviations(problem, final, weights)
-    f, uncertain = final.numbers[AT["focal_length"]], known.values[AT["focal_length"]]
+    elsewhere = prediction_deviation(problem, final, known.covariance)
     refuse_if(
-        not uncertain < _OPEN * abs(f),
-        f"corners: they leave the focal length open, {f:.4g} +- {uncertain:.2g} mm: give centres of micro-images, "
-        "or add poses in which the board is tilted by 20 degrees or more",
+        not elsewhere < _UNPREDICTED,
+        f"corners: they leave open where this camera sees boards in other poses, +- {elsewhere:.2g} pixels: {REMEDY}",
     )
-    _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])))
+    uncertain = known.values[AT["focal_length"]]
+    _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), uncertain)
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
     centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
@@ -140,6 +143,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         known.disagreement,
         known.by_frames,
         centre_outliers,
+        elsewhere,
     )
 
 
@@ -208,6 +212,9 @@ def cross_validate(
     errors = {}
     for out, frame in enumerate(frames):
         problem = _poses(whole, seen.pose != out)
+        if not centres:
+            kept = calibration.evaluation.residuals[seen.pose != out]
+            problem = _through_pupil(problem, kept, ~outlying(np.hypot(*kept.T)))
         weights = _weights(problem, Adjusted(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
         found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
         alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
@@ -231,6 +238,20 @@ def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: Len
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
+def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) -> Problem:
+    """Add to a problem without centres that corners are seen through the pupil, and thus about the centres.
+
+    Over the pupil's image, the rows of one corner spread evenly, and err together: each corner counts once. Pupil and
+    principal point are else so open that the camera's own micro-images may lie some lenses beside the corners.
+    """
+    seen = problem.corners.keep(used)
+    matrix = np.column_stack([np.ones(len(seen)), seen.lens])
+    spread = deviation(robust_lines(both_axes(matrix), seen.pixel)[1])
+    count = len(np.unique(np.column_stack([seen.pose, seen.board]), axis=0))
+    weight = max(deviation(np.hypot(*residuals[used].T)), 1e-3) / spread * np.sqrt(count / len(seen))
+    return replace(problem, centres=seen, centre_weight=float(weight))
+
+
 def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
     """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
 
@@ -251,7 +272,13 @@ def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.nd
 
 
 def _require_matching_pupil(
-    problem: Problem, found: Adjusted, weights: np.ndarray, start: PlenopticCamera, board: Board, pitch: float
+    problem: Problem,
+    found: Adjusted,
+    weights: np.ndarray,
+    start: PlenopticCamera,
+    board: Board,
+    pitch: float,
+    uncertain: float,
 ) -> None:
     """Refuse distances in the camera by which the pupil's images differ in size from the micro-images seen.
 
@@ -269,10 +296,11 @@ def _require_matching_pupil(
         wrong = f"micro-images are {pitch:.3g} pixels apart"
     else:
         return
+    others = f", or {REMEDY} (focal length {f:.3g} +- {uncertain:.2g} mm)" if uncertain > OPEN * f else ""
     raise InputError(
         f"corners: with squares of {board.square:g} mm and the camera's f-number of {start.f_number:.3g} micro-images "
         f"would have a radius of {radius:.3g} pixels, but {wrong}: check the distance of the board's corners and the "
-        "f-number"
+        f"f-number{others}"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ..camera import PlenopticCamera
@@ -13,6 +14,12 @@ from .adjustment import Adjusted, Problem, outlying
 from .blur import Blur
 from .model import NAMES, numbers_of, predict_centres
 from .observations import Board, LensIndex, Table, placed
+
+OPEN = 0.1
+"""Part of the focal length from which on its deviation leaves it open."""
+
+REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
+"""What determines an open focal length."""
 
 GROUPED_BY = {
     "lens": ("k", "l", "u", "v"),
@@ -99,6 +106,9 @@ class Calibration:
         Whether that is more than chance allows, so that the deviations are those of leaving out frames.
     centre_outliers : (m,) int array
         Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
+    prediction_deviation : float
+        RMS in pixels by which the parameters' errors displace corners of boards that are turned by 30 degrees from
+        those seen and whose poses are fitted.
     """
 
     camera: PlenopticCamera
@@ -113,6 +123,7 @@ class Calibration:
     disagreement: float = 1.0
     by_frames: bool = False
     centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    prediction_deviation: float = 0.0
 
     @property
     def centre_error(self) -> float | None:
@@ -120,6 +131,22 @@ class Calibration:
         if not len(self.centre_residuals):
             return None
         return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
+
+    @property
+    def open_direction(self) -> dict[str, float]:
+        """Changes of the parameters when the focal length changes by its deviation, if that exceeds a tenth of it.
+
+        Only the parameters that follow the focal length are named, those with a correlation beyond 0.5; empty where
+        the data determine it.
+        """
+        at = NAMES.index("focal_length")
+        if self.deviations["focal_length"] < OPEN * abs(self.numbers["focal_length"]):
+            return {}
+        return {
+            name: float(part) * self.deviations[name]
+            for name, part in zip(NAMES, self.correlation[at], strict=True)
+            if abs(part) > 0.5
+        }
 
     def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
         """Return the parameters that the data determine worst: combinations that can change together.
@@ -305,3 +332,27 @@ def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, cova
         poses = [-np.linalg.solve(head[:, :6], head[:, 6:-1] @ step) for head in heads]
         moved.append(Adjusted(found.numbers + step, found.poses + poses, found.cost, 0))
     return moved
+
+
+# How far boards are turned about their middle to find how well others than those seen are predicted, in radians.
+_TURNED = np.deg2rad(30) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+
+
+def prediction_deviation(problem: Problem, found: Adjusted, covariance: np.ndarray) -> float:
+    """Return the RMS in pixels by which parameters' errors displace corners of turned boards, the poses fitted."""
+    seen, count = problem.corners, len(NAMES)
+    middle = np.append((seen.board.min(0) + seen.board.max(0)) / 2, 0.0)
+    square, rows = 0.0, 0
+    for turn in _TURNED:
+        old = Rotation.from_rotvec(found.poses[:, :3])
+        new = Rotation.from_rotvec(turn) * old
+        place = found.poses[:, 3:] + old.apply(middle) - new.apply(middle)
+        poses = np.concatenate([new.as_rotvec(), place], axis=1)
+        # A corner within the focal length has no image.
+        imaged = np.isfinite(problem.residuals(found.numbers, poses)).all(1)
+        turned = replace(problem, corners=seen.keep(imaged), centres=None)
+        _, parts = turned.blocks(found.numbers, poses, np.ones(imaged.sum()), np.arange(count))
+        by_numbers = np.concatenate(parts)[:, :count]
+        square += float(((by_numbers @ covariance) * by_numbers).sum())
+        rows += int(imaged.sum())
+    return float(np.sqrt(square / rows)) if rows else np.inf

@@ -307,3 +307,14 @@ class CameraGeometry(CameraParameters):
             Object distance from the main lens in millimetres.
         """
         return self.lens_data.bin_size(self, distance)
+
+
+_SMALLEST = 20.0
+"""Pitch in wavelengths below which paraxial kernels do not hold."""
+
+_MM_PER_NM = 1e-6
+
+
+def has_small_lenses(camera: CameraGeometry, wavelength: float) -> bool:
+    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
+    return min(camera.mla_pitches) < _SMALLEST * wavelength * _MM_PER_NM

@@ -287,9 +287,9 @@ class CameraParameters:
         default="ideal",
         check=partial(require_choice, choices=LENS_MODELS),
         words=(
-            "How rays refract. ``ideal``: stigmatic thin lenses, like ``thinlens``. ``parabolic``: thin parabolic "
-            "phase elements, with the aberrations that belong to them: the geometric twin of the wave capture. Behind "
-            "lenses of fewer than 20 wavelengths, wave captures follow this choice up to the array."
+            "How a thin main lens refracts, by rays and by waves. ``ideal``: stigmatic, like ``thinlens``. "
+            "``parabolic``: as a thin parabolic phase, with its aberrations. By rays also how microlenses refract: "
+            "``ideal`` slopes, ``parabolic`` direction cosines; by waves they are thin phases under both names."
         ),
         form=Form.WORD,
         takes='{"ideal", "parabolic"}',

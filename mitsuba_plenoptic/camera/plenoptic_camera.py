@@ -409,3 +409,8 @@ def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
     if not isinstance(value, PlenopticCamera):
         raise InputError(f"{name} = {short_repr(value)}: it must be a PlenopticCamera")
     return value
+
+
+def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:
+    """Return whether two cameras differ in nothing but their `lens_model`, so that pixels and views correspond."""
+    return one == other or (other is not None and one == other.replace(lens_model=one.lens_model))

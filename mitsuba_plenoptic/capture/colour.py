@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..optics.spectrum import WAVELENGTHS, Responses, Spectrum, Table, interpolated
+from ..runtime.backend import drjit_array
 
 _STEP = 10.0
 """Step in nanometres between the wavelengths at which reflectances are computed."""
@@ -106,7 +107,7 @@ def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], lo
 
 def _srgb_responses(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the responses (3, n) per nanometre of red, green and blue."""
-    xyz = np.array(mi.cie1931_xyz(mi.Float(wavelengths)), np.float64)
+    xyz = np.array(mi.cie1931_xyz(drjit_array(mi.Float, wavelengths)), np.float64)
     matrix = np.array([np.ravel(mi.xyz_to_srgb(mi.ScalarColor3f(unit))) for unit in np.eye(3).tolist()], np.float64).T
     return np.asarray(matrix @ xyz * mi.MI_CIE_Y_NORMALIZATION)
 
@@ -117,7 +118,7 @@ SRGB = Responses(_srgb_responses, _LOW, _HIGH)
 
 def _d65(wavelengths: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the spectrum of D65, of luminance 1."""
-    return np.array(mi.cie_d65(mi.Float(wavelengths)), np.float64)
+    return np.array(mi.cie_d65(drjit_array(mi.Float, wavelengths)), np.float64)
 
 
 def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..lattice import Lattice
 from ..lenses.base import Entrance
+from ..runtime.backend import drjit_array
 from ..system.optical_system import OpticalSystem
 
 _MARGIN = 3
@@ -103,7 +104,7 @@ class Entrances:
         part = (front.front - front.pupil) / depth
 
         def value(column: NDArray[np.float64]) -> Any:
-            return dr.gather(mi.Float, mi.Float(np.ascontiguousarray(column, np.float32)), which)
+            return dr.gather(mi.Float, drjit_array(mi.Float, column), which)
 
         t = value(part)
         ends = [

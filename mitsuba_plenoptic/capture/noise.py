@@ -67,47 +67,56 @@ def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
     return np.concatenate([whole, np.maximum(spread, 0)], axis=-1)
 
 
-Image = NDArray[np.float32]
-
-
 class Mended:
     """An image whose negative values, which are due to noise, are compensated by the light around them.
 
-    Clipping them to zero would brighten dark regions, and the more so the fewer samples there are.
+    Clipping them to zero would brighten the image, and the more so the fewer samples there are. Squares of 2 x 2
+    pixels, squares of 2 x 2 of these, and so on up to the whole image keep their sums instead. A square whose sum is
+    below zero becomes black, and the other squares of the next larger one make up for it in proportion to their light.
+    The result therefore has the sum of the image, or is black where that is below zero.
     """
 
-    def __init__(self, image: Image, size: int) -> None:
+    def __init__(self, image: NDArray[Any]) -> None:
         # Zeros count as positive: black pixels may become brighter.
-        self._size, self._positive = size, image >= 0
-        self._light = np.maximum(image, 0)
-        self._around = self._blur(self._light)
-        lack = self._blur(self._light - image)
-        share = np.divide(lack, self._around, out=np.zeros_like(image), where=self._around > 0)
-        self._shares, self._share = (self._around > 0) & (share < 1), np.minimum(share, 1)
-
-    @property
-    def image(self) -> Image:
+        self._positive, self._light = image >= 0, np.maximum(image, 0)
+        self.image: NDArray[Any] = self._light
         """The image, nowhere below zero."""
-        return np.asarray(self._light * (1 - self._share), np.float32)
+        self._squares: Mended | None = None
+        if image.size > 1:
+            self._squares, self._sum = Mended(_sums(image)), _sums(self._light)
+            # The part of the light of each square that remains.
+            self._kept = np.divide(self._squares.image, self._sum, out=np.ones_like(self._sum), where=self._sum > 0)
+            self.image = (self._light * self._spread(self._kept)).astype(image.dtype)
 
-    def forward(self, change: Image) -> Image:
+    def forward(self, change: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the result for a change of the image."""
         light = np.where(self._positive, change, 0)
-        share = self._over_around(self._blur(light - change) - self._share * self._blur(light))
-        return np.asarray(light * (1 - self._share) - self._light * share, np.float32)
+        if self._squares is None:
+            return light
+        kept = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
+        return (light * self._spread(self._kept) + self._light * self._spread(kept)).astype(change.dtype)
 
-    def backward(self, gradient: Image) -> Image:
+    def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
         """Apply the transpose of `forward`."""
-        lack = -self._over_around(self._light * gradient)
-        light = gradient * (1 - self._share) + self._blur(lack * (1 - self._share))
-        return np.asarray(np.where(self._positive, light, 0) - self._blur(lack), np.float32)
+        if self._squares is None:
+            return np.where(self._positive, gradient, 0)
+        squares = self._over_sum(_sums(gradient * self._light))
+        light = gradient * self._spread(self._kept) - self._spread(self._kept * squares)
+        own = np.where(self._positive, light, 0) + self._spread(self._squares.backward(squares))
+        return own.astype(gradient.dtype)
 
-    def _over_around(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Divide by the light around, or return 0 where it does not suffice."""
-        return np.divide(values, self._around, out=np.zeros_like(values), where=self._shares)
+    def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Divide values of squares by their light, or return 0 where they have none."""
+        return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
-    def _blur(self, image: NDArray[Any]) -> Image:
-        """Return the means over square windows; with reflecting edges the operation is its own transpose."""
-        from scipy.ndimage import uniform_filter
+    def _spread(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the values of squares at their pixels."""
+        rows, columns = self._light.shape
+        return values.repeat(2, 0)[:rows].repeat(2, 1)[:, :columns]
 
-        return np.asarray(uniform_filter(image, self._size), np.float32)
+
+def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the sums over squares of 2 x 2 pixels; beyond odd edges there is nothing."""
+    whole = np.pad(image, [(0, size % 2) for size in image.shape])
+    rows = whole[::2].astype(np.float64) + whole[1::2]
+    return np.asarray(rows[:, ::2] + rows[:, 1::2])

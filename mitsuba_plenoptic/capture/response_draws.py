@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
+from ..runtime.backend import drjit_array
 from ..system.optical_system import RayPupil
 from ..system.photodiodes import NEAR, lens_centre
 from ..system.response_tables import PhotodiodeResponses, TableWindow
@@ -43,14 +44,14 @@ class Tables:
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
         self.camera, self.plans, self.count = camera, plans, plans[0].count
         self._packets = -(-(self.count**2) // 4)
-        self._index = [mi.Int(plan.table.nodes.ravel()) for plan in plans]
+        self._index = [drjit_array(mi.Int, plan.table.nodes) for plan in plans]
         self._near, self._far = (
             [self._packed(table) for table in part] for part in zip(*(p.table[1:3] for p in plans), strict=True)
         )
-        self._means = [[mi.Float(column) for column in plan.table.means.T] for plan in plans]
+        self._means = [[drjit_array(mi.Float, column) for column in plan.table.means.T] for plan in plans]
         # Lenses of the far window are drawn for the wavelength with the widest one.
         self._widest = widest = max(range(len(plans)), key=lambda number: plans[number].far.lenses)
-        self._drawn = mi.UInt32(_quantiles(plans[widest]).ravel())
+        self._drawn = drjit_array(mi.UInt32, _quantiles(plans[widest]))
 
     @property
     def margin(self) -> int:
@@ -61,7 +62,7 @@ class Tables:
         """Return a table (zones, nodes, y, x, photodiodes) in packets of four, and a node without response."""
         flat = table.reshape(-1, *table.shape[2:])
         flat = np.pad(flat, [(0, 1), (0, 0), (0, 0), (0, 4 * self._packets - self.count**2)])
-        return mi.UInt32(np.ascontiguousarray(flat).view(np.uint32).ravel())
+        return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
 
     def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
         """Return rays of lenses with the given lattice indices; those of both halves are independent."""

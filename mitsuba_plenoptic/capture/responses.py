@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
+from ..runtime.backend import drjit_array
 from ..runtime.batches import Box, Part, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.optical_system import RayPupil
@@ -182,8 +183,8 @@ class ResponseSum:
         """Return the light of the rays of some lenses, which identifies a scene and its camera."""
         columns, every = self._columns[1] - self._columns[0], int(self.items.sum())
         lens = np.linspace(0, every - 1, min(_PROBES, every)).astype(int)
-        index = mi.Int(lens % columns + self._columns[0]), mi.Int(lens // columns + self._rows[0])
-        rays = self._traced(index, mi.UInt32(lens), 0)
+        index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
+        rays = self._traced(tuple(drjit_array(mi.Int, part) for part in index), drjit_array(mi.UInt32, lens), 0)
         return np.stack([light.numpy() for light in rays.sums])
 
     def cost(self) -> tuple[float, float]:

@@ -344,7 +344,7 @@ def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[
 def _find(scene: str | Path) -> Path:
     """Return the file of a scene that is given by a path or a built-in name."""
     text = str(scene)
-    if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).exists():
+    if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).is_file():
         return scene_path(text)
     return require_file(scene)
 

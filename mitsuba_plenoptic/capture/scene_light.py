@@ -170,7 +170,11 @@ class Replay:
         except Exception as error:
             # Dr.Jit's loops wrap exceptions that are raised inside them.
             if _UNATTACHED in f"{error} {error.__cause__}":
-                raise InputError("scene: its light does not depend on the parameters with a gradient") from None
+                raise InputError(
+                    "scene: the light paths that are replayed have no derivative by the parameters with a gradient: "
+                    "wave captures have derivatives by radiance, textures and materials, none by positions of lamps; "
+                    "capture by rays with the integrator path, or take differences of captures"
+                ) from None
             raise
         # Evaluated so that gradients are accumulated before the next rays are traced.
         dr.eval(change)

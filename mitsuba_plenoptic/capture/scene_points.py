@@ -32,6 +32,7 @@ from ..operator.patch_plan import Cost
 from ..operator.pupil_weights import PupilWeights, slants
 from ..operator.units import radiance_weight
 from ..optics.spectrum import Spectrum
+from ..runtime.backend import drjit_array
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
 from ..system.optical_system import OpticalSystem
@@ -172,9 +173,10 @@ class _Finder:
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
         lens, radius = self.system.lens, self.system.lens.reach
-        P = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(mi.Float(s), mi.Float(t))) * radius
+        square = mi.Point2f(drjit_array(mi.Float, s), drjit_array(mi.Float, t))
+        P = mi.warp.square_to_uniform_disk_concentric(square) * radius
         i, j = self.window.index[cell].T
-        q = tuple(mi.Float(x) for x in self.window.place(i + u, j + v))
+        q = tuple(drjit_array(mi.Float, x) for x in self.window.place(i + u, j + v))
         point, slope, is_open = lens.ray((P.x, P.y), q)
         # Thin lenses return scalars for the starting plane and the mask; they are widened to one value per ray.
         point = point[0], point[1], point[2] + dr.zeros(mi.Float, len(numbers))
@@ -198,7 +200,7 @@ class _Finder:
         front = lens.entrance
         slant = slants(normals, positions - np.array([0, 0, front.pupil]), radius / front.magnification)
         if len(lit):
-            hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
+            hit = dr.gather(type(hit), hit, drjit_array(mi.UInt32, lit))
             bits = self._visible(hit, Entrances(front, P, positions, slopes), radius)
         return positions, radiance[lit], slant, bits, cell[lit], tried
 
@@ -221,7 +223,7 @@ class _Finder:
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
-        x, y = mi.Float(x * inward), mi.Float(y * inward)
+        x, y = drjit_array(mi.Float, x * inward), drjit_array(mi.Float, y * inward)
         count = len(entrances.pupil)
         lane = dr.arange(mi.UInt32, count * _CELLS**2)
         which, cell = lane // _CELLS**2, lane % _CELLS**2

@@ -316,10 +316,10 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
         own = focal * (kind.focal_length / camera.mla_focal_lengths[kind.lens_type])
         larger = dr.select(drawn.kind == index, kinds.enlargement(own, b, pitch), larger)
     # Back through the lens: a lens of the opposite focal length undoes the refraction.
-    before = (
-        rays.main_lens_slope(s, P, -f1) for s, P in zip(rays.slopes_to_cosines(*direction), drawn.pupil, strict=True)
-    )
-    slope = rays.cosines_to_slopes(*before)
+    is_ideal = camera.lens_model == "ideal"
+    turned = direction if is_ideal else rays.slopes_to_cosines(*direction)
+    before = [rays.main_lens_slope(s, P, -f1) for s, P in zip(turned, drawn.pupil, strict=True)]
+    slope = before if is_ideal else rays.cosines_to_slopes(*before)
     centres = tuple(
         offset + (q - m - held) * pitch
         for m, q, offset, held in zip(drawn.point, drawn.place, varying["mla_offset"], camera.mla_offset, strict=True)
@@ -334,12 +334,13 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
     cell = step * width / camera.detector_width
     landed = [(centre + t * (larger * z)) / cell for t, centre in zip(behind, centres, strict=True)]
     u, v = camera.lattice.to_frame(*aside)
-    square = slope[0] * slope[0] + slope[1] * slope[1]
+    # An ideal lens keeps ranges of slopes, a parabolic phase those of direction cosines.
+    square = 0.0 if is_ideal else slope[0] * slope[0] + slope[1] * slope[1]
     grid = 2 * dr.log(width)
     return Held(
         (u, v),
         (landed[0], landed[1]),
-        2 * dr.log(z) + 2 * dr.log(1 + square) - 2 * dr.log(pitch) - grid,
+        2 * dr.log(z) + 2 * dr.log(mi.Float(1) + square) - 2 * dr.log(pitch) - grid,
         2 * dr.log(z / b) - grid,
         cosines,
     )

@@ -13,7 +13,6 @@ mixing of a ray's values into channels by the nodes is linear as well, and is tr
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +28,6 @@ from ..camera import PlenopticCamera
 from ..camera.vector import Values
 from ..io.checkpoints import digest
 from ..operator.patch_plan import Cost
-from ..optics.waves import in_millimetres
 from ..runtime.jobs import Job, SumTask
 from ..system.phase_space import FINE, parts_of
 from .control_variate import halves
@@ -44,9 +42,6 @@ Sum = TypeVar("Sum", bound=SignedRaySum)
 
 _SAMPLES = 4
 """Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less well."""
-
-_SPOTS = 1.5
-"""Distance, in diffraction spots of a microlens, within which noise below zero is compensated."""
 
 
 @dataclass(frozen=True)
@@ -134,11 +129,8 @@ class SignedCapture:
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
         """Return the channels of an image that only noise can make negative, with negative values compensated."""
-        extent = in_millimetres(max(node.plan.wavelength for node in self.nodes)) * self.camera.reduced_distance
-        spot = extent / float(self.camera.lattice.aperture_width) / self.camera.pixel_size
-        size = 2 * math.ceil(_SPOTS * spot) + 1
         channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()
-        return {channel: Mended(image[..., channel], size) for channel in channels}
+        return {channel: Mended(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
         """Estimate the cost of `compute` from some of the rays."""

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from ..system.optical_system import OpticalSystem
 from ..system.phase_space import FINE, PhaseSpace, plan_of
 
@@ -75,7 +76,7 @@ class DrawnWavelengths:
         density = (density / density.sum(1, keepdims=True)).sum(0)
         upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
         self.edges: NDArray[np.float64] = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
-        self._edges = mi.Float(self.edges)
+        self._edges = drjit_array(mi.Float, self.edges)
 
     def draw(self, chance: Any, span: tuple[float, float]) -> Lanes:
         """Draw the wavelengths of rays of the active variant from a range of the strata, by random numbers."""
@@ -124,7 +125,7 @@ class Node:
             return used, [[dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, used].tolist()]
         made = []
         for row in self.weights:
-            table = mi.Float(row)
+            table = drjit_array(mi.Float, row)
             made.append(
                 [
                     weight * dr.lerp(*(dr.gather(mi.Float, table, index + end) for end in (0, 1)), part)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds, chief_ray_shift
 from ..system.optical_system import RayPupil
@@ -258,7 +259,8 @@ class Draws:
         energy = 1 - j0(v) ** 2 - j1(v) ** 2
         radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
         wavelength = in_millimetres(self._longest.wavelength)
-        return mi.Float(radius * wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius))
+        unit = wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius)
+        return drjit_array(mi.Float, radius * unit)
 
 
 def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
@@ -282,9 +284,9 @@ class LensPoints:
         self._nodes = TableNodes(plan)
         rows, columns = _edges(plan)
         first = np.cumsum([0] + [len(part) for part in plan.table])[:-1]
-        self._first = mi.UInt32(first.astype(np.uint32))
+        self._first = drjit_array(mi.UInt32, first)
         self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]
-        self._rows, self._columns = mi.Float(rows), mi.Float(columns)
+        self._rows, self._columns = (drjit_array(mi.Float, part) for part in (rows, columns))
 
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
         """Return points, and the reciprocals of their density over the aperture, for rays to points of the pupil."""

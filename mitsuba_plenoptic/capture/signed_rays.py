@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
 from ..optics.rays import angular_response, transmittance
+from ..runtime.backend import drjit_array
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.array_kernels import REACH
@@ -207,7 +208,8 @@ class SignedRaySum:
             convolutions, felt = iter(self._convolutions), []
             for node in self._nodes:
                 images = [next(convolutions).adjoint(gradient[channel], bins) for channel in node.channels]
-                felt.append([mi.Float(np.concatenate([part.ravel() for part in image])) for image in images])
+                flat = [np.concatenate([part.ravel() for part in image]) for image in images]
+                felt.append([drjit_array(mi.Float, each) for each in flat])
             seeds = np.random.SeedSequence([self._seed, number])
             for lot in self._lots(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds):
                 yield lot, felt
@@ -258,7 +260,7 @@ class SignedRaySum:
     def _some(self, count: int) -> Any:
         """Return the indices of `count` cells, evenly spaced over all."""
         every = self._bins.rows * self._bins.columns
-        return mi.UInt32(np.linspace(0, every - 1, min(count, every)).astype(np.uint32))
+        return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
 
     def _timed(self, cells: Any, seed: int) -> float:
         """Time the rays of cells; return the seconds per cell."""

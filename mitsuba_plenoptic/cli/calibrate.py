@@ -237,6 +237,13 @@ def _calibrate(
     for weakness, parts in found.weak_directions():
         terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
         typer.echo(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
+    if moved := found.open_direction:
+        terms = ", ".join(f"{name} {change:+.2g}" for name, change in moved.items() if name != "focal_length")
+        typer.echo(
+            f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
+            f"{calibration.result.REMEDY}"
+        )
+    typer.echo(f"boards in other poses are predicted to {found.prediction_deviation:.2g} px")
     if found.by_frames:
         typer.echo(
             f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "

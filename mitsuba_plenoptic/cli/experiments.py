@@ -52,9 +52,8 @@ def compare(
     """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
     Writes figures, captures and reconstructions, all results and report.html,
-    which shows them in a browser. The ray capture has parabolic lenses, so that
-    diffraction is its only difference from the wave capture. A run that was
-    stopped resumes where it was.
+    which shows them in a browser. Both captures have the same main lens, which
+    the scene's lens_model states. A run that was stopped resumes where it was.
 
     [bold]Examples:[/bold]
 

@@ -312,7 +312,7 @@ def require_in_use(scene: str, parameters: dict[str, str]) -> None:
 
     The position of the camera and its sampler remain those of the scene.
     """
-    roots, used = _scene_roots(scene, parameters), set()
+    roots, used = scene_roots(scene, parameters), set()
 
     def visit(element: Element, of_camera: bool) -> None:
         replaced = element.tag == "sensor" or (of_camera and element.tag not in _OWN)
@@ -332,9 +332,9 @@ def require_in_use(scene: str, parameters: dict[str, str]) -> None:
             raise InputError(f"-D {name}: it is of the scene's own camera, which another one replaces; leave it out")
 
 
-def _scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
+def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    return check_scene_file(Path(scene) if Path(scene).exists() else scene_path(scene), parameters)
+    return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
 
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
@@ -342,7 +342,7 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
-    roots = _scene_roots(scene, parameters)
+    roots = scene_roots(scene, parameters)
     formats: list[str] = []
     for film in [each for root in roots for each in root.iter("film")] or [Element("film", type="hdrfilm")]:
         named = [each.get("value", "") for each in film.iter("string") if each.get("name") == "pixel_format"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,11 +11,14 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, refuse_if, short_repr
-from ..io.files import files_used
+from ..io.files import files_used, read_yaml
+from ..io.versions import VERSION, is_of_1_0
 from . import mistake, step_commands
-from .inputs import parse_definitions
+from .inputs import parse_definitions, scene_roots
 from .run_file import RunStep, parameters_of, read_run_file
 from .stopping import within_run
+
+_log = logging.getLogger(__name__)
 
 
 def run(
@@ -45,12 +49,20 @@ def run(
     log = StepLog(file.absolute().with_suffix(".steps.json"))
     with contextlib.chdir(file.parent), within_run():
         # All are parsed before the first is run, which may take long.
-        contexts = []
+        contexts, by_waves = [], False
         for number, step in enumerate(steps, 1):
             with _naming_step(file, number, step, parameters[step.command]):
                 words = step.command_line(parameters[step.command])
                 contexts.append(commands[step.command].make_context(step.command, words))
+                by_waves |= _is_by_waves(contexts[-1])
         _require_outputs_apart(file, steps)
+        if by_waves and is_of_1_0(read_yaml(file.name)):
+            _log.info(
+                "%s: it states no version, as those of version 1.0 and earlier: waves refracted at a thin main lens as "
+                "lens_model parabolic then, and follow the camera's lens_model now; the line version: %s ends this",
+                file,
+                VERSION,
+            )
         for number, (step, context) in enumerate(zip(steps, contexts, strict=True), 1):
             label = f"step {number} of {len(steps)}, {step.command}"
             with _naming_step(file, number, step, parameters[step.command]):
@@ -62,6 +74,20 @@ def run(
                 with context, files_used() as used:
                     commands[step.command].invoke(context)
                 log.note(settings, used)
+
+
+_LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "method"}
+"""Options that choose rays or waves, by the command."""
+
+
+def _is_by_waves(context: Any) -> bool:
+    """Return whether a step, as it is parsed, is by waves, or one whose recipe may be."""
+    name = context.info_name
+    chosen = context.params[_LIGHT[name]] if name in _LIGHT else "wave" if name == "dataset" else "ray"
+    if chosen is None:
+        roots = scene_roots(context.params["scene"], parse_definitions(context.params["define"]))
+        return any(each.get("type", "").startswith("plenoptic_") for root in roots for each in root.iter("integrator"))
+    return chosen != "ray"
 
 
 @contextlib.contextmanager

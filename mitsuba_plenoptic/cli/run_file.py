@@ -16,6 +16,7 @@ import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
 from ..io.files import parse_yaml, read_yaml, require_writable, write_text
+from ..io.versions import KEY, VERSION
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 """Words that YAML reads as they are, in lists, too."""
@@ -95,7 +96,7 @@ def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
         not isinstance(content, dict) or not isinstance(content.get("steps"), list) or not content["steps"],
         "a run file must have 'steps', a list of commands with their options",
     )
-    require_known("", content, ("shared", "steps"))
+    require_known("", content, (KEY, "shared", "steps"))
     shared = content.get("shared") or {}
     refuse_if(not isinstance(shared, dict), f"shared = {short_repr(shared)}: it must be options by name")
     steps = []
@@ -157,22 +158,26 @@ def _step_of(context: Any, folder: Path) -> RunStep:
             continue
         value = context.params[parameter.name]
         if parameter.nargs != 1 or getattr(parameter, "multiple", False):
-            options[name] = [_seen_from(folder, one) for one in value]
+            options[name] = [_seen_from(folder, name, one) for one in value]
         else:
-            options[name] = value if isinstance(value, bool) else _seen_from(folder, value)
+            options[name] = value if isinstance(value, bool) else _seen_from(folder, name, value)
     return RunStep(context.command.name, options)
 
 
-def _seen_from(folder: Path, value: Any) -> str:
-    """Return a value as a word; a file's path relative to the folder, where it is not absolute."""
+_FILES_OR_NAMES = {"scene", "camera", "source"}
+"""Options whose text is the path of a file or the name of something built in; other texts name no files."""
+
+
+def _seen_from(folder: Path, name: str, value: Any) -> str:
+    """Return an option's value as a word; a file's path relative to the folder, where it is not absolute."""
     word = _word("", value)
-    named = isinstance(value, Path) or (isinstance(value, str) and Path(value).exists())
+    named = isinstance(value, Path) or (name in _FILES_OR_NAMES and Path(word).is_file())
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word
 
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
-    before = path.read_text(encoding="utf-8") if path.exists() else "steps:\n"
+    before = path.read_text(encoding="utf-8") if path.exists() else f"{KEY}: {VERSION}\nsteps:\n"
     steps = read_run_file(path, commands) if path.exists() else []
     if _commands_of([step], commands)[0] in _commands_of(steps, commands):
         return

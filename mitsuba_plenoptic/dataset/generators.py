@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 from ..camera import PlenopticCamera
 from ..design import depth_ranges
 from ..errors import refuse_if, require_count, require_number, short_repr
+from ..runtime.backend import drjit_array
 
 _TEXELS = (64, 512)
 """Texels along an edge, at least and at most."""
@@ -50,7 +51,7 @@ def random_diffuse(random: np.random.Generator, plain: float, width: float) -> d
         pattern = np.full(field.shape, level)
     pattern = np.clip(pattern, _DARKEST, _BRIGHTEST).astype(np.float32)[..., None]
     coloured = colours[0] + pattern * (colours[1] - colours[0]) if mi.is_rgb else pattern
-    texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(coloured)}
+    texture = {"type": "bitmap", "raw": True, "data": drjit_array(mi.TensorXf, coloured)}
     return {"type": "twosided", "surface": {"type": "diffuse", "reflectance": texture}}
 
 

@@ -16,6 +16,7 @@ from ..lightfield.ground_truth import FirstHits
 from ..onchip.disparity import blur_radius
 from ..onchip.halves import dual_pixel, photodiode_names, photodiodes
 from ..plugins.other_camera import with_camera
+from ..runtime.backend import drjit_array
 from ..system.lens_kinds import chief_ray_shift
 
 _STOPPED = 32.0
@@ -41,7 +42,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     sensor = plenoptic_sensor(scene)
     camera = PlenopticCamera.from_sensor(sensor)
     rows, columns = (count // ACROSS for count in camera.shape)
-    x, y = (mi.Float(values.ravel()) for values in _lens_centres(camera))
+    x, y = (drjit_array(mi.Float, values) for values in _lens_centres(camera))
     hits = FirstHits(scene, sensor, ["depth"])
 
     def of_lenses(index: Any) -> tuple[Any, Any]:

@@ -316,6 +316,9 @@ def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...],
 
 _SCALES = ("linear", "log")
 
+_WIDEST = 2.0**53
+"""Steps of a range, at most: as many as numbers have."""
+
 
 def generator(seed: int, index: int, name: str) -> np.random.Generator:
     """Return the random numbers of one name in one sample."""
@@ -377,6 +380,10 @@ def parse(name: str, value: Any) -> Any:
     step = require_number(f"{name}: step", value["step"], positive=True) if "step" in value else None
     if log and step is not None:
         raise InputError(f"{name}: step = {step:g}: it is of no use on a scale of logarithms")
+    refuse_if(
+        not high - low < (math.inf if step is None else _WIDEST * step),
+        f"{name}: from = {low:g}, to = {high:g}: a range must be finite and have at most {_WIDEST:.0e} steps",
+    )
     return Between(low, high, log, step)
 
 

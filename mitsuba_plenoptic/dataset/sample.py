@@ -13,6 +13,7 @@ from ..capture.scene import load_scene
 from ..detector import expose
 from ..io.captures import Capture
 from ..io.ground_truth import GroundTruth
+from ..io.versions import camera_of_waves, is_of_1_0, stamped
 from ..lightfield import ground_truth
 from ..plugins.other_camera import with_camera
 from .photodiodes import pictures_of, truth_of_lenses
@@ -39,8 +40,8 @@ class Sample:
         as ``views_depth`` (v, u, t, s[, 3]), as `GroundTruth` has them. With `photodiodes` also their pictures, such as
         ``ray_left``, and of each lens ``sharp``, ``lens_depth`` and ``blur_radius``.
     facts : dict
-        Plain JSON values: ``camera``, ``to_world``, ``shapes``, ``scene``, ``draws``, and in ``captures`` the metadata
-        and the wavelength of each.
+        Plain JSON values: ``version``, ``camera``, ``to_world``, ``shapes``, ``scene``, ``draws``, and in ``captures``
+        the metadata and the wavelength of each.
     """
 
     index: int
@@ -62,10 +63,14 @@ class Sample:
         exposed : bool
             Whether with the noise of a detector.
         """
-        about = self.facts["captures"][model + EXPOSED * exposed]
-        return Capture(
-            self.arrays[model + EXPOSED * exposed], self.camera, about["wavelength"], model, about["metadata"]
-        )
+        return self.capture_called(model + EXPOSED * exposed, model)
+
+    def capture_called(self, name: str, model: str) -> Capture:
+        """Return the capture of a name; by waves of version 1.0 or earlier, with the lens model that these had."""
+        about, camera = self.facts["captures"][name], self.camera
+        if model == "wave" and is_of_1_0(self.facts):
+            camera = camera_of_waves(camera, about["wavelength"], about["metadata"])
+        return Capture(self.arrays[name], camera, about["wavelength"], model, about["metadata"])
 
     @property
     def truth(self) -> GroundTruth:
@@ -140,4 +145,4 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     if truth:
         facts |= {"shapes": list(truth.shapes), "to_world": truth.to_world.tolist()}
         arrays |= truth.pixels | {VIEWS + name: array for name, array in truth.views.items()}
-    return Sample(index, arrays, facts)
+    return Sample(index, arrays, stamped(facts))

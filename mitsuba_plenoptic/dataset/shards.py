@@ -23,8 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
+from ..io.captures import MODELS
 from ..io.checkpoints import digest, flattened
 from ..io.files import atomic_output, h5py_module, read_text, require_file, stored_array
+from ..io.versions import KEY, is_of_1_0, stamped
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import require_memory, software
 from .recipe import Recipe
@@ -79,7 +81,7 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
         if source.scene
     }
     facts = {"recipe": dict(recipe.content), "files": scenes, "software": software()}
-    return dict(json.loads(json.dumps(facts)))
+    return dict(json.loads(json.dumps(stamped(facts))))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -131,9 +133,11 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
         before, now = flattened(found), flattened(facts)
-        for name in sorted(set(now) | {key for key in before if key.partition(".")[0] in facts}):
+        names = {*now, *(key for key in before if key.partition(".")[0] in facts)}
+        # Another version comes with other scenes and software.
+        for name in [KEY, *sorted(names - {KEY})]:
             if before.get(name) != now.get(name) and name != _GROWING:
-                kind = "made by other software" if name.startswith("software.") else "of another recipe"
+                kind = "made by other software" if name.startswith(("software.", KEY)) else "of another recipe"
                 raise InputError(
                     f"{folder}: it holds samples {kind}: {name} was {short_repr(before.get(name))}, is "
                     f"{short_repr(now.get(name))}; choose another folder"
@@ -262,6 +266,18 @@ def whole_samples(path: Path) -> set[int]:
     return found
 
 
+def _remark(folder: Path, manifest: dict[str, Any]) -> None:
+    """Say of a data set of version 1.0 or earlier how its wave captures are read."""
+    recipe = manifest.get("recipe")
+    models = recipe.get("models", MODELS) if isinstance(recipe, dict) else ()
+    if is_of_1_0(manifest) and "wave" in models:
+        _log.info(
+            "%s: a data set of version 1.0 or earlier: the lens_model of its wave captures is read as parabolic, "
+            "unless they have a main_lens or lenses of fewer than 20 wavelengths",
+            folder,
+        )
+
+
 class DataSet:
     """A data set in its folder: ``dataset[17]`` is a `Sample`.
 
@@ -287,6 +303,7 @@ class DataSet:
         self._layout = Layout(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
+        _remark(self.folder, self.manifest)
         for index in range(self._layout.shards):
             refuse_if(
                 not self._layout.shard(index).is_file(),

@@ -1,12 +1,14 @@
 """Quantities that follow from a camera's parameters: functions of a `PlenopticCamera`.
 
 `focus` has the planes in focus and the resolution at each distance; `micro_images` the size of micro-images, with and
-without diffraction, and the lenses that light a pixel; `deconvolution` the resolution that can be reached by inverting
-the camera's response; `microscope` quantities of cameras with objectives.
+without diffraction, and the lenses that light a pixel; `aberration` that of thin main lenses that are parabolic phases;
+`deconvolution` the resolution that can be reached by inverting the camera's response; `microscope` quantities of
+cameras with objectives.
 
 Wavelengths are in nanometres. Where a wavelength is optional, diffraction is neglected without it.
 """
 
+from .aberration import parabolic_aberration
 from .deconvolution import ResolutionLimit, resolution_limit
 from .focus import (
     EffectiveResolution,
@@ -67,6 +69,7 @@ __all__ = [
     "mla_object_distances",
     "native_field",
     "objective_limit",
+    "parabolic_aberration",
     "parallax",
     "pixel_footprint",
     "refocus_range",

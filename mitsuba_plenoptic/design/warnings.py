@@ -6,6 +6,7 @@ import math
 
 from ..camera import PlenopticCamera
 from ..collimator import Collimator
+from .aberration import parabolic_aberration
 from .focus import best_distances, best_images, focus_type, lenses_across
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 from .microscope import microscope_warnings
@@ -15,6 +16,10 @@ _SMALLEST_PIXEL = 2e-4
 
 _DUAL = 0.01
 """Largest relative deviation from two pixels across the lenses of dual and quad pixels."""
+
+
+_RAYLEIGH = 0.25
+"""Aberration in waves that is hardly seen, by Rayleigh's criterion."""
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
@@ -68,6 +73,12 @@ def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) ->
         fresnel = mla_fresnel_number(camera, wavelength)
         if fresnel < 1:
             found.append(f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}")
+        aberration = parabolic_aberration(camera, wavelength) if camera.lens_model == "parabolic" else 0
+        if aberration > _RAYLEIGH:
+            found.append(
+                f"lens_model parabolic: the main lens aberrates light by {aberration:.2g} waves over the field; ideal "
+                "is without aberrations, and a smaller aperture_radius or detector_width lessens them"
+            )
     return found
 
 

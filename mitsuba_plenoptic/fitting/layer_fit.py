@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError, argument, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ..io.captures import MODELS, Capture
-from ..runtime.backend import one_at_a_time
+from ..runtime.backend import drjit_array, one_at_a_time
 from .layers import Layers
 
 
@@ -86,7 +86,8 @@ def fit_layers(
     planes = scene.integrator()
     integrators = [_through(planes, capture, kind) for capture, kind in zip(captures, chosen, strict=True)]
     images = [capture.image.reshape(*capture.camera.shape, -1) for capture in captures]
-    optimizer = mi.ad.Adam(lr=rate, params={f"{index}": mi.TensorXf(each) for index, each in enumerate(start.texels)})
+    variables = {f"{index}": drjit_array(mi.TensorXf, each) for index, each in enumerate(start.texels)}
+    optimizer = mi.ad.Adam(lr=rate, params=variables)
     random = np.random.default_rng(seed)
     most = np.append(np.full(start.radiance.shape[-1], np.inf, np.float32), np.float32(1))
     for done in range(rounds):
@@ -99,11 +100,11 @@ def fit_layers(
                 made = np.array(integrators[index].render(scene, sensors[index], seed=seeds[0], spp=spp))
             difference = made - images[index]
             total += float(np.mean(np.square(difference))) / len(captures)
-            slope = mi.TensorXf(2 * difference / difference.size)
+            slope = drjit_array(mi.TensorXf, 2 * difference / difference.size)
             integrators[index].render_backward(scene, None, slope, sensors[index], seed=seeds[1], spp=spp)
             optimizer.step()
             for name, value in list(optimizer.items()):
-                optimizer[name] = mi.TensorXf(np.clip(np.array(value), 0, most))
+                optimizer[name] = drjit_array(mi.TensorXf, np.clip(np.array(value), 0, most))
         if progress:
             progress(done + 1, total**0.5)
     texels = np.stack([np.array(value) for value in optimizer.values()])

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_number
+from ..runtime.backend import drjit_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,8 @@ def make_class() -> type:
         def __init__(self, layers: Layers) -> None:
             super().__init__(mi.Properties())
             self._planes = list(zip(layers.depths, layers.widths, strict=True))
-            self._textures = [mi.Texture2f(mi.TensorXf(each), wrap_mode=dr.WrapMode.Clamp) for each in layers.texels]
+            texels = [drjit_array(mi.TensorXf, each) for each in layers.texels]
+            self._textures = [mi.Texture2f(each, wrap_mode=dr.WrapMode.Clamp) for each in texels]
 
         def set_texels(self, values: list[Any]) -> None:
             """Replace the texels of each plane, tensors as in `Layers.texels`, by which there are derivatives."""

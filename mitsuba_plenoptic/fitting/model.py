@@ -25,7 +25,7 @@ from ..operator.operator import CaptureOperator
 from ..operator.pupil_weights import PupilWeights
 from ..operator.units import brightness_at
 from ..optics import rays
-from ..runtime.backend import array_module, one_at_a_time
+from ..runtime.backend import array_module, drjit_array, one_at_a_time
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory, check_positions
 from .light import View
@@ -148,7 +148,7 @@ class PointRays:
         Shapes: `weights` (n,).
         """
         camera, lens = system.camera, system.waves_of(self._points)
-        image = array_module().Float64(np.zeros(math.prod(camera.shape)))
+        image = dr.zeros(array_module().Float64, math.prod(camera.shape))
         for across in np.unique(self._across).tolist():
             which = np.flatnonzero(self._across == across)
             together = max(1, _TOGETHER // across**2)
@@ -202,7 +202,7 @@ class _Bundles:
         within = index - which * (side * side)
 
         def value(numbers: NDArray[np.float64]) -> Any:
-            return dr.gather(Float64, Float64(np.ascontiguousarray(numbers)), which)
+            return dr.gather(Float64, drjit_array(Float64, numbers), which)
 
         # One pixel beyond the edge on either side.
         radius = self._number(self.lens.pupil_radius)
@@ -213,7 +213,7 @@ class _Bundles:
         if self.weights is not None:
             power *= Float64(self.weights.at(which, pupil[0], pupil[1], radius, step)[0])
         whole = dr.block_sum(power, side * side)
-        power *= dr.gather(Float64, Float64(factors) / dr.select(whole > 0, whole, 1), which)
+        power *= dr.gather(Float64, drjit_array(Float64, factors) / dr.select(whole > 0, whole, 1), which)
         position = light.land(pupil, point)
         scales = _scales(self.camera, self.lens, self.points)
         on_array, on_detector = (value(abs(scale)) * step for scale in scales)

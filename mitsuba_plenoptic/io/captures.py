@@ -7,7 +7,9 @@ the numbers and skip it.
 
 from __future__ import annotations
 
+import functools
 import json
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from ..camera import PlenopticCamera, require_camera
+from ..camera import PlenopticCamera, are_alike, require_camera
 from ..errors import (
     NO_ARRAY,
     NO_RECORD,
@@ -39,8 +41,11 @@ from ..runtime.limits import require_memory
 from ..runtime.notebook import Displayed, report_module
 from .exr import read_exr, write_exr
 from .files import atomic_output, require_file, require_writable
+from .versions import camera_of_waves, is_of_1_0, stamped
 
 MODELS = ("ray", "wave")
+
+_log = logging.getLogger(__name__)
 
 _MOST_SATURATED = 0.01
 
@@ -190,17 +195,17 @@ def recording_of(capture: Capture) -> dict[str, Any]:
 
 
 def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
-    """Refuse a white capture by another camera than a capture's, or with many saturated pixels."""
+    """Refuse a white capture by another camera than a capture's, `lens_model` aside, or with many saturated pixels."""
     saturated = recording_of(white).get("saturated_pixels", 0)
     pixels = math.prod(white.camera.shape)
     refuse_if(
         isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
         f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
     )
-    if not cameras or white.camera in cameras:
+    if not cameras or any(are_alike(white.camera, camera) for camera in cameras):
         return
     theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
-    name = next(name for name in {**ours, **theirs} if theirs.get(name) != ours.get(name))
+    name = next(name for name in {**ours, **theirs} if name != "lens_model" and theirs.get(name) != ours.get(name))
     raise InputError(
         f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
         f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
@@ -212,8 +217,8 @@ def write_capture(path: str | Path, capture: Capture) -> None:
 
     The noise, if it has any, is a layer of the same file: noise.Y, or noise.R, noise.G and noise.B.
 
-    The header attribute ``mitsuba_plenoptic`` is a JSON object with ``camera``, ``wavelength``, ``model`` and
-    ``metadata``. Any EXR viewer shows the image. An existing file is replaced only by a complete one.
+    The header attribute ``mitsuba_plenoptic`` is a JSON object with ``camera``, ``wavelength``, ``model``,
+    ``metadata`` and ``version``. Any EXR viewer shows the image. An existing file is replaced only by a complete one.
 
     Parameters
     ----------
@@ -248,9 +253,11 @@ def _record(capture: Capture, kind: str) -> dict[str, Any]:
     }
 
 
-def _capture_of(record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None) -> Capture:
+def _capture_of(
+    path: str | Path, record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None
+) -> Capture:
     """Make a capture of its pixels and all else about it."""
-    return Capture(
+    found = Capture(
         image,
         PlenopticCamera.from_dict(record["camera"]),
         record.get("wavelength"),
@@ -258,10 +265,27 @@ def _capture_of(record: dict[str, Any], image: np.ndarray, noise: np.ndarray | N
         record.get("metadata", {}),
         noise,
     )
+    if found.model == "ray" or not is_of_1_0(record):
+        return found
+    camera = camera_of_waves(found.camera, found.wavelength, found.metadata)
+    if camera == found.camera:
+        return found
+    _remark(path, camera.lens_model)
+    return replace(found, camera=camera)
+
+
+# Some commands read a capture twice.
+@functools.cache
+def _remark(path: str | Path, lens_model: str) -> None:
+    """Say once that a wave capture is read as its waves were."""
+    _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
 def read_capture(path: str | Path) -> Capture:
     """Read a capture that `write_capture` wrote.
+
+    A wave capture of version 1.0 or earlier gets the ``lens_model`` that its waves had: ``parabolic`` behind a thin
+    main lens and lenses of at least 20 wavelengths, with a remark in the log.
 
     Parameters
     ----------
@@ -286,7 +310,7 @@ def read_capture(path: str | Path) -> Capture:
             attributes.get("kind") != "capture", f"it holds a {short_repr(attributes.get('kind'))}, not a capture"
         )
         refuse_if(not isinstance(attributes.get("camera"), dict), "its header has no camera")
-        return _capture_of(attributes, image, noise)
+        return _capture_of(path, attributes, image, noise)
 
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
@@ -315,7 +339,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     """
     path = require_writable(path, *RAW_SUFFIXES)
     numbers = digital_numbers(capture)
-    text = json.dumps({_KEY: _record(capture, "raw")})
+    text = json.dumps({_KEY: stamped(_record(capture, "raw"))})
     if path.suffix.lower() == ".png":
         refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
@@ -349,7 +373,7 @@ def read_raw(path: str | Path) -> Capture:
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     with naming(path):
-        return _capture_of(about, _values(numbers, about["metadata"]["exposure"]))
+        return _capture_of(path, about, _values(numbers, about["metadata"]["exposure"]))
 
 
 def states_detector(path: str | Path) -> bool:

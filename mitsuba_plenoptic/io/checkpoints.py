@@ -28,6 +28,7 @@ from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
 from ..runtime.limits import require_memory, software
 from .files import atomic_output, remove_leftovers
+from .versions import KEY, VERSION, stamped
 
 FORMAT = 2
 SUFFIX = ".checkpoint"
@@ -234,7 +235,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
 
 def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arrays: dict[str, Any]) -> None:
     with path.open("wb") as file:
-        np.savez(file, header=json.dumps({"format": FORMAT, "run": run, **header}), **arrays)
+        np.savez(file, header=json.dumps(stamped({"format": FORMAT, "run": run, **header})), **arrays)
         file.flush()
         # On the disk before it replaces the one of before.
         os.fsync(file.fileno())
@@ -251,7 +252,10 @@ def _read(
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
-            differences = _differences({"format": header["format"], **header["run"]}, {"format": FORMAT, **run})
+            # Those of version 1.0 and earlier state none.
+            version = {KEY: header[KEY]} if KEY in header else {}
+            there = {"format": header["format"], **version, **header["run"]}
+            differences = _differences(there, {"format": FORMAT, KEY: VERSION, **run})
             if not differences:
                 return take(archive, header)
     except Exception as error:

@@ -79,6 +79,10 @@ def _commands(path: Path, text: str) -> list[Line]:
     return found
 
 
+_ONCE = {"DIM", "RDM", "WL", "REF"}
+"""Commands of the whole lens, of which a second one would silently replace the first."""
+
+
 class _CodevReader:
     """The lens of a file, as far as its commands have been read."""
 
@@ -92,7 +96,8 @@ class _CodevReader:
         self.stop: Line | None = None
         self.surfaces: list[DesignSurface] = []
         self.ended = False
-        # What has been given of a surface once.
+        # What has been given of the file, and of a surface, once.
+        self.given: set[str] = set()
         self.taken: set[str] = set()
         # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
         self.solved: dict[int, Line] = {}
@@ -102,6 +107,9 @@ class _CodevReader:
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return
+        if keyword in _ONCE:
+            line.refuse_if(keyword in self.given, f"{keyword} is given twice")
+            self.given.add(keyword)
         if keyword in _DECENTRES:
             line.require_zero("decentred and tilted surfaces are not read")
         elif keyword in ("CUF", "DAR"):

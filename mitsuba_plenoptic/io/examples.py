@@ -20,7 +20,8 @@ def example(name: str) -> Capture:
     All are by one camera of 48 x 48 microlenses with 16 x 16 pixels each, focused at 240 mm. ``letters-ray`` and
     ``letters-wave`` are the scene ``letters`` by both models of light, at 0.6 times its size: an 8 at 210 mm, an F at
     240 mm and a # at 280 mm. ``white`` is a luminous wall by the ray model, for the argument `white` of `reconstruct`
-    and `decode`. ``tools/make_examples.py`` makes them.
+    and `decode`. Their `lens_model` is ``ideal``, so that rays and waves differ by no aberrations.
+    ``tools/make_examples.py`` makes them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Float32 OpenEXR images with one JSON attribute, written whole or not at all."""
+"""Float32 OpenEXR images with one JSON attribute, which states the version, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import OpenEXR
 from ..errors import InputError, advice, refuse_if, refusing
 from ..runtime.limits import require_memory
 from .files import atomic_output, native_output_dropped, require_file
+from .versions import stamped
 
 ATTRIBUTE = "mitsuba_plenoptic"
 
@@ -97,7 +98,7 @@ def _write(
         }
         if not written:
             with refusing(f"{path}: its attributes must be plain data for JSON:", TypeError, ValueError):
-                header[ATTRIBUTE] = json.dumps(attributes, sort_keys=True)
+                header[ATTRIBUTE] = json.dumps(stamped(attributes), sort_keys=True)
         planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
         written.append(OpenEXR.Part(header, planes, name))
     with refusing(f"{path}: it cannot be written:", RuntimeError, OSError), atomic_output(path, ".exr") as temporary:

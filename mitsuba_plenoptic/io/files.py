@@ -189,6 +189,7 @@ def native_output_dropped() -> Iterator[None]:
 
 
 _LARGEST_YAML = 2**16
+_LARGEST_JSON = 2**26
 
 
 class _Loader(yaml.SafeLoader):
@@ -299,6 +300,6 @@ def read_json_value(value: Any, resolve: Callable[[str], str]) -> Any:
         return value
     text = str(value)
     if not text.lstrip().startswith("{"):
-        text = require_file(Path(resolve(text))).read_text()
+        text = read_text(resolve(text), _LARGEST_JSON)
     with refusing("it must be a JSON object:", *NO_RECORD):
         return json.loads(text)

@@ -46,14 +46,12 @@ def read_zemax(path: str | Path) -> Prescription:
     """
     path, text = read_text(path)
     reader = _ZemaxReader(path)
-    lines = [
-        Line(path, number, tuple(line.split()))
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.split()
-    ]
+    rows = text.splitlines()
+    lines = [Line(path, number, tuple(row.split())) for number, row in enumerate(rows, start=1) if row.split()]
     last = max((line.number for line in lines if line.words[0].upper() == "SURF"), default=0)
     for line in lines:
-        reader.take(line, closing=line.number > last)
+        # The lines of a surface are indented, those of what follows the last one are not.
+        reader.take(line, closing=line.number > last and not rows[line.number - 1][0].isspace())
     return reader.prescription()
 
 

@@ -28,6 +28,7 @@ from ..errors import InputError, did_you_mean, refuse_if
 from ..operator.units import radiance_weight
 from ..optics import guards
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from ..runtime.limits import require_memory
 from ..system.optical_system import OpticalSystem
 
@@ -125,7 +126,7 @@ class LaserScene:
         lit = np.flatnonzero(radiance > 0)
         if not len(lit):
             return np.empty((0, 3)), np.empty(0), np.empty(0)
-        hit = dr.gather(type(hit), hit, mi.UInt32(lit.astype(np.uint32)))
+        hit = dr.gather(type(hit), hit, drjit_array(mi.UInt32, lit))
         positions = self._in_camera(hit)
         angle = 2 * math.pi * np.arange(_RIM) / _RIM
         hidden = np.zeros(len(lit))
@@ -141,9 +142,9 @@ class LaserScene:
 
     def _hit(self, place: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
         """Return Mitsuba's intersections of chief rays, or of rays through points (2, n) of the pupil."""
-        q = tuple(mi.Float(np.ascontiguousarray(place[:, axis], np.float32)) for axis in (0, 1))
+        q = tuple(drjit_array(mi.Float, place[:, axis]) for axis in (0, 1))
         zero = dr.zeros(mi.Float, len(place))
-        through = (zero, zero) if pupil is None else tuple(mi.Float(axis) for axis in pupil.astype(np.float32))
+        through = (zero, zero) if pupil is None else tuple(drjit_array(mi.Float, axis) for axis in pupil)
         point, slope, _ = self.system.lens.ray(through, q)
         return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
 
@@ -160,7 +161,7 @@ class LaserScene:
         """Return the chief rays of points that rays from the lasers meet."""
         parts = []
         for laser in self.lasers:
-            a, b, c, d = (mi.Float(numbers) for numbers in rng.random((4, _SEARCH)).astype(np.float32))
+            a, b, c, d = (drjit_array(mi.Float, numbers) for numbers in rng.random((4, _SEARCH)))
             ray, _ = laser.sample_ray(self.sensor.shutter_open(), mi.Float(0.5), mi.Point2f(a, b), mi.Point2f(c, d))
             parts.append(self._images(self.scene.ray_intersect(mi.Ray3f(ray))))
         return np.concatenate(parts)
@@ -179,7 +180,7 @@ class LaserScene:
         grid = np.stack(np.meshgrid(*[(np.arange(_ACROSS) + 0.5) / _ACROSS] * 2), -1).reshape(-1, 2)
         for shape in self.scene.shapes():
             box = shape.bbox()
-            world = mi.Point3f(*np.array([box.corner(corner) for corner in range(8)], np.float32).T)
+            world = mi.Point3f(np.array([box.corner(corner) for corner in range(8)], np.float32).T)
             corners = (to_camera @ world).numpy().T.astype(float)
             if corners[:, 2].min() > 0:
                 images = self.system.lens.images(corners)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from .base import Pair, Traced
 from .common import FinitePupil
 from .pupil_fit import PupilFit
@@ -119,7 +120,7 @@ class FittedLens(FinitePupil):
             if which is None:
                 return np.ascontiguousarray(column)[:, None]
             Float64 = dr.float64_array_t(type(which))
-            return dr.gather(Float64, Float64(np.ascontiguousarray(column)), which)
+            return dr.gather(Float64, drjit_array(Float64, column), which)
 
         positions = lanes(field[:, 0]), lanes(field[:, 1])
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..lattice import turn
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from ..runtime.limits import single_threaded_blas
 from .base import Pair
 from .common import FinitePupil
@@ -170,8 +171,7 @@ class VaryingLens(FinitePupil):
 
         def bound(polynomial: Any) -> PupilPolynomial:
             lanes = [
-                dr.gather(Float64, Float64(np.ascontiguousarray(c)), which)
-                for c in polynomial.at(fields, inverse_distance).T
+                dr.gather(Float64, drjit_array(Float64, c), which) for c in polynomial.at(fields, inverse_distance).T
             ]
             return polynomial.over_pupil(lanes, light.aberration.field)
 

@@ -118,8 +118,8 @@ class ThinLens(UniformLens, FinitePupil):
     pupil_distance : float or Dr.Jit array
         Distance b to the MLA.
     model : {"ideal", "parabolic"}
-        Refraction of rays: ``"ideal"`` by slopes, which is stigmatic, or ``"parabolic"`` by direction cosines, as
-        by a parabolic phase element. Fields have the paths that belong to it.
+        ``"ideal"`` is stigmatic for every point and refracts rays by slopes. ``"parabolic"`` is a thin parabolic phase
+        and refracts rays by direction cosines.
     aberrations : floats or Dr.Jit arrays
         Coefficients of Zernike polynomials, see `wavefront`.
     screen : PhaseScreen, optional
@@ -216,11 +216,11 @@ class ThinLens(UniformLens, FinitePupil):
         return x, y
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        r"""Return :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`, with the difference free of cancellation.
+        r"""Return the path from a scene point X to a pupil point P, less that to the pupil's centre, in waves.
 
-        The lens is a thin parabolic phase element (Goodman, "Introduction to Fourier Optics", section 5.1) with the
-        aberrations W. Behind an ideal lens all paths to the image X' are equal, so that this one is
-        :math:`(|X'| - |P - X'| + W) / \lambda`.
+        With aberrations W, that of a thin parabolic phase is :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
+        (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
+        equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are free of cancellation.
 
         Parameters
         ----------
@@ -303,6 +303,8 @@ class ThinLens(UniformLens, FinitePupil):
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
+
+        For an ideal lens this is an upper bound: its light changes with the field only as defocus does in tilted cones.
 
         Parameters
         ----------

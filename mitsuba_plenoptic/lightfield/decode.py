@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from ..camera import PlenopticCamera, require_camera
+from ..camera import PlenopticCamera, are_alike, require_camera
 from ..design.microscope import objective_of
 from ..detector import require_demosaiced
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
@@ -168,7 +168,7 @@ def _coordinates(
     """Return ground truth as coordinates of the light field of its camera."""
     planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
-        truth.camera != camera or any(plane.shape != shape for plane in planes.values()),
+        not are_alike(truth.camera, camera) or any(plane.shape != shape for plane in planes.values()),
         "truth: it is of another camera than the light field",
     )
     whole = {"shape_index": np.int32}

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
+from ..camera import are_alike
 from ..design import focus_types
 from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime.jobs import Progress, counted
@@ -225,7 +226,7 @@ def disagreement_of_planes(
     central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):
         images = micro_images_of(lf) if micro_images is None else micro_images
-        if images.camera != camera_of(lf) or images.bins.shape != lf.shape[2:4]:
+        if not are_alike(images.camera, camera_of(lf)) or images.bins.shape != lf.shape[2:4]:
             raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
         measure, samples = LensComparison(images).disagreement, LENSES
     else:

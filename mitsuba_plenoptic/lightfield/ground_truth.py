@@ -14,7 +14,7 @@ from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
 from ..errors import refuse_if, suggest_keywords
 from ..io.ground_truth import QUANTITIES, GroundTruth, require_quantities
-from ..runtime.backend import one_at_a_time
+from ..runtime.backend import drjit_array, one_at_a_time
 from ..runtime.limits import require_memory
 from .decode import view_window
 from .geometry import lens_places, pupil_places
@@ -85,7 +85,7 @@ class FirstHits:
             # What is placed by an instance is that instance.
             placed = dr.reinterpret_array(mi.UInt32, hit.instance)
             shape = dr.select(placed != 0, placed, dr.reinterpret_array(mi.UInt32, hit.shape))
-            found["shape_index"] = dr.gather(mi.Float, mi.Float(self._index), shape, met)
+            found["shape_index"] = dr.gather(mi.Float, drjit_array(mi.Float, self._index), shape, met)
         dr.eval(found)
         return {name: values.numpy().T for name, values in found.items()}
 
@@ -179,8 +179,8 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
         position = mi.Point2f((index - row * columns + 0.5) / columns, (row + 0.5) / rows)
         return chosen.chief_ray(position)
 
-    pupil = mi.Float(pupil_places(camera, sizes[0]))
-    across, down = (mi.Float(lens_places(camera, bins, axis)) for axis in (0, 1))
+    pupil = drjit_array(mi.Float, pupil_places(camera, sizes[0]))
+    across, down = (drjit_array(mi.Float, lens_places(camera, bins, axis)) for axis in (0, 1))
 
     def of_views(index: Any) -> tuple[Any, Any]:
         found = []

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, short_repr
 from ..io.files import require_file
-from ..runtime.backend import module_of
+from ..runtime.backend import drjit_array, module_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -147,4 +147,4 @@ def _take(values: NDArray[np.float64], index: Any, like: Any) -> Any:
     if not dr.is_array_v(like):
         return values[np.asarray(index, np.int64)]
     kind = type(like)
-    return dr.gather(kind, kind(values), dr.uint32_array_t(kind)(index))
+    return dr.gather(kind, drjit_array(kind, values), dr.uint32_array_t(kind)(index))

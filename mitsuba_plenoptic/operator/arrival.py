@@ -223,8 +223,10 @@ def at_mla(
     camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField, paraxial: bool = False
 ) -> SampledField:
     """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
+    spectrum = backend().empty(pupil.samples.shape, np.complex64)
+    spectrum[...] = pupil.samples
     with resting_drjit():
-        spectrum = fft2(pupil.samples.copy())
+        spectrum = fft2(spectrum)
     guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength, paraxial=paraxial)
     return onto_window(spectrum, grids)
@@ -233,11 +235,10 @@ def at_mla(
 def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
     """Transform the spectrum of a field at the MLA to the finer grid there, and crop it to the detector's window."""
     (left, top), (columns, rows) = grids.offset, grids.count
-    arrays = backend().arrays
-    samples = arrays.empty((rows, columns), np.complex64)
+    samples = backend().empty((rows, columns), np.complex64)
     with resting_drjit():
         # one axis at a time, so that rows and columns outside the spectrum and the window are not transformed
-        partial = arrays.empty((rows, spectrum.shape[1]), np.complex64)
+        partial = backend().arrays.empty((rows, spectrum.shape[1]), np.complex64)
         width, in_rim = rim(grids.wide_mla), 0.0
         for block in blocks(spectrum.shape[1]):
             tall = interpolate(spectrum[:, block], grids.wide_mla, axis=0)

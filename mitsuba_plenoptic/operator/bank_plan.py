@@ -19,14 +19,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, has_small_lenses
 from ..errors import refuse_if
 from ..runtime.batches import BatchMap, Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..runtime.jobs import Job
 from ..system.array_kernels import REACH
 from ..system.convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
-from ..system.optical_system import OpticalSystem, has_small_lenses
+from ..system.optical_system import OpticalSystem
 from ..system.phase_space import FINE, PhaseSpace, parts_of, plan_of
 from ..system.sampling import check_memory
 from .bank_rays import BankRays, Lanes

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from ..lenses.base import Pair
 from ..optics import rays
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from ..runtime.batches import Box
 from ..runtime.fft import worker_count
 from ..system.lens_kinds import LensKinds
@@ -107,7 +108,7 @@ class BankRays:
         self._lens = system.lens
         self._landing, self._reach = Landing.of(system, plan), float(system.lens.reach)
         self._radius = float(system.camera.pupil_radius)
-        self._keys = mi.UInt32(np.array([zlib.crc32(point.tobytes()) for point in points], np.uint32))
+        self._keys = mi.UInt32([zlib.crc32(point.tobytes()) for point in points])
         self._tabulate(system, points)
         # The distance on the array from one point of a cell to the next, in steps from the finest detail of the table.
         finest = in_millimetres(plan.wavelength) * system.camera.pupil_distance / (2 * self._radius)
@@ -137,7 +138,7 @@ class BankRays:
         place = lens.meet_array(whole, cosine, point)
         power = np.square(np.broadcast_to(light.amplitude((pupil[0], pupil[1]), point), shape))
         table = np.stack([*place, power / power.mean(1, keepdims=True), np.zeros(shape)], -1)
-        self._table = mi.Float(table.astype(np.float32).ravel())
+        self._table = drjit_array(mi.Float, table)
         # Changes of q along either axis between nodes of the pupil.
         grid = np.moveaxis(place, 0, -1).reshape(len(points), _NODES, _NODES, 2)
         inside = (distance <= self._reach).reshape(_NODES, _NODES)
@@ -157,7 +158,7 @@ class BankRays:
             pupil = tuple((mi.Float(n) + 0.5) * step - self._half for n in (column, row))
             made.append(dr.block_sum(self._bright(pupil, *self._at(point, pupil), step)[1], _ACROSS**2).numpy())
         areas = np.concatenate(made) * step**2
-        return mi.Float(np.where(areas > 0, areas, np.inf).astype(np.float32))
+        return drjit_array(mi.Float, np.where(areas > 0, areas, np.inf))
 
     def _at(self, point: Any, pupil: Pair) -> tuple[Pair, Any]:
         """Return where rays through points of the pupil meet the array, and their relative power."""
@@ -214,11 +215,11 @@ class BankRays:
         most = math.ceil(self._reach / (step * min(self._landing.scales)) + 1.5)
         offsets = np.stack(np.meshgrid(*[np.arange(-most, most + 1)] * 2), -1).reshape(-1, 2)
         offsets = offsets[np.hypot(*offsets.T) <= most].astype(np.int32)
-        columns, rows = (mi.Int(np.ascontiguousarray(part)) for part in offsets.T)
+        columns, rows = (drjit_array(mi.Int, part) for part in offsets.T)
         # A cell's distance from the one in which a lens images the pupil's centre gives about the point of the pupil.
         count = dr.opaque(mi.UInt32, len(offsets))
         lane = dr.arange(mi.UInt32, len(offsets) * len(points))
-        point = dr.gather(mi.UInt32, mi.UInt32(points.astype(np.uint32)), lane // count)
+        point = dr.gather(mi.UInt32, drjit_array(mi.UInt32, points), lane // count)
         aside = tuple(dr.gather(mi.Int, part, lane % count) for part in (columns, rows))
         pupil = tuple(mi.Float(part) * -(step * self._landing.scales[0]) for part in aside)
         place, _ = self._at(point, pupil)
@@ -239,7 +240,7 @@ class BankRays:
             source, which = dr.gather(mi.UInt32, own, pair // len(steps)), pair % len(steps)
             i, j = lattice.cell(*(dr.gather(mi.Float, value, source) for value in place))
             i, j = (
-                index + dr.gather(mi.Float, mi.Float(np.ascontiguousarray(part, np.float32)), which)
+                index + dr.gather(mi.Float, drjit_array(mi.Float, part), which)
                 for index, part in zip((i, j), steps.T, strict=True)
             )
             first = self._first(i, j)
@@ -253,7 +254,7 @@ class BankRays:
             found = dr.compress(lit_here)
             parts.append([dr.gather(type(each), each, found).numpy() for each in lanes])
         kinds = mi.UInt32, mi.Float, mi.Float, mi.Int, mi.Int
-        return Lanes(*(kind(np.concatenate(each)) for kind, each in zip(kinds, zip(*parts, strict=True), strict=True)))
+        return Lanes(*map(drjit_array, kinds, map(np.concatenate, zip(*parts, strict=True))))
 
     def _steps(self, side: tuple[float, float], margin: float) -> NDArray[np.int64]:
         """Return the lenses, relative to a ray's own, whose windows the ray may meet."""

@@ -2,10 +2,11 @@ r"""The field of one scene point through the whole camera, computed in full: the
 
 Behind the main lens, at the pupil point P, a point source at X has the field
 
-.. math:: U(P) = \frac{g}{|P - X|^2} \exp\left(i k \left(|P - X| - \frac{P^2}{2 f_1}\right)\right)
+.. math:: U(P) = \frac{g}{|P - X|^2} \exp\left(i k \left(|P - X| + \Phi(P)\right)\right)
 
-(the first Rayleigh-Sommerfeld solution of a point source and a thin parabolic lens: Goodman, "Introduction to
-Fourier Optics", sections 3.5 and 5.1). It goes to the MLA by its angular spectrum, through the microlenses by
+(the first Rayleigh-Sommerfeld solution of a point source, and the phase of the lens: Goodman, "Introduction to
+Fourier Optics", sections 3.5 and 5.1; `lenses.thin` states :math:`\Phi` for both models of a thin lens). It goes to
+the MLA by its angular spectrum, through the microlenses by
 :math:`\exp(-i \pi |m - c|^2 / \lambda f_2)` in each cell, and to the detector by its angular spectrum.
 
 Sampling: while the half widths of pupil and destination together fit the window, no band limit but the

@@ -8,7 +8,7 @@ its samples separates neighbouring micro-images, so that a point spread can be m
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,7 @@ class Grid:
     cosine: float  # half the range of direction cosines of one scene point's light at the MLA
     pitch: NDArray[np.float64]  # distances between samples along x and y, in millimetres
     origin: NDArray[np.float64]  # x and y of sample (0, 0)
+    means: bool = False  # whether a sample is the mean over its cell, not the value in the middle
 
     @property
     def lens_samples(self) -> NDArray[np.int64]:
@@ -84,11 +85,12 @@ class Grid:
         system: OpticalSystem,
         band: Band,
         positions: NDArray[np.float64],
+        together: int = 1,
     ) -> Grid:
         """Choose the grid of a camera for some scene points.
 
-        Its pitch represents the directions of the band, and an integer number of samples lies between neighbouring
-        micro-images along both axes.
+        Its pitch represents the directions of the band, and an integer number of samples, a multiple of `together`,
+        lies between neighbouring micro-images along both axes.
         """
         rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)
@@ -111,9 +113,16 @@ class Grid:
             wavelength,
             band,
             cosine,
-            steps / np.ceil(steps / largest),
+            steps / (np.ceil(steps / (largest * together)) * together),
             origin,
         )
+
+    def merged(self, together: int) -> Grid:
+        """Return the grid of the means of `together` x `together` samples."""
+        if together == 1:
+            return self
+        origin = self.origin + (together - 1) / 2 * self.pitch
+        return replace(self, pitch=self.pitch * together, origin=origin, means=True)
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transform scene points (n, 3) from the camera frame to the frame of the lattice."""

@@ -5,15 +5,15 @@ cosine s from a pupil point P to the centre Mc of the patch, times a common curv
 quadratic term retained; Born and Wolf, "Principles of Optics", section 8.8):
 
 .. math:: u(M_c + \mu) = \frac{ds^2}{\lambda} e^{i k \mu^2 / 2 R_0}
-          \sum_s A(s) \, e^{i k (|P - X| - P^2 / 2 f_1 + R - R_0)} \, e^{i k s \cdot \mu},
+          \sum_s A(s) \, e^{i k (|P - X| + \Phi(P) + R - R_0)} \, e^{i k s \cdot \mu},
           \qquad P = M_c - R s, \quad R = \frac{b}{\sqrt{1 - s^2}}
 
-with :math:`A = \mathrm{pupil}(P) \, g R^2 / (|P - X|^2 b)`, so that :math:`\sum |A|^2 ds^2` is the power through the
-pupil. The sum is an inverse FFT of which few inputs are not zero. Curvature and, on square lattices,
-the transmission of the microlenses are products of a function of x and one of y, so the transforms to the MLA and back
-to the spectrum are done axis by axis, and rows outside the pupil are omitted. Behind other microlenses the field is on
-the MLA along both axes at once, which costs about twice the time. The transfer function to the detector is that of the
-angular spectrum.
+with the lens's phase :math:`\Phi` and :math:`A = \mathrm{pupil}(P) \, g R^2 / (|P - X|^2 b)`, so that :math:`\sum |A|^2
+ds^2` is the power through the pupil. The sum is an inverse FFT of which few inputs are not zero. Curvature and, on
+square lattices, the transmission of the microlenses are products of a function of x and one of y, so the transforms to
+the MLA and back to the spectrum are done axis by axis, and rows outside the pupil are omitted. Behind other microlenses
+the field is on the MLA along both axes at once, which costs about twice the time. The transfer function to the detector
+is that of the angular spectrum.
 
 All of this is done in the frame that is turned with the microlens lattice about the axis, in which the main lens is
 the same.

@@ -20,13 +20,14 @@ import scipy
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..runtime.backend import Backend, backend_of, lanes
+from ..runtime.backend import Backend, backend_of, drjit_array
 from ..runtime.fft import split
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
 
 _KAISER = 7.0
+_BORDERS = 6
 _NODES = 8
 
 
@@ -40,11 +41,37 @@ class PixelAxis:
     edge: float  # the same in the coordinate system of the caller
     pitch: float  # distance between samples
     samples: int
+    means: bool = False  # whether samples are means over their cells, not values in the middle
 
     @cached_property
     def weights(self) -> scipy.sparse.csr_array:
         """Weights of the integrals over the pixels."""
-        return self._integrals(moment=False)
+        return self._integrals_of_means() if self.means else self._integrals(moment=False)
+
+    def _integrals_of_means(self) -> scipy.sparse.csr_array:
+        """Return the weights of the integrals, those up to an edge interpolated from those up to the samples' borders.
+
+        Between six borders a polynomial is taken.
+        """
+        edges = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch + 0.5
+        first = np.floor(edges).astype(np.int64) - (_BORDERS // 2 - 1)
+        at, places = edges - first, np.arange(_BORDERS)
+        others = [np.delete(places, place) for place in places]
+        share = np.stack(
+            [np.prod((at[:, None] - o) / (p - o), axis=1) for p, o in zip(places, others, strict=True)], -1
+        )
+        # A sample counts up to all borders beyond it.
+        beyond = np.cumsum(share[:, ::-1], axis=1)[:, ::-1]
+        reach = np.arange(math.ceil(self.pixel_size / self.pitch) + _BORDERS + 1)
+        pixel = np.arange(self.count)[:, None]
+        sample = first[:-1, None] - 1 + reach
+
+        def up_to(edge: NDArray[np.int64]) -> NDArray[np.float64]:
+            place = sample + 1 - first[edge]
+            return np.where(place < _BORDERS, beyond[edge, np.clip(place, 0, _BORDERS - 1)], 0.0)
+
+        values = (up_to(pixel + 1) - up_to(pixel)) * self.pitch
+        return _matrix(values, np.broadcast_to(pixel, values.shape), sample, (self.count, self.samples))
 
     def moments(self, origin: float) -> scipy.sparse.csr_array:
         """Return the weights of integrals over the pixels of the intensity times the distance from an origin."""
@@ -80,8 +107,15 @@ def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], 
     for offset in range(1 - HALF_WIDTH, 1 + HALF_WIDTH):
         entries.append((windowed_sinc(position - (below + offset)) * factors, pixel, below + offset))
     values, rows, columns = (np.concatenate([entry[k].ravel() for entry in entries]) for k in range(3))
-    held = (columns >= 0) & (columns < samples)
-    matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=(len(position), samples))
+    return _matrix(values, rows, columns, (len(position), samples))
+
+
+def _matrix(
+    values: NDArray[np.float64], rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
+) -> scipy.sparse.csr_array:
+    """Return the sparse matrix of some values; of those in one place it has the sum."""
+    held = (columns >= 0) & (columns < shape[1])
+    matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=shape)
     return matrix.tocsr().astype(np.float32)
 
 
@@ -107,13 +141,15 @@ class PixelIntegrals:
         pixel_size: float,
         first_edge: tuple[float, float],
         shape: tuple[int, int],
+        means: bool = False,
     ) -> PixelIntegrals:
         """Return the integrals over square pixels; `samples` and `shape` are (rows, columns) of samples and of pixels.
 
         `origin` is the first sample and `first_edge` the outer corner of the first pixel, both (x, y), as is `pitch`.
+        With `means` samples are those over their cells.
         """
         along_x, along_y = (
-            PixelAxis(pixels, pixel_size, first_edge[axis] - origin[axis], first_edge[axis], pitch[axis], count)
+            PixelAxis(pixels, pixel_size, first_edge[axis] - origin[axis], first_edge[axis], pitch[axis], count, means)
             for axis, pixels, count in ((0, shape[1], samples[1]), (1, shape[0], samples[0]))
         )
         return cls(along_x, along_y)
@@ -205,7 +241,7 @@ class TurnedSamples:
         """Interpolate the intensity (rows, columns) at the new samples."""
         libraries = backend_of(intensity)
         types, arrays = libraries.types, libraries.arrays
-        values = types.Float(arrays.pad(intensity, HALF_WIDTH).reshape(-1))
+        values = drjit_array(types.Float, arrays.pad(intensity, HALF_WIDTH))
         result = arrays.empty(self._shape, np.float32)
         for lines, active, across, visit in self._visited(libraries):
 
@@ -229,7 +265,7 @@ class TurnedSamples:
         types = libraries.types
         sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
         for lines, active, across, visit in self._visited(libraries):
-            given = types.Float(lanes(samples[lines]))
+            given = drjit_array(types.Float, samples[lines])
 
             def spread(
                 row: Any, weight: Any, total: Any, active: Any = active, across: Any = across, given: Any = given
@@ -248,7 +284,7 @@ class TurnedSamples:
     ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
         """Yield lines of the new grid, a mask of their samples, weights across, and a loop over the rows around."""
         types = libraries.types
-        table = types.Float(self._weights.reshape(-1))
+        table = drjit_array(types.Float, self._weights)
         rows, columns = self._samples
         height, width = self._shape
         together = max(1, _BLOCK // width)

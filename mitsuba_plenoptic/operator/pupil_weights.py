@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
+from ..runtime.backend import drjit_array
 
 
 def spline_parts(position: Any) -> tuple[Any, Any, Any, Any]:
@@ -92,14 +93,14 @@ class PupilWeights:
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
         cells = self.table.shape[1]
-        first = dr.gather(UInt32, UInt32(self.index.astype(np.uint32)), point) * (cells * cells)
+        first = dr.gather(UInt32, drjit_array(UInt32, self.index), point) * (cells * cells)
         half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
         sides = []
         for P in (Px, Py):
             position = (P + radius) * (cells / (2 * radius))
             near = _splines(position) if self.sampled else _border(position, half, cells)
             sides.append([(UInt32(dr.clip(cell, 0, cells - 1)), Float(part)) for cell, part in near])
-        table = Float(self.table.reshape(-1))
+        table = drjit_array(Float, self.table)
         power, amplitude = dr.zeros(Float), dr.zeros(Float)
         for (column, across), (row, down) in itertools.product(*sides):
             weight = dr.gather(Float, table, first + row * cells + column)
@@ -107,7 +108,7 @@ class PupilWeights:
             amplitude += across * down * dr.sqrt(weight)
         if self.sampled:
             amplitude = dr.sqrt(power)
-        slant = [dr.gather(Float, Float(np.ascontiguousarray(part)), point) for part in self.slant.T]
+        slant = [dr.gather(Float, drjit_array(Float, part), point) for part in self.slant.T]
         cosine = dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0)
         return power * cosine, amplitude * dr.sqrt(cosine)
 

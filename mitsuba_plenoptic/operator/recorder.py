@@ -115,7 +115,9 @@ class Recorder:
     @property
     def _origin(self) -> tuple[float, float]:
         """X and y of the first sample, in the frame of the lattice, from the detector's corner."""
-        return self.box.left * float(self._grid.pitch[0]), self.box.top * float(self._grid.pitch[1])
+        pitch, size = self._grid.pitch, (self._camera.detector_width, self._camera.detector_height)
+        x, y = np.array([self.box.left, self.box.top]) * pitch + (self._grid.origin + np.array(size) / 2)
+        return float(x), float(y)
 
     def _pixels_of(self, move: str | None) -> PixelIntegrals:
         """Return the integrals over the pixels, or their changes where these move."""
@@ -142,7 +144,7 @@ class Recorder:
             step = min(pitch)
             pitch, origin, samples = (step, step), self._upright_origin, self._upright_shape
         shape = self._pixels.rows, self._pixels.columns
-        return PixelIntegrals.of(samples, pitch, origin, self._camera.pixel_size, self._edge, shape)
+        return PixelIntegrals.of(samples, pitch, origin, self._camera.pixel_size, self._edge, shape, self._grid.means)
 
     @cached_property
     def _upright(self) -> TurnedSamples | None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..lens_data import defocus_factor
-from ..runtime.backend import rsqrt
+from ..runtime.backend import drjit_array, rsqrt
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
@@ -110,7 +110,7 @@ def angular_response(pairs: tuple[float, ...]) -> Callable[[Any], Any] | None:
         return None
     angles, responses = (np.array(values) for values in (pairs[::2], pairs[1::2]))
     fine = np.linspace(0, angles[-1], _ANGLES)
-    table = mi.Float(np.interp(fine, angles, responses))
+    table = drjit_array(mi.Float, np.interp(fine, angles, responses))
     dr.make_opaque(table)
     step = math.radians(float(fine[1]))
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime.backend import array_module, backend, backend_of, one_at_a_time
+from ..runtime.backend import array_module, backend, backend_of, drjit_array, one_at_a_time
 from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
 from . import guards
 
@@ -213,12 +213,14 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
-    arrays = libraries.arrays if on_device else np
-    samples = arrays.array(field, np.complex64, order="C", copy=None if overwrite else True)
-    refuse_if(samples.ndim != 2 or samples.size == 0, f"field of shape {samples.shape}: it must have rows and columns")
+    given = (libraries.arrays if on_device else np).asarray(field, np.complex64, order="C")
+    refuse_if(given.ndim != 2 or given.size == 0, f"field of shape {given.shape}: it must have rows and columns")
+    samples = given if overwrite else backend_of(given).empty(given.shape, np.complex64)
+    if not overwrite:
+        samples[...] = given
     pitch, distance, wavelength = _check(pitch, distance, wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
-    packed = fft2_packed(libraries.types.UInt64(as_words(samples)), shape)
+    packed = fft2_packed(drjit_array(libraries.types.UInt64, as_words(samples)), shape)
     guard.see_spectrum(packed)
     packed = _advance(packed, shape, pitch, distance, wavelength)
     result = as_field(fft2_packed(packed, shape, inverse=True), shape)
@@ -238,15 +240,17 @@ def advance(
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
     paraxial: bool = False,
+    beyond_paraxial: bool = False,
 ) -> Field:
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
     ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
-    spectrum. `paraxial` is as in `transfer`.
+    spectrum. `paraxial` and `beyond_paraxial` are as in
+    `transfer`.
     """
-    packed = array_module().UInt64(as_words(spectrum))
-    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial)
+    packed = drjit_array(array_module().UInt64, as_words(spectrum))
+    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial, beyond_paraxial)
     return as_field(packed, spectrum.shape)
 
 
@@ -259,6 +263,7 @@ def _advance(
     shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
     paraxial: bool = False,
+    beyond_paraxial: bool = False,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
     types = array_types(packed)
@@ -268,7 +273,8 @@ def _advance(
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift, paraxial=paraxial))
+    kind = {"paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
+    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift, **kind))
 
 
 def transfer(
@@ -279,11 +285,13 @@ def transfer(
     *,
     shift: tuple[float, float] = (0.0, 0.0),
     paraxial: bool = False,
+    beyond_paraxial: bool = False,
 ) -> Any:
     r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
 
     The `paraxial` one is Fresnel's, :math:`\exp(-i k s^2 d / 2)`: light of the frequency :math:`s / \lambda` moves
     sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section 4.2.3).
+    With `beyond_paraxial`, return the ratio to Fresnel's.
     """
     types = array_types(sx)
 
@@ -297,6 +305,8 @@ def transfer(
     else:
         # The derivative of the square root does not exist at 0.
         waves = in_waves(distance) * (dr.sqrt(dr.select(square < 1, 1 - square, 1)) - 1)
+    if beyond_paraxial:
+        waves = waves + in_waves(distance) * (0.5 * square)
     if any(shift):
         waves = waves + sy * in_waves(shift[0]) + sx * in_waves(shift[1])
     return phasor(waves) if paraxial else dr.select(square < 1, phasor(waves), 0)

@@ -27,6 +27,7 @@ from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
+from ..runtime.backend import drjit_array
 from ..system.figure_error import FigureError
 from ..system.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
 
@@ -224,7 +225,7 @@ class CameraRays:
             # A step has the limits of both of its ends.
             limits = np.maximum(limits[:-1], limits[1:])
             steps = max(steps, camera.lattice.neighbours(limits.max() + beyond), key=len)
-        numbers = [mi.Float(values) for values in (*steps.T, limits.ravel(), step, defocus)]
+        numbers = [drjit_array(mi.Float, values) for values in (*steps.T, limits, step, defocus)]
         dr.make_opaque(numbers)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
         checks = 1 < len(steps) <= _MOST_CHECKED

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, has_small_lenses
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..capture import colour
@@ -27,7 +27,6 @@ from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
-from ..system.optical_system import has_small_lenses
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 
@@ -115,18 +114,18 @@ def make_class() -> type:
            - Finds the radiance along rays, like ``path`` or ``direct``. (Default: ``path``)
 
         Light from different scene points is mutually incoherent. Its phase-space density before the pupil is therefore
-        the radiance along rays, which the pupil and the microlenses diffract by kernels in closed form. The rays are
-        those that a sensor with ``lens_model="parabolic"`` would draw, and some outside of each lens's aperture;
-        ``spp`` is their count per pixel, as in a ray capture. Diffraction is described by signed coefficients of each
-        ray and by kernels, which depend only on the camera. So the scene may contain all that the nested integrator
-        renders, and the cost is similar to that of a ray capture. A scene of radiance 1 reads 1 inside wide
-        micro-images, less the fourth power of the cosine behind the microlenses: 0.5 % for microlenses of f/8.
+        the radiance along rays, which the pupil and the microlenses diffract by kernels in closed form. A thin main
+        lens refracts them as the sensor's ``lens_model`` states, microlenses as thin phases do. Some rays are drawn
+        outside of each lens's aperture; ``spp`` is their count per pixel, as in a ray capture. Diffraction is described
+        by signed coefficients of each ray and by kernels, which depend only on the camera. So the scene may contain all
+        that the nested integrator renders, and the cost is similar to that of a ray capture. A scene of radiance 1
+        reads 1 inside wide micro-images, less the fourth power of the cosine behind the microlenses: 0.5 % for
+        microlenses of f/8.
 
         Behind lenses of less than 20 wavelengths, such as on-chip lenses over two by two photodiodes, captures use the
         responses of photodiodes to rays, computed from non-paraxial fields in the medium `mla_medium`. Only rays that
         pass the pupil are drawn, as many as a ray capture of ``spp`` has of them, and pixels may be negative by noise.
-        Upright square lattices of one pitch and type are supported, in mono and rgb variants, without gradients. A thin
-        main lens refracts there as the sensor's ``lens_model`` states.
+        Upright square lattices of one pitch and type are supported, in mono and rgb variants, without gradients.
 
         All main lenses and arrays of the sensor are supported, except the Fourier arrangement of microscopes, and
         detectors far from the microlenses' focus whose pixels are finer than the pupil's diffraction. With bands and
@@ -149,9 +148,10 @@ def make_class() -> type:
         variants the same radiance at all wavelengths. With a camera's ``glass`` and ``mla_glass`` each wavelength has
         its own focal lengths.
 
-        Waves are scalar and elements thin: there is no polarisation, and thin lenses are parabolic phases, whose
-        counterpart in the ray model is the sensor's ``lens_model="parabolic"``. Objects of the scene do not diffract.
-        Polarized variants compute as if unpolarized.
+        Waves are scalar and elements thin: there is no polarisation. The sensor's ``lens_model`` says of a thin main
+        lens, by rays and by waves, whether it is stigmatic (``ideal``) or a parabolic phase with its aberrations
+        (``parabolic``); microlenses are thin phases under both names. Objects of the scene do not diffract. Polarized
+        variants compute as if unpolarized.
 
         The same seed gives the same bits, with any thread count.
 

@@ -15,6 +15,7 @@ from ..camera.photodiodes import PhotodiodeResponse
 from ..lenses.base import Pair
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription.glass import LINE_D
+from ..runtime.backend import drjit_array
 
 
 class PhotodiodeTable:
@@ -33,7 +34,7 @@ class PhotodiodeTable:
             weights = (np.array(parts) - low)[:, None, None]
             table = table[:, :, low] * (1 - weights) + table[:, :, high] * weights
         self._shape = table.shape
-        self._table = mi.Float(np.ascontiguousarray(table.ravel(), np.float32))
+        self._table = drjit_array(mi.Float, table)
         dr.make_opaque(self._table)
 
     def __call__(self, side: Pair, slope: Pair, wavelengths: Any) -> Any:

@@ -47,6 +47,7 @@ from ..optics.spectrum import (
     read_responses,
 )
 from ..phase_screen import known_screen
+from ..runtime.backend import drjit_array
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
@@ -182,7 +183,7 @@ def put(film: Any, image: NDArray[np.float32], channels: int) -> None:
     """Fill a film with an image (rows, columns, channels), whose channels after the first `channels` are noise."""
     extra = image.shape[2] - channels
     film.prepare([f"noise.{channel}" for channel in range(extra)])
-    film.put_block(mi.ImageBlock(mi.TensorXf(_block(image, channels)), film.crop_offset()))
+    film.put_block(mi.ImageBlock(drjit_array(mi.TensorXf, _block(image, channels)), film.crop_offset()))
 
 
 def develop(film: Any, image: NDArray[np.float32]) -> Any:
@@ -193,7 +194,7 @@ def develop(film: Any, image: NDArray[np.float32]) -> Any:
 
 def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
     """Apply the transpose of `develop` to a gradient; `shape` is that of the image (rows, columns, channels)."""
-    block = mi.TensorXf(_block(np.zeros(shape, np.float32), shape[2]))
+    block = drjit_array(mi.TensorXf, _block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
     film.prepare([])
     film.put_block(mi.ImageBlock(block, film.crop_offset()))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
+from scipy.optimize import brentq
 
 from ..errors import (
     LONGEST,
@@ -43,6 +45,9 @@ _HEIGHTS = 129
 
 _TOUCHING = 1e-9
 """Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding."""
+
+_LEAST_CLIPPED = 0.1
+"""Least part of the semi-aperture that a surface which crosses the next may be clipped to; less is a slip."""
 
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
 
@@ -243,7 +248,8 @@ class Prescription(LensData):
         ------
         InputError
             If a name is unknown or missing, a value is out of range, not just one surface is the stop, glass follows
-            the last surface, a glass has no index at the wavelength, or two surfaces cross within their semi-apertures.
+            the last surface, a glass has no index at the wavelength, or two surfaces cross near the axis. Surfaces
+            that cross within their semi-apertures end there, with a warning.
         """
         if isinstance(value, dict):
             require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
@@ -281,28 +287,51 @@ class Prescription(LensData):
             wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
         )
         made.indices(made.wavelength)
-        made.require_apart()
-        return made
+        return made.clipped()
 
     def indices(self, wavelength: float) -> list[float]:
         """Return the index behind each surface at a wavelength in nanometres, that of air being 1."""
         return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
 
+    def clipped(self) -> Prescription:
+        """Return the lens with refracting surfaces that cross their neighbours ending where they do, with a warning.
+
+        Published prescriptions list semi-apertures for drawings, which may reach beyond the edge where surfaces meet.
+        """
+        lens = self
+        while crossing := lens._crossing():
+            first, second, position, text = crossing
+            surfaces = list(lens.surfaces)
+            pair = [surfaces[first].semi_aperture, surfaces[second].semi_aperture]
+            refuse_if(
+                position < _LEAST_CLIPPED * min(pair),
+                f"{text}: they must stay apart within a tenth of the smaller of their semi-apertures, {min(pair):.4g}",
+            )
+            warnings.warn(f"{text}: their semi-apertures, {pair[0]:.4g} and {pair[1]:.4g}, end there", stacklevel=2)
+            for index in (first, second):
+                least = min(surfaces[index].semi_aperture, position)
+                surfaces[index] = replace(surfaces[index], semi_aperture=least)
+            lens = replace(lens, surfaces=tuple(surfaces))
+        return lens
+
     def require_apart(self) -> None:
         """Refuse a lens of which two refracting surfaces that follow each other cross where light may pass both."""
+        if crossing := self._crossing():
+            first, second, _, text = crossing
+            edge = min(self.surfaces[first].semi_aperture, self.surfaces[second].semi_aperture)
+            raise InputError(f"{text}: they must stay apart within the smaller of their semi-apertures, {edge:.4g}")
+
+    def _crossing(self) -> tuple[int, int, float, str] | None:
+        """Return the first refracting surfaces that cross where light may pass both: indices, distance, and words."""
         indices = [index for index, surface in enumerate(self.surfaces) if surface.glass != self._before(index)]
         for first, second in itertools.pairwise(indices):
             front, back = self.surfaces[first], self.surfaces[second]
-            edge = min(front.semi_aperture, back.semi_aperture)
-            squares = np.linspace(0, edge, _HEIGHTS) ** 2
-            gaps = sum(surface.thickness for surface in self.surfaces[first:second])
-            gaps = gaps + height(back, squares) - height(front, squares)
-            if gaps.min() < -_TOUCHING * edge:
-                position = float(np.sqrt(squares[np.argmax(gaps < -_TOUCHING * edge)]))
-                raise InputError(
-                    f"main_lens: surfaces {first + 1} and {second + 1} cross {position:.4g} mm from the axis: they "
-                    f"must stay apart within the smaller of their semi-apertures, {edge:.4g}"
-                )
+            thickness = sum(surface.thickness for surface in self.surfaces[first:second])
+            position = _meeting(front, back, thickness)
+            if position is not None:
+                text = f"main_lens: surfaces {first + 1} and {second + 1} cross {position:.4g} mm from the axis"
+                return first, second, position, text
+        return None
 
     def _before(self, index: int) -> Glass | None:
         """Return the glass before a surface."""
@@ -318,6 +347,23 @@ def height(surface: Any, square: Any) -> Any:
         height = height + coefficient * power
         power = power * square
     return height
+
+
+def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
+    """Return the distance from the axis at which two surfaces cross; None if they stay apart in both of their areas."""
+    edge = min(front.semi_aperture, back.semi_aperture)
+
+    def gap(square: Any) -> Any:
+        return thickness + height(back, square) - height(front, square)
+
+    squares = np.linspace(0, edge, _HEIGHTS) ** 2
+    crossed = np.flatnonzero(gap(squares) < -_TOUCHING * edge)
+    if not crossed.size:
+        return None
+    after = max(1, int(crossed[0]))
+    if not gap(squares[after - 1]) > 0:
+        return float(np.sqrt(squares[after - 1]))
+    return float(np.sqrt(brentq(gap, squares[after - 1], squares[after])))
 
 
 BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")

@@ -14,11 +14,11 @@ from ..errors import InputError, refuse_if, require_choice, require_count, requi
 from ..io.captures import as_array, require_pixels
 from ..lens_data import image_distance
 from ..optics import guards
-from ..runtime.backend import backend, one_at_a_time
+from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..system.optical_system import OpticalSystem
 from .conjugates import ThinConjugates
-from .full_fields import BackwardFields, squared
+from .full_fields import BackwardFields
 from .lens_tiles import fine_bins
 from .methods import FOOTPRINTS
 from .passages import BinSums
@@ -119,15 +119,15 @@ class _RefocusOp(dr.CustomOp):
         """Refocus."""
         image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
         self._kind = type(capture)
-        return self._kind(image)
+        return drjit_array(self._kind, image)
 
     def forward(self) -> None:
         """Refocus the change of the capture."""
-        self.set_grad_out(self._kind(self._jvp(self.grad_in("capture").numpy())))
+        self.set_grad_out(drjit_array(self._kind, self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
         """Take the gradient back to the capture."""
-        self.set_grad_in("capture", self._kind(self._vjp(self.grad_out().numpy())))
+        self.set_grad_in("capture", drjit_array(self._kind, self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
         """Return what Dr.Jit calls it."""
@@ -280,7 +280,7 @@ class _BinnedPower:
         sent = float(image.sum(dtype=np.float64))
         if checked and sent:
             guards.check(guards.PUPIL, 1 - passed / sent)
-        power: Any = sum(squared((slice(None), field))[1] for field in self._at)
+        power: Any = sum(field.real**2 + field.imag**2 for field in self._at)
         bins = backend().to_host(self._sums.forward([(slice(None), power)]))
         spread = bins if refocus._spread is None else refocus._spread.forward(bins)
         self._lit = spread > 0

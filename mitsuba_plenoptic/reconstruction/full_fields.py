@@ -29,6 +29,7 @@ from .passages import (
     BinSums,
     FieldWorkspace,
     FreeSpace,
+    ParaxialPath,
     Rows,
     ThinElement,
     propagate,
@@ -36,7 +37,18 @@ from .passages import (
     to_directions,
     to_directions_vjp,
 )
-from .planning import Directions, FieldPlan, Step, Strip, Window, field_memory, object_extent, plan, require_feasible
+from .planning import (
+    Directions,
+    FieldPlan,
+    LensAxis,
+    Step,
+    Strip,
+    Window,
+    field_memory,
+    object_extent,
+    plan,
+    require_feasible,
+)
 
 
 def reconstruct_subsets(
@@ -113,7 +125,7 @@ def _add_power(
             passed += fields.power(field)
             for total, distance, step, bins in zip(totals, distances, grids.to_objects, sums, strict=True):
                 for zone in conjugates.zones(distance):
-                    found = backend().to_host(bins.forward(map(squared, fields.to_object(field, zone, step))))
+                    found = backend().to_host(bins.forward(fields.to_object(field, zone, step)))
                     part = zone.part(found.shape)
                     total[part] += found[part]
             progress((done + 1) / interleave**2)
@@ -130,12 +142,6 @@ def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
         offset = camera.crop_offset[axis]
         window.append((offset + int(lit[0]), offset + int(lit[-1]) + 1))
     return window[0], window[1]
-
-
-def squared(block: tuple[slice, Field]) -> tuple[slice, Any]:
-    """Return the power of a block of a field."""
-    lines, field = block
-    return lines, field.real**2 + field.imag**2
 
 
 class BackwardFields:
@@ -159,7 +165,7 @@ class BackwardFields:
         self._interleave, self._relay = interleave, relay
         shorter, paraxial = camera.medium_wavelength(wavelength), is_paraxial(camera)
         self._to_mla = FreeSpace(camera.detector_distance, shorter, paraxial)
-        self._to_main_lens = FreeSpace(camera.mla_distance, wavelength, paraxial)
+        self._beyond_paraxial = FreeSpace(camera.mla_distance, wavelength, paraxial, beyond_paraxial=True)
         on_array = sum(8.0 * math.prod(strip.to_mla.shape) for strip in grids.strips)
         steps = list(grids.steps)
         if with_vjp:
@@ -172,6 +178,7 @@ class BackwardFields:
             memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
             require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
         self._workspace = FieldWorkspace(steps)
+        self._pupil = _Pupil(grids.pupil, camera.aperture_radius)
         # The light of all lenses on the array serves every subset, where it fits into memory.
         self._holds = interleave > 1 and relay and len(grids.strips) == 1
         self._holds &= grids.memory + on_array <= field_memory()
@@ -181,7 +188,7 @@ class BackwardFields:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
     def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[Field]:
-        """Yield the field of every subset just before the main lens, zero outside the pupil.
+        """Yield the field of every subset just before the main lens, in lines along y, zero outside the pupil.
 
         It holds until the next one is asked for.
         """
@@ -191,17 +198,26 @@ class BackwardFields:
             (strip,) = self._grids.strips
             held = self._whole(self._on_array(strip, amplitude, None), strip.to_mla)
         for subset in self._subsets:
-            field = self._workspace.array("pupil", self._grids.main_lens.shape)
-            field[...] = 0
+            field = self._at_pupil()
             for strip in self._grids.strips:
                 if held is not None:
                     light = self._workspace.blocks(held)
                 else:
                     light = self._on_array(strip, amplitude, None if self._relay else subset)
-                step = strip.to_main_lens
-                lenses = self._lenses(step, subset)
-                self._add_within(field, propagate(light, lenses, step, self._to_main_lens, self._workspace))
+                lenses = self._lenses(strip.beyond_paraxial, subset)
+                displaced = propagate(light, lenses, strip.beyond_paraxial, self._beyond_paraxial, self._workspace)
+                self._add_within(field, self._path(strip).forward(displaced, self._workspace))
             yield field
+
+    def _at_pupil(self) -> Field:
+        """Return a dark field on the main lens, in lines along y."""
+        field = self._workspace.array("pupil", (self._grids.pupil[0].count, self._grids.pupil[1].count))
+        field[...] = 0
+        return field
+
+    def _path(self, strip: Strip) -> ParaxialPath:
+        """Return the paraxial path of a strip from the array to the main lens."""
+        return ParaxialPath(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
 
     def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
         """Yield the field at the directions of an object plane, of one just before the main lens."""
@@ -213,14 +229,14 @@ class BackwardFields:
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
         for subset, gradient in zip(self._subsets, gradients, strict=True):
-            field = workspace.array("pupil", self._grids.main_lens.shape)
-            field[...] = 0
+            field = self._at_pupil()
             spectrum = workspace.blocks(arrays.asarray(gradient))
             self._add_within(field, to_directions_vjp(spectrum, _main_lens(step, zone), step, workspace))
             for strip, own in zip(self._grids.strips, on_array, strict=True):
-                on = strip.to_main_lens
-                back = workspace.blocks(field), self._lenses(on, subset), on, self._to_main_lens
-                for rows, samples in propagate_vjp(*back, workspace):
+                on = strip.beyond_paraxial
+                displaced = self._path(strip).vjp(workspace.blocks(field), workspace)
+                back = displaced, self._lenses(on, subset), on, self._beyond_paraxial, workspace
+                for rows, samples in propagate_vjp(*back):
                     own[rows] += samples
         found, n = [], self._grids.subsamples
         for strip, own in zip(self._grids.strips, on_array, strict=True):
@@ -234,7 +250,8 @@ class BackwardFields:
 
     def power(self, field: Field) -> float:
         """Power that passes the pupil, in pixel values times pixels."""
-        return power(field) * self._grids.main_lens.sample_area / self._camera.pixel_size**2
+        x, y = self._grids.pupil
+        return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
 
     def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
         """Take the light of a strip to the MLA, that of all lenses or of a subset.
@@ -255,22 +272,21 @@ class BackwardFields:
         """Repeat pixels sample by sample."""
         arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
         together = max(1, self._workspace.block // n)
-        for first in range(0, len(amplitude), together):
-            part = amplitude[first : first + together]
+        for rows in self._workspace.runs(len(amplitude), together):
+            part = amplitude[rows]
             for axis in (0, 1) if n > 1 else ():
                 part = arrays.repeat(part, n, axis)
-            yield slice(first * n, first * n + len(part)), part
+            yield slice(rows.start * n, rows.stop * n), part
 
     def _add_within(self, field: Field, blocks: Rows) -> None:
-        """Add rows to a field within the pupil."""
-        x, y = self._grids.main_lens.x.destination, self._grids.main_lens.y.destination
-        half = np.sqrt(np.maximum(self._camera.aperture_radius**2 - y**2, 0))
-        first, end = np.searchsorted(x, -half), np.searchsorted(x, half, side="right")
-        for rows, samples in blocks:
-            # A row's chord of the pupil: a mask would cost several times that.
-            for row, line in zip(range(rows.start, rows.stop), samples, strict=True):
-                chord = slice(int(first[row]), int(end[row]))
-                field[row, chord] += line[chord]
+        """Add lines to a field within the pupil, whose edge is softened over one sample."""
+        for lines, samples in blocks:
+            numbers, places, passed = self._pupil.edge(lines)
+            samples[numbers, places] *= passed
+            # A line's chord of the pupil: a mask of the whole would cost several times that.
+            for number, line in zip(range(lines.start, lines.stop), samples, strict=True):
+                chord = self._pupil.chord(number)
+                field[number, chord] += line[chord]
 
     def _whole(self, blocks: Rows, step: Step) -> Field:
         """Gather the rows of a field at the destination samples of a step."""
@@ -280,11 +296,41 @@ class BackwardFields:
         return field
 
 
+class _Pupil:
+    """The samples of a round pupil, line by line along y, with those at its edge, which pass in part."""
+
+    def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
+        arrays = backend().arrays
+        (across, along), (x, y) = (axis.pitch for axis in axes), (axis.samples for axis in axes)
+        outer, inner = (
+            np.sqrt(np.maximum((radius + side * math.hypot(across, along)) ** 2 - x**2, 0)) for side in (0.5, -0.5)
+        )
+        self._first, self._end = np.searchsorted(y, -outer), np.searchsorted(y, outer, side="right")
+        ends = np.stack([self._first, np.searchsorted(y, -inner), np.searchsorted(y, inner, side="right"), self._end])
+        places = [np.r_[first:low, max(low, high) : end] for first, low, high, end in ends.T.tolist()]
+        self._starts = np.concatenate([[0], np.cumsum([len(own) for own in places])])
+        lines, self._places = np.repeat(np.arange(len(x)), np.diff(self._starts)), np.concatenate(places)
+        px, py = x[lines], y[self._places]
+        away = np.maximum(np.hypot(px, py), min(across, along))
+        passed = soft_edge((radius - away) / np.hypot(px * across / away, py * along / away))
+        self._lines, self._passed = lines, arrays.asarray(passed.astype(np.float32))
+
+    def chord(self, line: int) -> slice:
+        """Return the samples of a line that pass, at least in part."""
+        return slice(int(self._first[line]), int(self._end[line]))
+
+    def edge(self, lines: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
+        """Return the samples of some lines at the edge, by line and place, and the part of the field that passes."""
+        own = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
+        return self._lines[own] - lines.start, self._places[own], self._passed[own]
+
+
 def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
     """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
     light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
 
-    def lens(x: Any, y: Any) -> Any:
+    # Lines of the main lens are along y.
+    def lens(y: Any, x: Any) -> Any:
         passed = phasor(light.path((x, y)))
         return passed * soft_edge(array_module().Float(light.inside((x, y)) / pitch)) if zone.is_cut else passed
 

@@ -25,8 +25,9 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
 from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
-from ..runtime.backend import backend
+from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
+from ..runtime.limits import single_threaded_blas
 from ..system.optical_system import OpticalSystem, is_paraxial
 from ..system.sampling import check_memory
 from .conjugates import Conjugates, ThinConjugates
@@ -197,6 +198,7 @@ def _aperture(tile: LensTile) -> np.ndarray:
     return inside.reshape(size, _PARTS, size, _PARTS).mean((1, 3), dtype=np.float32)
 
 
+@single_threaded_blas()  # a lens's products are too small for threads, which would wait for each other actively
 def reconstruct_lens_by_lens(
     image: np.ndarray,
     camera: PlenopticCamera,
@@ -221,17 +223,19 @@ def reconstruct_lens_by_lens(
     shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
     totals = [arrays.zeros(shape) for _ in distances]
     in_rim = [0.0 for _ in distances]
-    for position in range(0, len(lit), tile.batch):
-        batch = lenses.batch(lit[position : position + tile.batch])
-        fields = pupil_fields(amplitude, tile, batch, relay=relay)
-        for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
-            patches = object_patches(fields, tile, batch, distance, conjugates)
-            inner = patches[:, oversample:-oversample, oversample:-oversample]
-            in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
-            for column, row, patch in zip(*batch.bin.T, patches, strict=True):
-                top, left = row * oversample, column * oversample
-                total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
-        progress((position + len(batch.bin)) / len(lit))
+    # Stopped once, as stopping takes as long as the transforms of a lens.
+    with resting_drjit():
+        for position in range(0, len(lit), tile.batch):
+            batch = lenses.batch(lit[position : position + tile.batch])
+            fields = pupil_fields(amplitude, tile, batch, relay=relay)
+            for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
+                patches = object_patches(fields, tile, batch, distance, conjugates)
+                inner = patches[:, oversample:-oversample, oversample:-oversample]
+                in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
+                for column, row, patch in zip(*batch.bin.T, patches, strict=True):
+                    top, left = row * oversample, column * oversample
+                    total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
+            progress((position + len(batch.bin)) / len(lit))
     if checked and len(lit):
         guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
         for total, rim in zip(totals, in_rim, strict=True):
@@ -265,15 +269,8 @@ def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, rel
 
 
 def _product(fields: Field, matrix: Field) -> Field:
-    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p).
-
-    The result for one lens, as in the white throughput, has the same bits with any thread count.
-    """
-    arrays = backend().arrays
-    if len(fields) == 1:
-        return arrays.einsum("nij,pi->njp", fields, matrix)
-    # One product for the whole batch: small ones would each wait for the threads of the BLAS.
-    return arrays.tensordot(fields, matrix, (1, 1))
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
+    return backend().arrays.tensordot(fields, matrix, (1, 1))
 
 
 def object_patches(
@@ -291,7 +288,7 @@ def object_patches(
         padded = fft(padded, axis=1)
     intensity = padded.real**2
     intensity += padded.imag**2
-    sums = arrays.tensordot(arrays.tensordot(intensity, tile.to_bins, (1, 1)), tile.to_bins, (1, 1))
+    sums = arrays.matmul(tile.to_bins, arrays.matmul(intensity, tile.to_bins.T))
     # Areas over the distance, which may be infinite.
     slope = camera.mla_pitch / camera.mla_distance / tile.samples
     scale = tile.pupil_pitch**2 / in_millimetres(tile.wavelength) * slope / camera.pixel_size
@@ -312,10 +309,10 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
     lens, row, column = split(types, index, count, count)
-    P = types.Float64(tile.pupil)
+    P = drjit_array(types.Float64, tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y, ax, ay = (
-        dr.gather(types.Float64, types.Float64(np.ascontiguousarray(values)), lens)
+        dr.gather(types.Float64, drjit_array(types.Float64, values), lens)
         for values in (*batch.centre.T, *batch.aside.T)
     )
     b = dr.opaque(types.Float64, camera.mla_distance)
@@ -338,7 +335,7 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     # The patch is centred on a bin, not on the lens's image.
     waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
     inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
-    aimed = unpack(types.UInt64(as_words(fields))) * phasor(waves) * inside
+    aimed = unpack(drjit_array(types.UInt64, as_words(fields))) * phasor(waves) * inside
     return as_field(pack(aimed), fields.shape)
 
 

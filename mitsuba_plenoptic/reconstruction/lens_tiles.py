@@ -21,6 +21,9 @@ from .planning import GUARD, field_subsamples
 # Samples that are transformed together, on the processor and on a CUDA device.
 _BATCH_SAMPLES, _CUDA_BATCH_SAMPLES = 2**20, 2**25
 
+_PRODUCTS = 64
+"""Products of complex numbers in a matrix product that take as long as a sample of a Fourier transform."""
+
 _FINE_GUARD = 2 * GUARD
 """`GUARD` for several bins per lens: they resolve the power, which has twice the frequencies of the field."""
 
@@ -185,8 +188,11 @@ class LensTile:
 
     @property
     def transformed(self) -> int:
-        """Samples that the Fourier transforms of one lens go through."""
-        return 4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size)
+        """Samples that one lens's Fourier transforms go through; matrix products count by their time."""
+        products = self.cell_samples * self.pupil_samples * (self.cell_samples + self.pupil_samples)
+        return (
+            4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size) + products // _PRODUCTS
+        )
 
     @property
     def memory(self) -> float:

@@ -1,9 +1,20 @@
 r"""Sampling of the fields in back-propagation: the rules for pitches and windows, and the choice of grids.
 
-Detector to MLA and MLA to main lens go by the angular spectrum, whose windows are periodic. The rules:
+The detector's light goes to the MLA by the angular spectrum, whose windows are periodic. From the MLA over the distance
+b to the main lens it goes in two steps. Free space is the paraxial transfer function times what is left of the exact
+one,
 
-- *Pitch*: a grid of pitch d holds direction cosines up to :math:`\lambda / 2d`. Light between a point of one plane
-  and a point of the next has the direction that the two points give, and nothing else is needed.
+.. math:: e^{i k b (\sqrt{1 - s^2} - 1)} = e^{-i k b s^2 / 2} \; e^{i k b (\sqrt{1 - s^2} - 1 + s^2 / 2)} .
+
+The second factor displaces light by :math:`b s^3 / 2` only and is applied in the plane of the MLA. The first one is a
+single Fourier transform of the field times :math:`\exp(i \pi m^2 / \lambda b)`, with :math:`P / \lambda b` as the
+frequency (Goodman, "Introduction to Fourier Optics", section 4.2): it needs samples for the light that goes to the
+main lens, but none between the two planes. The rules:
+
+- *Pitch*: a grid of pitch d holds a range :math:`\lambda / d` of direction cosines. On the detector they are those of
+  the light that converges to the MLA. Behind a microlens, light of other directions must not be taken for light to the
+  main lens; that is a matter of the directions from one lens, as all light at a place comes from the same one. On the
+  main lens, whose phase comes first, the directions are those of the light to the object plane.
 - *Window*: light leaves a grid in all directions that the grid holds. The window is wide enough that what wraps
   round falls outside the part of the next plane that is used.
 
@@ -43,6 +54,9 @@ Window = tuple[Span, Span]
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
 
+_PIXEL_GUARD = 1.2
+"""The same on the detector, where the borders of pixels diffract more."""
+
 _MOST_TRANSFORMED = 2**35
 """Samples that one field's transforms go through, at most: some 100 times those of 4096 x 4096 pixels of the paper.
 
@@ -60,6 +74,15 @@ _DIRECTION_SAMPLES, _FINE_DIRECTION_SAMPLES = 2.5, 5.0
 
 The power has twice as many as the field. With the cubic integrals of `direction_bins` bins are within 0.2 % RMS of
 those from many more samples; ten bins per lens, each as narrow as two samples, would be 2 % off with the fewer ones.
+"""
+
+_LEAST_COSINE = 1e-3
+"""Square of the cosine to the axis from which on light is followed no farther aside."""
+
+_MARGIN_ORDERS, _MARGIN_LENSES = 0.5, 1.0
+"""Diffraction orders of a lens held beyond the directions to the main lens, and lenses beside the lit ones.
+
+Without the steeper directions edges become ripples; what is cut off of these should be in directions that miss.
 """
 
 OBJECT_MARGIN = 6.0
@@ -154,9 +177,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Directions(Step):
-    r"""The last step, from samples of the main lens to the lowest direction cosines; it ends at the spectrum.
+    r"""A step by one transform, from samples to the lowest frequencies of the field; it ends at the spectrum.
 
-    Cosines are multiples of the wavelength over the window. The step back leads to the samples of the main lens.
+    From the MLA these are places on the main lens; from the main lens they are direction cosines, multiples of the
+    wavelength over the window. The step back leads to the source samples.
     """
 
     @property
@@ -167,30 +191,47 @@ class Directions(Step):
 
 @dataclass(frozen=True)
 class Strip:
-    """Rows of the lit pixels that go to the main lens together; its samples are the same for all strips."""
+    """Rows of the lit pixels that go to the main lens together; its samples are the same for all strips.
+
+    `beyond_paraxial` stays in the plane of the MLA, and `to_main_lens` is the paraxial transform from there.
+    """
 
     rows: slice
     to_mla: Step
-    to_main_lens: Step
+    beyond_paraxial: Step
+    to_main_lens: Directions
+
+
+@dataclass(frozen=True)
+class LensAxis:
+    """Samples of the main lens along one axis: an odd count, the middle one on the axis, at a pitch in millimetres."""
+
+    count: int
+    pitch: float
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Coordinates, float64 (count,)."""
+        return (np.arange(self.count) - self.count // 2) * self.pitch
 
 
 @dataclass(frozen=True)
 class FieldPlan:
-    """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes."""
+    """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes.
+
+    `pupil` are the samples of the main lens along x and y.
+    """
 
     subsamples: int
     strips: tuple[Strip, ...]
+    pupil: tuple[LensAxis, LensAxis]
     to_objects: tuple[Directions, ...]
-
-    @property
-    def main_lens(self) -> Step:
-        """A step to the samples of the main lens."""
-        return self.strips[0].to_main_lens
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """All steps."""
-        return (*(step for strip in self.strips for step in (strip.to_mla, strip.to_main_lens)), *self.to_objects)
+        on_array = (step for strip in self.strips for step in (strip.to_mla, strip.beyond_paraxial, strip.to_main_lens))
+        return (*on_array, *self.to_objects)
 
     @property
     def transformed(self) -> int:
@@ -201,21 +242,22 @@ class FieldPlan:
     def memory(self) -> float:
         """Bytes of the arrays that are alive at once: the columns of a step, and the field at the main lens."""
         columns = max(math.prod(step.columns) for step in self.steps)
-        return 8.0 * (columns + math.prod(self.main_lens.shape))
+        return 8.0 * (columns + self.pupil[0].count * self.pupil[1].count)
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     r"""Field samples across a pixel on the detector.
 
-    The pitch must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` from the chief ray, and on
-    the MLA the microlens's bend besides the light that the main lens accepts, so that what is bent beyond the grid's
-    directions does not come back among those.
+    The range of direction cosines must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` on both
+    sides of the chief ray, whose own is that of the rim. On the MLA it must hold, beside the light that the main lens
+    accepts from one lens, what this bends to one side, so that this does not come back among the accepted light.
     """
     b, z = camera.mla_distance, camera.reduced_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
-    converging = half_field / b + max(camera.mla_pitches) * (b + z) / (2 * b * z)
-    accepted = (camera.aperture_radius + half_field) / b + bend(camera)
-    return math.ceil(2 * camera.pixel_size * max(converging, accepted) / in_millimetres(wavelength))
+    converging = max(camera.mla_pitches) * (b + z) / (2 * b * z)
+    accepted = camera.aperture_radius / b
+    most = max(2 * (half_field / b + converging), converging + bend(camera) + accepted)
+    return math.ceil(camera.pixel_size * _PIXEL_GUARD * most / in_millimetres(wavelength))
 
 
 def plan(
@@ -248,16 +290,24 @@ def _plan(
     borders = [lit[1][0] + (lit[1][1] - lit[1][0]) * index // count for index in range(count + 1)]
     spans = list(itertools.pairwise(borders))
     down = [_detector_step(camera, wavelength, 1, span, pitch) for span in spans]
-    to_main_lens, to_objects = [], []
+    on_array, pupil, to_objects = [], [], []
     for axis, steps in enumerate(([across], down)):
-        ways, directions = _main_lens_steps(camera, wavelength, distances, axis, lit[axis], steps, oversample)
-        to_main_lens.append(ways)
+        ways, samples, directions = _main_lens_steps(camera, wavelength, distances, axis, lit[axis], steps, oversample)
+        on_array.append(ways)
+        pupil.append(samples)
         to_objects.append(directions)
     strips = [
-        Strip(slice(low - lit[1][0], high - lit[1][0]), Step(across, detector), Step(to_main_lens[0][0], way))
-        for (low, high), detector, way in zip(spans, down, to_main_lens[1], strict=True)
+        Strip(
+            slice(low - lit[1][0], high - lit[1][0]),
+            Step(across, detector),
+            Step(on_array[0][0][0], beyond),
+            Directions(on_array[0][0][1], to_main_lens),
+        )
+        for (low, high), detector, (beyond, to_main_lens) in zip(spans, down, on_array[1], strict=True)
     ]
-    return FieldPlan(subsamples, tuple(strips), tuple(Directions(x, y) for x, y in zip(*to_objects, strict=True)))
+    # The transform to the main lens has turned rows into columns, and the next one turns these back.
+    objects = tuple(Directions(y, x) for x, y in zip(*to_objects, strict=True))
+    return FieldPlan(subsamples, tuple(strips), (pupil[0], pupil[1]), objects)
 
 
 def require_feasible(made: FieldPlan) -> None:
@@ -295,28 +345,50 @@ def _main_lens_steps(
     lit: Span,
     detector: Sequence[AxisStep],
     oversample: int,
-) -> tuple[list[AxisStep], list[AxisStep]]:
-    """Plan the steps from the MLA, in strips, to the main lens, and from there to the object planes."""
+) -> tuple[list[tuple[AxisStep, AxisStep]], LensAxis, list[AxisStep]]:
+    """Plan the two steps from the MLA, in strips, to the main lens, its samples, and the steps to the object planes."""
     b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
-    extents = [object_extent(camera, distance, axis, lit) for distance in distances]
-    # Directions that come to the main lens, and that leave it.
-    steepest = GUARD * max([(radius + half_mla) / b, *(max(map(abs, light)) for light, _ in extents)])
+    steepest = (radius + half_mla) / b + _MARGIN_ORDERS * wave / min(camera.mla_pitches)
+    beside = _MARGIN_LENSES * max(camera.mla_pitches)
     count = max(step.wanted for step in detector)
-    pitch = detector[0].pitch
-    padded = fast_length(max((half_mla + b * steepest + radius) / pitch, count))
-    new_padded = min(fast_length(padded * pitch / (wave / (2 * steepest))), padded)
-    new_pitch = padded * pitch / new_padded
-    wanted = min(math.ceil(2 * radius / new_pitch) + 1, new_padded)
-    start = -(wanted - 1) / 2 * new_pitch
-    ways = [AxisStep(step.start, pitch, step.wanted, padded, new_padded, start, wanted) for step in detector]
+    ways = [_beyond_paraxial(step, count, b, steepest, beside, wave) for step in detector]
+
+    # The samples of the main lens hold the directions of what leaves it for the object planes.
+    extents = [object_extent(camera, distance, axis, lit) for distance in distances]
+    leaving = GUARD * max(max(map(abs, light)) for light, _ in extents)
+    length = fast_length(max(2 * b * leaving / ways[0].new_pitch, *(way.wanted for way in ways)))
+    pitch = wave * b / (length * ways[0].new_pitch)
+    half = min(math.ceil(radius / pitch), (length - 1) // 2)
+    count = 2 * half + 1
+    onto = [AxisStep(way.start, way.new_pitch, way.wanted, length, count, way.start, way.wanted) for way in ways]
 
     samples = _DIRECTION_SAMPLES if oversample == 1 else _FINE_DIRECTION_SAMPLES
-    length = fast_length(max(samples * 2 * radius / new_pitch, wanted))
-    cosine = wave / (length * new_pitch)
-    most = [min(math.ceil(max(map(abs, seen)) / cosine) + 2, (length - 1) // 2) for _, seen in extents]
-    directions = [AxisStep(start, new_pitch, wanted, length, 2 * count + 1, start, wanted) for count in most]
-    return ways, directions
+    padded = fast_length(max(samples * 2 * radius / pitch, count))
+    cosine = wave / (padded * pitch)
+    most = [min(math.ceil(max(map(abs, seen)) / cosine) + 2, (padded - 1) // 2) for _, seen in extents]
+    start = -half * pitch
+    directions = [AxisStep(start, pitch, count, padded, 2 * held + 1, start, count) for held in most]
+    return list(zip(ways, onto, strict=True)), LensAxis(count, pitch), directions
+
+
+def _beyond_paraxial(
+    on_array: AxisStep, count: int, distance: float, steepest: float, beside: float, wave: float
+) -> AxisStep:
+    """Plan the step in the plane of the MLA, which displaces light and leaves directions up to a steepest one.
+
+    The window has room for `count` samples, and for light `beside` them in millimetres.
+    """
+    # Farthest towards the corner of the directions.
+    displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, _LEAST_COSINE)) - 1)
+    pitch, more = on_array.pitch, 2 * (displaced + beside)
+    padded = fast_length(count + more / pitch)
+    new_padded = min(fast_length(padded * pitch * 2 * steepest / wave), padded)
+    new_pitch = padded * pitch / new_padded
+    wanted = min(math.ceil((on_array.wanted * pitch + more) / new_pitch), new_padded)
+    middle = on_array.start + (on_array.wanted - 1) / 2 * pitch
+    start = middle - (wanted - 1) / 2 * new_pitch
+    return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, wanted)
 
 
 def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
 from ..lightfield.white import white_image
 from ..optics import rays
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, drjit_array
 from ..runtime.limits import require_memory
 from .methods import Task, method
 from .radiance import captures, once_a_camera, to_radiance
@@ -180,10 +180,10 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
     if not (x.weights.nnz and y.weights.nnz):
         # No pixel meets a bin.
         return np.zeros((down, across, channels), np.float32)
-    values = types.Float(np.ascontiguousarray(image).reshape(-1))
+    values = drjit_array(types.Float, image)
     thread = dr.arange(types.UInt32, rows * across * channels)
     row, rest = thread // (across * channels), thread % (across * channels)
-    limit = types.Float((radius**2 - y.pupil**2).astype(np.float32))
+    limit = drjit_array(types.Float, radius**2 - y.pupil**2)
     base = row * dr.opaque(types.UInt32, columns * channels) + rest % channels
     by_row = _sums(types, values, x, rest // channels, base, channels, dr.gather(types.Float, limit, row))
     width = across * channels
@@ -195,8 +195,9 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
 def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, stride: int, limit: Any = None) -> Any:
     """Sum the values, `stride` apart, of the pixels of each bin whose squared pupil coordinate is within a limit."""
     Float, UInt32 = types.Float, types.UInt32
-    start, pixel = UInt32(bins.weights.indptr), UInt32(bins.weights.indices)
-    weight, square = Float(bins.weights.data), Float((bins.pupil**2)[bins.weights.indices].astype(np.float32))
+    start, pixel = (drjit_array(UInt32, part) for part in (bins.weights.indptr, bins.weights.indices))
+    weight = drjit_array(Float, bins.weights.data)
+    square = drjit_array(Float, bins.pupil[bins.weights.indices] ** 2)
     entry, end = dr.gather(UInt32, start, number), dr.gather(UInt32, start, number + 1)
     if limit is not None:
         # A row beyond the pupil's edge is dark whatever its columns.

@@ -25,7 +25,7 @@ from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
 from ..lenses.base import MainLens
 from ..lenses.common import main_lens
 from ..optics import rays
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, drjit_array
 from ..runtime.fft import rows_and_columns
 from ..runtime.limits import require_memory
 
@@ -296,7 +296,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
 def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, Any]]:
     """Yield some rows at a time, with x and y of their pixels' centres."""
     rows, columns = camera.shape
-    x, y = (types.Float64(camera.pixel_coordinates(axis)) for axis in (0, 1))
+    x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
     together = max(1, _LANES // columns)
     for first in range(0, rows, together):
         last = min(rows, first + together)

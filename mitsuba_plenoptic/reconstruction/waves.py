@@ -55,6 +55,7 @@ from ..optics import rays
 from ..optics.waves import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, convolve
+from ..runtime.limits import single_threaded_blas
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_memory
 from .conjugates import RealConjugates, ThinConjugates, undistorted
@@ -124,6 +125,7 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
 
 
 @once_a_camera
+@single_threaded_blas()  # the bits are the same with any thread count
 def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = True) -> float:
     """Return the fraction of a white micro-image's power that comes back through the main lens.
 
@@ -140,6 +142,7 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = T
 
 
 @once_a_camera
+@single_threaded_blas()
 def _traced_throughput(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -204,6 +207,7 @@ def _white_micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> t
     return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), np.hypot(Px, Py[:, None])
 
 
+@single_threaded_blas()
 def white_power(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool, oversample: int
 ) -> np.ndarray:

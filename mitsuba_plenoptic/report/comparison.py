@@ -43,8 +43,8 @@ from .stage_store import StageOptions
 def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
     """Capture a scene by rays and by waves, refocus it by every method, and report how they differ.
 
-    The ray capture has parabolic lenses, whose aberrations are those of the wave capture's thin phases, so that
-    diffraction is the only difference.
+    Both captures have the main lens that the sensor's `lens_model` states, so that they differ by diffraction, at the
+    pupil and at the microlenses.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages))

@@ -141,7 +141,6 @@ class Experiment:
     """Results of an experiment."""
 
     settings: Settings
-    # The camera, with parabolic lenses.
     camera: PlenopticCamera
     ray: Capture
     wave: Capture
@@ -175,10 +174,6 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     set_variant(settings.variant)
     scene = load_with_sensor(settings.scene, settings.parameters)
     sensor = scene.sensors()[0]
-    PlenopticCamera.from_sensor(sensor)
-    # The wave capture's lenses are thin parabolic phases: their geometric twin leaves diffraction as the difference.
-    sensor.lens_model = "parabolic"
-    sensor.parameters_changed()
     camera = PlenopticCamera.from_sensor(sensor)
     refuse_if(
         camera.is_cropped, f"{settings.scene}: a comparison needs the full detector; remove the film's crop window"
@@ -189,7 +184,6 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     base = {
         "scene": scene_fingerprint(settings.scene, settings.parameters),
         "variant": settings.variant,
-        "lens_model": sensor.lens_model,
     }
     ray, ray_key = store.capture(
         "capture_ray",

@@ -17,6 +17,7 @@ from matplotlib.colors import FuncNorm, Normalize
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from ..camera import are_alike
 from ..errors import refuse_if
 from ..lightfield.exchange.pictures import linear_of
 from ..lightfield.geometry import camera_of
@@ -74,7 +75,9 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     >>> contact_sheet(results).save("refocused.pdf")
     """
     refuse_if(not results, "results: give at least one")
-    refuse_if(any(one.camera != results[0].camera for one in results), "results: they must be by one camera")
+    refuse_if(
+        not all(are_alike(one.camera, results[0].camera) for one in results), "results: they must be by one camera"
+    )
     found = {(one.method, one.distance): one for one in results}
     methods = list(dict.fromkeys(one.method for one in results))
     distances = sorted({one.distance for one in results})

@@ -74,30 +74,55 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return in_turn
 
 
-_PACKET = 16
-"""Numbers that kernels of Dr.Jit read at once, at most."""
-
-_ALIGNMENT, _SMALL = 128, 2**20
-"""Bytes of the widest packets, and of arrays that are copied without delay."""
+_PACKET, _ALIGNMENT = 16, 64
+"""Numbers that kernels of Dr.Jit read at once, and bytes on which they may rely for that, at most."""
 
 
-def lanes(array: Any) -> Any:
-    """Return an array, flat, for one of Dr.Jit to share whose numbers kernels read one after the other.
+def drjit_array(kind: Any, numbers: Any) -> Any:
+    """Return an array of a Dr.Jit type with the numbers of a NumPy or CuPy array, or of a plain list.
 
-    They read whole packets, also beyond the end of memory of NumPy's. Where this ends with a page, and the next page is
-    none of the process, reading it ends the process. Arrays that do not fill their last packet are therefore copied.
-    Small ones whose memory is not aligned are copied, too, as Dr.Jit compiles kernels of their own for them.
+    Dr.Jit shares the memory of arrays of the same numbers, and compiles kernels of their own for NumPy's where it does
+    not lie on whole packets, which is up to `malloc`. All memory of NumPy's therefore goes to Dr.Jit through here.
     """
-    if not isinstance(array, np.ndarray):
-        return array.reshape(-1)
-    is_aligned = array.ctypes.data % _ALIGNMENT == 0 or array.nbytes > _SMALL
-    if array.size % _PACKET == 0 and is_aligned and array.flags.c_contiguous:
-        return array.reshape(-1)
-    memory = np.zeros(array.nbytes + _PACKET * array.itemsize + _ALIGNMENT, np.uint8)
-    start = -memory.ctypes.data % _ALIGNMENT
-    copy = memory[start : start + array.nbytes].view(array.dtype)
-    copy[:] = array.reshape(-1)
+    if isinstance(numbers, np.ndarray):
+        numbers = packets(numbers, np.dtype(dr.type_v(kind).name.lower()))
+    elif not hasattr(numbers, "shape"):
+        return kind(numbers)
+    if dr.is_tensor_v(kind):
+        return kind(dr.array_t(kind)(numbers.reshape(-1)), numbers.shape)
+    return kind(numbers.reshape(-1))
+
+
+def packets(array: NDArray[Any], kind: Any = None) -> NDArray[Any]:
+    """Return a NumPy array, or a copy of another type of numbers, in memory from which kernels read whole packets.
+
+    Kernels also read beyond the end. Where this ends with a page, and the next page is none of the process, reading it
+    ends the process. Arrays whose memory is not known to hold their last packet are therefore copied, too.
+    """
+    kind = array.dtype if kind is None else np.dtype(kind)
+    if array.dtype == kind and array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
+        owner = array
+        while isinstance(owner.base, np.ndarray):
+            owner = owner.base
+        end = owner.ctypes.data + (owner.nbytes if owner.flags.c_contiguous else 0)
+        if array.ctypes.data + _whole_packets(array.size) * array.itemsize <= end:
+            return array
+    copy = empty_packets(array.shape, kind)
+    copy[...] = array
     return copy
+
+
+def _whole_packets(count: int) -> int:
+    """Return how many numbers are in the packets that hold `count`."""
+    return -(-count // _PACKET) * _PACKET
+
+
+def empty_packets(shape: tuple[int, ...], kind: Any) -> NDArray[Any]:
+    """Return a NumPy array whose memory `packets` need not copy, with any numbers in it."""
+    count, size = math.prod(shape), np.dtype(kind).itemsize
+    memory = np.empty(_whole_packets(count) * size + _ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % _ALIGNMENT
+    return memory[start : start + count * size].view(kind).reshape(shape)
 
 
 @dataclass(frozen=True)
@@ -114,6 +139,10 @@ class Backend:
     sparse: Any
     # Whether the arrays lie on a CUDA device.
     is_cuda: bool
+
+    def empty(self, shape: tuple[int, ...], kind: Any) -> Any:
+        """Return an array of `arrays` with any numbers in it, which `drjit_array` need not copy."""
+        return self.arrays.empty(shape, kind) if self.is_cuda else empty_packets(shape, kind)
 
     def from_drjit(self, array: Any) -> Any:
         """Return the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
@@ -222,14 +251,13 @@ def maximum(a: Any, b: Any) -> Any:
 
 
 def sqrt(value: Any) -> Any:
-    """Return the square root."""
-    return module_of(value).sqrt(value)
+    """Return the square root; of a plain number a plain one, as NumPy's would turn Dr.Jit arrays into NumPy's."""
+    return float(np.sqrt(value)) if isinstance(value, (int, float)) else module_of(value).sqrt(value)
 
 
 def safe_sqrt(value: Any, least: float = 1e-20) -> Any:
     """Return the square root, of what is below `least` that of `least`, so that its derivative is finite."""
-    # NumPy's scalars would turn Dr.Jit arrays that they meet into NumPy's, without gradients.
-    return math.sqrt(max(value, least)) if isinstance(value, float) else sqrt(maximum(value, least))
+    return sqrt(maximum(value, least))
 
 
 def rsqrt(value: Any) -> Any:

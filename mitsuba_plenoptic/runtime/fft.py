@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of, lanes
+from .backend import backend_of, drjit_array
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -97,7 +97,9 @@ def stop_threads() -> None:
 
     A thread that falls asleep at this very moment can miss the request, and `drjit.set_thread_count` then waits for
     ever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. Any kernel
-    wakes the thread. To launch one, the request is made in another thread and without the interpreter's lock.
+    wakes the thread. To launch one, the request is made in another thread and without the interpreter's lock. Only a
+    sum does so, of as many numbers as threads share, for which nothing is compiled: which kernels a process compiles
+    must not depend on when its threads fall asleep.
     """
     if dr.thread_count() == 1:
         return
@@ -107,7 +109,7 @@ def stop_threads() -> None:
         return
     request = _requests().submit(pool_set_size, None, 1, 0)
     while not wait([request], _PATIENCE).done:
-        dr.eval(dr.arange(dr.llvm.UInt32, 64))
+        dr.sum(dr.opaque(dr.llvm.UInt32, 1, 2**17))
         dr.sync_thread()
 
 
@@ -166,7 +168,7 @@ def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -
     field = as_field(packed, shape)
     with resting_drjit():
         field = fft2(field, inverse=inverse)
-    return words(as_words(field))
+    return drjit_array(words, as_words(field))
 
 
 def pack(field: Any) -> Any:
@@ -190,8 +192,8 @@ def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
 
 
 def as_words(field: Field) -> Any:
-    """Return the memory of a contiguous field, or a copy, as 64-bit words for an array of Dr.Jit; see `lanes`."""
-    return lanes(field.reshape(-1).view(np.uint64))
+    """Return the memory of a contiguous field, or a copy, as 64-bit words for `drjit_array`."""
+    return field.reshape(-1).view(np.uint64)
 
 
 def array_types(array: Any) -> Any:

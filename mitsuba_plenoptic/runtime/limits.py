@@ -23,6 +23,9 @@ _FRACTION = 0.75
 """Fraction of the machine's memory that is allowed by default; the rest is for what is underestimated."""
 
 _UNKNOWN = 8 * GIB
+
+# Times the limit beyond which an estimate is rather of lengths in other units.
+_OTHER_UNITS = 64
 _CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
@@ -52,7 +55,13 @@ def require_memory(
     raise InputError(
         f"{what}: it would need {_gib(needed)} of memory, at most {_gib(limit)} are allowed"
         + (f"; {hint} would fit" if hint else "")
+        + unit_hint(needed, limit)
     )
+
+
+def unit_hint(needed: float, limit: float) -> str:
+    """Return what to add to a refusal of work so large that lengths are likely not in millimetres."""
+    return "; lengths are millimetres: check their unit" if not needed <= _OTHER_UNITS * limit else ""
 
 
 def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int) -> int:

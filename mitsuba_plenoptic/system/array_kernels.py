@@ -55,6 +55,9 @@ _FIELD, _PUPIL = 9, 9
 REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
 
+_BORDER = 8
+"""Samples over which a kernel falls to zero at either end of its period, which is no whole number of samples."""
+
 _REACHED, _SHAPE = 16, 8.0
 """Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
 
@@ -222,7 +225,7 @@ class ArrayKernels(LensWaves):
         every = max(1, int(scale / (2 * fine * reach)))
         # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
         farthest = int(min(2 * _TRANSFER_SAMPLES, scale / (2 * step * fine))) // every
-        return every, farthest, math.ceil(scale / (2 * fine * every * step) - 0.5)
+        return every, farthest, math.ceil((scale / (fine * every * step) + _BORDER) / 2)
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
@@ -249,8 +252,9 @@ class ArrayKernels(LensWaves):
             ],
             axis=0,
         )
-        aside = count - count // _COARSER
-        small = self._placed(transfer, every * _COARSER, step, count - aside, kind)
+        # Their period is shorter, but not the border of their windows.
+        reached = min(count, count // _COARSER + _BORDER // 2)
+        small, aside = self._placed(transfer, every * _COARSER, step, reached, kind), count - reached
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
     def _placed(
@@ -261,7 +265,10 @@ class ArrayKernels(LensWaves):
         apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
         farthest = transfer.shape[1] // 2
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
-        waves = np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
+        # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
+        beyond = (np.abs(place) - scale / (2 * apart)) / (_BORDER * step)
+        window = (1 - np.sin(np.pi * np.clip(beyond, -0.5, 0.5))) / 2
+        waves = window[:, None] * np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
 
     def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:

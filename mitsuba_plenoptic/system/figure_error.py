@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime.backend import module_of
+from ..runtime.backend import drjit_array, module_of
 
 _COSINES = 32
 """Count of cosines."""
@@ -59,7 +59,7 @@ class FigureError:
         module, rows = module_of(x), [*self.frequencies, self.phases]
         if module is dr:
             # In tables, other numbers need no other kernel.
-            tables = [type(x)(row) for row in rows]
+            tables = [drjit_array(type(x), row) for row in rows]
             rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
         found = []
         for u, v, phase in zip(*rows, strict=True):

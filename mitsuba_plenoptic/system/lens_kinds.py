@@ -23,6 +23,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..lenses.base import Pair
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
@@ -159,7 +160,7 @@ class LensKinds:
     @cached_property
     def _moments(self) -> tuple[float, float]:
         """Means of the second and fourth power of the distance from the centre over the aperture of a lens."""
-        along = mi.Float((np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
+        along = drjit_array(mi.Float, (np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
         x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())

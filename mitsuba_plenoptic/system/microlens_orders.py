@@ -44,8 +44,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import Lattice, turn
 from ..optics.waves import in_millimetres
-from ..runtime.backend import array_module, backend_of
-from ..runtime.fft import Field, array_types, as_field, fast_length, pack, split, unpack, worker_count
+from ..runtime.backend import array_module, backend_of, drjit_array, empty_packets
+from ..runtime.fft import Field, array_types, as_field, as_words, fast_length, pack, split, unpack, worker_count
 from .microlenses import from_centre, is_separable, transmission
 from .sampling import check_memory
 
@@ -129,8 +129,12 @@ class ArrayFactor(ABC):
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
-        padded = np.pad(table.astype(np.complex64, copy=False), [(0, 1)] * table.ndim, mode="wrap")
-        return array_module().UInt64(np.ascontiguousarray(padded).reshape(-1).view(np.uint64))
+        padded = empty_packets(tuple(size + 1 for size in table.shape), np.complex64)
+        padded[tuple(map(slice, table.shape))] = table
+        for axis in range(table.ndim):
+            lines = np.moveaxis(padded, axis, 0)
+            lines[-1] = lines[0]
+        return drjit_array(array_module().UInt64, as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
         """Differentiate a sum of orders by the position along an axis, in periods."""

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lenses.base import Pair
+from ..runtime.backend import drjit_array
 
 DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
 """Direction cosines, over the largest ones, for which kernels are computed to find their changes."""
@@ -150,7 +151,7 @@ class ObliqueImages:
     def __init__(self, oblique: Oblique) -> None:
         self._largest, self._count, self._functions = oblique.largest, *oblique.factors.shape[:2]
         # The table is an input of Dr.Jit's kernels, so that those of other cameras are not compiled again.
-        self._table = mi.Float(oblique.factors.ravel())
+        self._table = drjit_array(mi.Float, oblique.factors)
         numbers = np.arange(oblique.factors.size).reshape(oblique.factors.shape)
         self._used = [
             [[(k, int(numbers[r, n, k])) for k in np.flatnonzero(row)] for n, row in enumerate(rows)]

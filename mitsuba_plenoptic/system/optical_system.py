@@ -18,18 +18,10 @@ from ..lattice import Lattice
 from ..lenses.base import MainLens, PointLight
 from ..lenses.common import main_lens
 from ..optics import rays
-from ..optics.waves import in_millimetres
 from ..prescription.glass import LINE_D
+from ..runtime.backend import drjit_array
 from .microlens_orders import MicrolensArray, microlens_array
 from .microlenses import upright
-
-_SMALLEST = 20.0
-"""Pitch in wavelengths below which paraxial kernels do not hold."""
-
-
-def has_small_lenses(camera: PlenopticCamera, wavelength: float) -> bool:
-    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
-    return min(camera.mla_pitches) < _SMALLEST * in_millimetres(wavelength)
 
 
 def is_paraxial(camera: PlenopticCamera) -> bool:
@@ -169,7 +161,7 @@ class RayPupil:
         assert found is not None
         # Outside its border the map continues with the border's values, which lie outside the pupil.
         return mi.Texture3f(
-            mi.TensorXf(found.points),
+            drjit_array(mi.TensorXf, found.points),
             filter_mode=dr.FilterMode.Linear,
             wrap_mode=dr.WrapMode.Clamp,
         )

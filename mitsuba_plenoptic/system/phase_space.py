@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array, empty_packets
 from ..runtime.limits import single_threaded_blas
 from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem
@@ -53,11 +54,18 @@ _CELLS = (1.5, 4.0)
 would resolve it; 1.5 lose the last quarter of frequencies, which is negligible; 4 also resolve the interference of
 neighbouring lenses."""
 
+_UNIT = 3.8
+"""Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
+the Airy pattern."""
+
+_MOST_CELLS = (3, 4)
+"""Most cells of the grid across a pixel, which integrates over what more resolve: 0.2 and 0.1 % of a capture."""
+
 _SPREADS = 2.0
 """Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
 
 _LEAST_WINDOW, _NARROW = 3, 0.2
-"""Lenses across the smallest window; it is one lens smaller if that width is below this fraction of a lens."""
+"""Units across the smallest window; it is one unit smaller if that width is below this fraction of a unit."""
 
 _OVERSAMPLING, _FINEST = 1.4, 64
 """Samples of the table over those that its highest frequency requires, and the largest number per lens."""
@@ -92,8 +100,9 @@ class TableNode(NamedTuple):
 class PhaseSpace(ArrayKernels):
     """Diffraction of one camera at one wavelength, as coefficients of rays and kernels of images."""
 
-    # Lenses across the window at the pupil's rim, where the spread of a ray is largest. Light outside is folded back by
-    # whole windows, which conserves the energy.
+    # Units across the window at the pupil's rim, where the spread of a ray is largest. A unit is a lens, or more behind
+    # pupils that diffract light over many lenses. Light outside is folded back by whole windows, which conserves the
+    # energy.
     window: int = 9
     # Nodes of the table along the pupil's radius, denser towards its rim.
     radial: int = 12
@@ -145,17 +154,18 @@ class PhaseSpace(ArrayKernels):
         """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
+        unit = max(pitch, _UNIT * reach / radius)
         made = []
         for index in range(self.radial + 1):
             distance, inner = (radius * (1 - (1 - max(r, 0) / self.radial) ** 2) for r in (index, index - 1))
             spread = _SPREADS * reach / max(radius - distance, 1e-9 * radius)
-            least = _LEAST_WINDOW * pitch if spread > _NARROW * pitch else (_LEAST_WINDOW - 1) * pitch
-            wanted = min(self.window * pitch, max(least, pitch + spread))
+            least = _LEAST_WINDOW * unit if spread > _NARROW * unit else (_LEAST_WINDOW - 1) * unit
+            wanted = min(self.window * unit, max(least, unit + spread))
             sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
             # The largest lag is perpendicular to the radius.
             step = max(reach / (2 * _OVERSAMPLING * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
-            # Between adjacent nodes the farthest points move by half a lens.
-            angular = math.ceil(math.pi / 2 * max(sides) / pitch)
+            # Between adjacent nodes the farthest points move by half a unit.
+            angular = math.ceil(math.pi / 2 * max(sides) / unit)
             made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
 
@@ -279,7 +289,7 @@ def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
     """Return the count of cells of the grid across a pixel, for usual or finer plans."""
     extent = in_millimetres(wavelength) * camera.reduced_distance
     highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
-    return math.ceil(_CELLS[fine] * highest)
+    return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS[fine])
 
 
 def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
@@ -315,12 +325,13 @@ class RayCoefficients:
         self._packets = -(-count // 4)
         # Coefficients are gathered four at a time.
         parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
-        self._table = mi.Float(np.concatenate(parts))
+        whole = empty_packets((sum(part.size for part in parts),), np.float32)
+        self._table = drjit_array(mi.Float, np.concatenate(parts, out=whole))
         first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
-        self._first = mi.Int(first.astype(np.int32))
+        self._first = drjit_array(mi.Int, first)
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
-        self._sides = [mi.Float(column) for column in sides.T]
-        self._counts = [mi.Int(column.astype(np.int32)) for column in counts.T]
+        self._sides = [drjit_array(mi.Float, column) for column in sides.T]
+        self._counts = [drjit_array(mi.Int, column) for column in counts.T]
         self._nodes = TableNodes(plan)
 
     def __call__(

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, short_repr
 from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
 from ..runtime.limits import single_threaded_blas
 from .lens_kinds import chief_ray_shift
 from .optical_system import OpticalSystem, RayPupil
@@ -228,7 +229,8 @@ class PlaneWaveResponses:
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
-        pupil = tuple(mi.Float(lens.pupil_point(c, -s / cosine).ravel()) for c, s in zip(place, (sx, sy), strict=True))
+        slopes = (-sx / cosine, -sy / cosine)
+        pupil = tuple(drjit_array(mi.Float, lens.pupil_point(c, t)) for c, t in zip(place, slopes, strict=True))
         inner = RayPupil(self.system).inner(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ..errors import refuse_if
-from ..runtime.limits import single_threaded_blas
+from ..runtime.limits import single_threaded_blas, unit_hint
 from .photodiodes import NEAR, PlaneWaveResponses, displacement
 
 _OVERSAMPLING = 1.4
@@ -135,7 +135,8 @@ class PhotodiodeResponses(PlaneWaveResponses):
         refuse_if(
             memory > _MOST_MEMORY,
             f"mla_pitch = {self.camera.mla_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
-            f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)",
+            f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)"
+            + unit_hint(memory, _MOST_MEMORY),
         )
 
     @cached_property

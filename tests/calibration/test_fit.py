@@ -15,6 +15,7 @@ from mitsuba_plenoptic.calibration import (
     LensIndex,
     Table,
     calibrate,
+    cross_validate,
     evaluate,
     read_camera,
     read_centres,
@@ -167,17 +168,22 @@ def test_wrong_centres_are_left_out(table, centres, found):
             assert abs(given.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
 
 
-def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
-    # Each frame displaced by a smooth field of its own, of the size of the noise: rows of a frame err together.
-    assert not found.by_frames
+def bent_frames(table, size):
+    """Displace each frame by a smooth field of its own, in pixels: rows of a frame err together."""
     columns = {name: values.copy() for name, values in table.columns.items()}
     generator = np.random.default_rng(0)
     for frame in np.unique(table["frame"]):
         mine = table["frame"] == frame
         x, y = (columns["u"][mine] / 1000 - 1, columns["v"][mine] / 750 - 1)
         for name in "uv":
-            columns[name][mine] += 0.1 * np.array([x, y, x * y, x * x, y * y]).T @ generator.normal(size=5)
-    bent = calibrate(Table("corners.csv", columns), cases.BOARD, START, centres)
+            columns[name][mine] += size * np.array([x, y, x * y, x * x, y * y]).T @ generator.normal(size=5)
+    return Table("corners.csv", columns)
+
+
+def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
+    assert not found.by_frames
+    # As large as the noise.
+    bent = calibrate(bent_frames(table, 0.1), cases.BOARD, START, centres)
     assert bent.by_frames
     assert bent.disagreement > 2
     true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
@@ -275,13 +281,66 @@ def test_boards_at_one_distance_tell_too_little():
         calibrate(cases.corners(0.0, 0, poses)[0], cases.BOARD, START)
 
 
+def some(table, part):
+    """A part of the rows."""
+    return table.keep(np.random.default_rng(0).random(len(table["k"])) < part)
+
+
 @pytest.mark.slow
-def test_boards_that_are_never_tilted_tell_too_little():
+def test_boards_that_are_never_tilted_leave_open_what_no_prediction_needs():
     poses = cases.POSES.copy()
     poses[:, :3] = 0, 0, 3.1
-    table = cases.corners(0.1, 0, poses)[0]
-    with pytest.raises(InputError, match=r"focal length open.*tilted"):
-        calibrate(table.keep(np.random.default_rng(0).random(len(table["k"])) < 0.15), cases.BOARD, START)
+    found = calibrate(some(cases.corners(0.1, 0, poses)[0], 0.15), cases.BOARD, START)
+    moved = found.open_direction
+    # The distances in the camera grow together, by their deviations.
+    assert moved["focal_length"] == pytest.approx(found.deviations["focal_length"])
+    assert moved["mla_distance"] == pytest.approx(found.deviations["mla_distance"], rel=0.01)
+    assert moved["focal_length"] > 20
+    assert abs(found.numbers["focal_length"] - cases.CAMERA.focal_length) < 2 * found.deviations["focal_length"]
+    # Tilted boards without noise are seen where this camera predicts them.
+    error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
+    assert 0.3 * found.prediction_deviation < error < 3 * found.prediction_deviation < 1
+
+
+def test_corners_that_leave_predictions_open_are_refused():
+    """As frames that disagree about the camera by pixels do; by less, the stated deviation is that from the truth."""
+    table = some(cases.corners(0.1)[0], 0.15)
+    found = calibrate(bent_frames(table, 1.0), cases.BOARD, START)
+    error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
+    assert error / 2 < found.prediction_deviation < 2 * error
+    with pytest.raises(InputError, match=r"open where .* in other poses, \+- .* pixels: give centres of .* tilted"):
+        calibrate(bent_frames(table, 4.0), cases.BOARD, START)
+
+
+def test_the_command_names_what_corners_leave_open(tmp_path, capsys):
+    table = cases.corners(0.5)[0]
+    few = some(table.keep(table["frame"] < 13), 0.15)
+    path, start, output = (tmp_path / name for name in ("corners.csv", "start.json", "camera.json"))
+    rows = np.column_stack(list(few.columns.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(few.columns), comments="")
+    start.write_text(START.to_json())
+    given = ["--board", "6x4", "--square", "6", "--camera", str(start), "-o", str(output)]
+    assert main(["calibrate", str(path), *given]) == 0
+    printed = capsys.readouterr().out
+    assert "leave the focal length open; with +" in printed and "go mla_distance +" in printed
+    assert "boards in other poses are predicted to 0." in printed
+    record = json.loads(output.read_text())["calibration"]
+    assert record["open_direction"]["mla_distance"] > 1
+    assert 0.1 < record["prediction_deviation_px"] < 1
+
+
+def test_corners_alone_tell_where_micro_images_are(table, found):
+    """Corners are seen through the pupil, so that micro-images lie about them."""
+    alone = calibrate(table, cases.BOARD, START)
+    assert not alone.open_direction
+    assert abs(alone.numbers["focal_length"] - cases.CAMERA.focal_length) < 3 * alone.deviations["focal_length"]
+    assert alone.deviations["focal_length"] > 2 * found.deviations["focal_length"]
+    unit = found.index.unit(table["k"], table["l"])
+    theirs, ours = (
+        predict_centres(np.array(list(each.numbers.values())), unit, pixel_size=0.0055, row_ratio=0.75**0.5)[0]
+        for each in (found, alone)
+    )
+    assert np.sqrt(((ours - theirs) ** 2).sum(1).mean()) < 1
 
 
 @pytest.mark.parametrize(
@@ -357,10 +416,19 @@ def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
-def test_corners_of_a_real_camera_alone_leave_its_focal_length_open():
+def test_corners_of_a_real_camera_alone_predict_poses_that_are_left_out():
     board, start = Board(9, 5, 10.0), PlenopticCamera.preset("raytrix")
-    with pytest.raises(InputError, match=r"focal length open, .* give centres"):
-        calibrate(read_corners(cases.REAL / "corners.csv", board, start.crop_size), board, start)
+    corners = read_corners(cases.REAL / "corners.csv", board, start.crop_size)
+    found, centres = calibrate(corners, board, start), read_centres(cases.REAL / "centres.csv")
+    assert np.mean(list(cross_validate(corners, board, found).values())) < 1.12
+    both = calibrate(corners, board, start, centres)
+    apart = found.numbers["focal_length"] - both.numbers["focal_length"]
+    assert abs(apart) < 2 * found.deviations["focal_length"]
+    assert found.deviations["focal_length"] > 2 * both.deviations["focal_length"]
+    unit = found.index.unit(centres["k"], centres["l"])
+    numbers = np.array(list(found.numbers.values()))
+    pixel, _ = predict_centres(numbers, unit, pixel_size=0.0055, row_ratio=0.75**0.5)
+    assert np.sqrt(((pixel - centres.pixel) ** 2).sum(1).mean()) < 1.2
 
 
 @pytest.mark.slow

@@ -26,7 +26,10 @@ from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
 from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
 
 PIXELS = 192
-CAMERA = PlenopticCamera(detector_width=6 * 0.064, resolution=(PIXELS, PIXELS))
+MODELS = {
+    model: PlenopticCamera(detector_width=6 * 0.064, resolution=(PIXELS, PIXELS), lens_model=model)
+    for model in ("ideal", "parabolic")
+}
 STEPS = {
     "focal_length": 0.01,
     "mla_distance": 0.01,
@@ -50,16 +53,16 @@ def weights():
     return np.exp(-((x - 6) ** 2 + (y - 9) ** 2) / (2 * 16**2))
 
 
-def moved(name, amount):
-    start = parameters_of(CAMERA)[name]
+def moved(camera, name, amount):
+    start = parameters_of(camera)[name]
     start[0] += amount
-    return CAMERA.replace(**{name: start.tolist() if len(start) > 1 else float(start[0])})
+    return camera.replace(**{name: start.tolist() if len(start) > 1 else float(start[0])})
 
 
 def traced(work, cells, key):
     """Return the rays that a sum draws, and their slopes in the scene."""
     drawn, _ = work._drawn_rays(cells, key)
-    return drawn, RayPupil(OpticalSystem(CAMERA, 633.0)).trace(drawn.place, drawn.pupil, drawn.height)[1]
+    return drawn, RayPupil(OpticalSystem(work._camera, 633.0)).trace(drawn.place, drawn.pupil, drawn.height)[1]
 
 
 class HeldRays(CameraTangents):
@@ -68,8 +71,8 @@ class HeldRays(CameraTangents):
     def figure(self, camera):
         plan = self._nodes[0].plan
         self.other, self.table, self.total = camera, coefficients_of(plan.moved(camera)), 0.0
-        samples = plan.kernel_samples(self._step, REACH * max(CAMERA.mla_pitches))
-        step = self._step * camera.detector_width / CAMERA.detector_width
+        samples = plan.kernel_samples(self._step, REACH * max(camera.mla_pitches))
+        step = self._step * camera.detector_width / self._camera.detector_width
         kernels = plan.moved(camera).sampled_kernels(step, samples, 0) / self._draws.enlargements[0] ** 2
         self.margin = PIXELS // 2
         figure = np.pad(weights(), self.margin)
@@ -90,9 +93,10 @@ class HeldRays(CameraTangents):
         mean = dr.select(drawn.open, mean, 0)
         strength = dr.select(drawn.open, (radiance[0] - mean) * drawn.weight, 0)
         here, there = (
-            hold(CAMERA, varying_parameters(camera), drawn, direction, self._step) for camera in (CAMERA, self.other)
+            hold(self._camera, varying_parameters(camera), drawn, direction, self._step)
+            for camera in (self._camera, self.other)
         )
-        scale = self.other.mla_pitch / CAMERA.mla_pitch
+        scale = self.other.mla_pitch / self._camera.mla_pitch
         point = tuple(p * scale for p in there.point)
         same = all(bool(dr.all(a == b)) for a, b in zip(here.point, there.point, strict=True))
         # Where points do not move, the same nodes of the table have the same noise.
@@ -137,9 +141,9 @@ class HeldRays(CameraTangents):
         return total
 
 
-@pytest.fixture(scope="module")
-def node():
-    return Node(PhaseSpace(CAMERA, 633.0, degree=2), (0,), np.ones((1, 1)))
+@pytest.fixture(scope="module", params=MODELS.values(), ids=MODELS.keys())
+def node(request):
+    return Node(PhaseSpace(request.param, 633.0, degree=2), (0,), np.ones((1, 1)))
 
 
 def image(work):
@@ -148,7 +152,7 @@ def image(work):
 
 
 def unit(name):
-    return np.eye(len(parameters_of(CAMERA)[name]))[0]
+    return np.eye(len(parameters_of(MODELS["ideal"])[name]))[0]
 
 
 @pytest.mark.slow
@@ -156,9 +160,10 @@ def unit(name):
 def test_against_differences_of_held_rays(node, name):
     options = {"parts": 1, "spp": 64, "seed": 3, "changes": {name: unit(name)}}
     with dr.suspend_grad():
-        found = np.vdot(image(CameraTangents(CAMERA, light, [node], **options)), weights())
-        held, step = HeldRays(CAMERA, light, [node], **options), STEPS[name]
-        sides = [held.figure(moved(name, side)) for side in (step, -step)]
+        camera = node.plan.camera
+        found = np.vdot(image(CameraTangents(camera, light, [node], **options)), weights())
+        held, step = HeldRays(camera, light, [node], **options), STEPS[name]
+        sides = [held.figure(moved(camera, name, side)) for side in (step, -step)]
     expected = (sides[0] - sides[1]) / (2 * step)
     # Where points move, rays that leave a window of the table make differences noisy, up to 4 % with these steps.
     moves = name in ("focal_length", "mla_distance", "mla_pitch", "mla_offset")
@@ -192,11 +197,12 @@ def test_reverse_is_the_transpose_of_forward():
 
 
 def test_rays_come_back_to_where_they_were_drawn(node):
-    work = CameraTangents(CAMERA, light, [node], parts=1, spp=8, seed=3, changes={})
-    step = CAMERA.pixel_size
+    camera = node.plan.camera
+    work = CameraTangents(camera, light, [node], parts=1, spp=8, seed=3, changes={})
+    step = camera.pixel_size
     cells = Cells(Box(0, 0, PIXELS, PIXELS), mi.UInt32(50, 1000, 30000), np.array([0, 0]))
     drawn, direction = traced(work, cells, mi.UInt32(16))
-    held = hold(CAMERA, varying_parameters(CAMERA), drawn, direction, step)
+    held = hold(camera, varying_parameters(camera), drawn, direction, step)
     for found, expected in zip(held.point, drawn.point, strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-5)
     index = np.array([50, 1000, 30000]).repeat(dr.width(drawn.weight) // 3)

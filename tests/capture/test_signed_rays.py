@@ -181,7 +181,7 @@ def test_fewer_rays_have_the_same_mean():
     scene = bars_through("directly", lenses=8)
     many = by_waves(scene, spp=256, seed=99).image
     few = np.mean([by_waves(scene, spp=2, seed=seed).image for seed in range(16)], axis=0)
-    # Light is added up over a lens: pixels below zero share what they lack with their surroundings.
+    # Light is added up over a lens: what pixels below zero lack is taken from their surroundings.
     lenses = [image.reshape(8, 16, 8, 16).mean((1, 3)) for image in (many, few)]
     assert lenses[1] == pytest.approx(lenses[0], abs=0.04 * float(lenses[0].max()))
 

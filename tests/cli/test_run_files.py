@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -104,6 +105,7 @@ def test_save_run_repeats_a_command(raw, tmp_path, run):
     run("epi", raw, "-o", here / "epi.png", "--at=-0.25", "--figure", "--save-run", file)
     text = file.read_text()
     assert text == (
+        f"version: {version('mitsuba-plenoptic')}\n"
         f"steps:\n- reconstruct:\n    capture: {raw}\n    output: {here / 'a b.exr'}\n    distance: [inf, 1000]\n"
         f"    oversample: 1\n- epi:\n    source: {raw}\n    output: {here / 'epi.png'}\n    at: -0.25\n"
         "    figure: true\n"
@@ -121,10 +123,15 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
     (tmp_path / "raw.exr").write_bytes(raw.read_bytes())
-    run("render", "letters", "-o", "small.exr", "--spp", 1, "-D", "resolution=64", "--save-run", "runs/run.yaml")
+    # A folder and a file that have the names of a scene and of a value.
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "ray").write_text("")
+    words = ["--spp", 1, "-D", "resolution=64", "--model", "ray"]
+    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml")
     run("views", "raw.exr", "-o", "views.png", "--count", 1, "--save-run", "runs/run.yaml")
     text = (tmp_path / "runs" / "run.yaml").read_text()
     assert "scene: letters" in text and "source: ../raw.exr" in text and "define: [resolution=64]" in text
+    assert "model: ray\n" in text
     before = read_capture("small.exr")
     (tmp_path / "small.exr").unlink()
     run("run", "runs/run.yaml")
@@ -155,7 +162,7 @@ def test_values_by_name_are_definitions():
     ("text", "rule"),
     [
         ("steps: 3", "a run file must have 'steps', a list of commands with their options"),
-        ("steps:\n- render: {}\nstep: 1", "step: it is not one of shared, steps; did you mean steps?"),
+        ("steps:\n- render: {}\nstep: 1", "step: it is not one of version, shared, steps; did you mean steps?"),
         ("steps: [render]", "step 1 = 'render': it must be one command, with its options by name"),
         ("steps:\n- rendr: {}", "step 1: command = 'rendr': it must be one of "),
         ("steps:\n- run: {}", "step 1: command = 'run': it must be one of "),

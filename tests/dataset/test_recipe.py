@@ -77,6 +77,11 @@ def test_shapes_stand_where_the_camera_resolves_them():
         ({"models": ["rays"]}, "models = 'rays': it must be one of ray, wave"),
         ({"camera": {"focal": 3}}, "camera: focal: it is not one of focal_length"),
         ({"camera": {"aperture_radius": {"from": 5, "to": 3}}}, "camera: aperture_radius: from = 5, to = 3: 'from'"),
+        (
+            {"camera": {"focal_length": {"from": 1, "to": 1e20, "step": 1}}},
+            "length: from = 1, to = 1e+20: a range must be",
+        ),
+        ({"camera": {"aperture_radius": {"from": -1e308, "to": 1e308}}}, "to = 1e+308: a range must be finite"),
         ({"camera": {"aperture_radius": {"from": -1, "to": 3}}}, "sample 0: camera: aperture_radius = -"),
         ({"camera": {"aperture_radius": {"low": 5}}}, "camera: aperture_radius: low: it is not one of from"),
         ({"camera": {"preset": "canon"}}, "camera: preset = 'canon': it must be one of paper"),

@@ -427,6 +427,14 @@ class TestScenes:
                 assert not output.exists()
 
 
+@pytest.mark.parametrize("parameter", ["phase_screen", "mla_shape"])
+def test_values_that_are_not_text_get_one_line(parameter, tmp_path):
+    path = tmp_path / "value.json"
+    path.write_bytes(b"\xff\xfe\x00{")
+    with pytest.raises(InputError, match=r"^[^\n]*value\.json: it is not text in UTF-8: [^\n]*$"):
+        PlenopticCamera(**{parameter: str(path)})
+
+
 def test_nothing_of_the_package_unpickles_or_evaluates():
     """No module calls what turns data into code."""
     modules = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}

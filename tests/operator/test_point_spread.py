@@ -12,7 +12,7 @@ from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.operator.point_spread import point_fields, point_spread_function
 from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from tools.bench.cases import point_spreads
+from tools.bench.cases import lens_models, point_spreads
 
 SMALL = small_camera(16)
 # Other numbers throughout; 20.2 pixels to a lens, fewer rows than columns.
@@ -184,9 +184,23 @@ def test_mistakes(change, word):
         point_spread_function(SMALL, **arguments)
 
 
+def test_stars_behind_an_ideal_lens_are_airy_patterns():
+    """On the axis and off it, where the light of a parabolic phase is half as concentrated."""
+    rows = list(lens_models.stars(f_numbers=(5.6,), places=(0.0,)))
+    assert {row["model"] for row in rows} == {"ideal", "parabolic"}
+    for row in rows:
+        if row["model"] == "ideal":
+            assert row["worst"] < 0.003
+        elif row["degrees"]:
+            assert row["one"] < -0.2
+
+
 def test_light_that_never_reaches_the_mla_is_refused():
+    """A parabolic phase adds cosines, and may ask for more than 1; an ideal lens adds slopes."""
+    steep = {"position": (400.0, 0, 85.0), "wavelength": 633}
     with pytest.raises(InputError, match=r"^position.*too steeply"):
-        point_spread_function(SMALL, (400.0, 0, 85.0), wavelength=633)
+        point_spread_function(SMALL.replace(lens_model="parabolic"), **steep)
+    assert not point_spread_function(SMALL, **steep).any()
 
 
 def test_a_field_too_large_for_memory_is_refused_with_the_estimate():

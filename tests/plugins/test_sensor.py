@@ -235,8 +235,13 @@ def test_a_scaled_transform_and_light_tracing_are_refused(camera_dict):
     with pytest.raises(RuntimeError, match="plenoptic: to_world: it must not scale"):
         mi.load_dict(camera_dict(to_world=mi.ScalarTransform4f().scale(2)))
     scene = white_scene(camera_dict(resolution=32), wall=picture_wall(smooth_texture(), 250.0, 1.0))
-    with pytest.raises(Exception, match="light tracing"):
-        mi.load_dict({"type": "ptracer"}).render(scene, scene.sensors()[0], spp=1)
+    tracer = mi.load_dict({"type": "ptracer"})
+    with pytest.raises(InputError, match=r"light tracing .* use path or direct") as direct:
+        tracer.render(scene, scene.sensors()[0], spp=1)
+    # Mitsuba raises an error of its own from this one.
+    with pytest.raises(RuntimeError) as wrapped:
+        mi.render(scene, integrator=tracer, spp=1)
+    assert str(wrapped.value.__cause__) == str(direct.value)
 
 
 def test_a_smearing_filter_and_a_missing_film_are_refused_with_the_line_to_add(camera_dict):

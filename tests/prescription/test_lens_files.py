@@ -167,7 +167,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
         ("64.17 0 0", "64.17 0.01 0", "a model glass's deviation of the partial dispersion must be 0"),
         ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY': value 1 must be a number"),
         ("DISZ 5", "DISZ -5", "surface 1: thickness = -5"),
-        ("DISZ 5", "DISZ 1", "surfaces 1 and 2 cross"),
+        ("DISZ 5", "DISZ 0.005", "surfaces 1 and 2 cross"),
         ("DISZ 5", "DISZ 5,0", "value 1 must be a number"),
         ("  STOP\n", "", "0 surfaces have stop: true"),
         ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1': only files of one configuration are read"),
@@ -177,6 +177,7 @@ def test_forms_of_glass_and_curvature(tmp_path):
         ("SURF 2", "SURF 3", "surfaces must be numbered from 0"),
         ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03': CURV is given twice"),
         ("PARM 3 ", "PARM 2 ", "PARM 2 is given twice"),
+        ("  DIAM 5\n", "  DIAM 5\n  XYZW 1\n", "'XYZW 1': XYZW is not understood"),
     ],
 )
 def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
@@ -190,6 +191,7 @@ def test_what_a_zemax_file_may_not_hold(tmp_path, old, new, message):
     "old, new, message",
     [
         ("RDM;", "", "RDM must precede it: whether radii or curvatures are written is not known"),
+        ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I': DIM is given twice"),
         ("DIM M\n", "", "DIM is missing: the unit of its lengths is not known"),
         ("DIM M", "DIM F", "line 4: 'DIM F': the unit must be M (millimetres), C (centimetres) or I (inches)"),
         ("REF 1", "", "the primary wavelength is missing"),

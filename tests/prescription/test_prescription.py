@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -120,8 +121,11 @@ def test_pupils_of_a_lens_whose_stop_is_its_first_surface():
         pytest.param(
             singlet("no such glass"), "main_lens: surface 1: glass = 'no such glass': ", marks=pytest.mark.slow
         ),
-        (singlet(thickness=1.4), "surfaces 1 and 2 cross 9.062 mm from the axis: they must stay apart within"),
-        (singlet(radii=(40.0, 50.0), thickness=0.1), "main_lens: surfaces 1 and 2 cross"),
+        (
+            singlet(thickness=0.01),
+            "surfaces 1 and 2 cross 0.76",
+        ),
+        (singlet(thickness=0), "main_lens: surfaces 1 and 2 cross 0 mm from the axis: they must"),
         (singlet(radii=(-50.0, 50.0)), "main_lens: its focal length is -"),
         ("triplet", "there is no such file, and the bundled lenses are cooke_triplet, double_gauss, singlet, tessar"),
     ],
@@ -130,6 +134,39 @@ def test_bad_prescriptions_are_refused_in_one_line(given, message):
     with pytest.raises(InputError) as caught:
         PlenopticCamera(main_lens=given)
     assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_surfaces_end_where_they_cross():
+    """Two spheres of radii 50 and -70, their vertices 1.4 apart, meet in the plane of both of their circles."""
+    with pytest.warns(UserWarning) as caught:
+        camera = PlenopticCamera(main_lens=singlet(thickness=1.4))
+    (warning,) = caught
+    assert str(warning.message) == (
+        "main_lens: surfaces 1 and 2 cross 9.008 mm from the axis: their semi-apertures, 10 and 10, end there"
+    )
+    apart = 50 + 70 - 1.4
+    from_first = (apart**2 + 50**2 - 70**2) / (2 * apart)
+    crossing = math.sqrt(50**2 - from_first**2)
+    assert [surface.semi_aperture for surface in camera.main_lens.surfaces] == pytest.approx([crossing] * 2, rel=1e-9)
+    # What is listed beyond the crossing of one surface alone does not matter, and a clipped lens stays as it is.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert camera.replace(focus_distance=300.0).main_lens == camera.main_lens
+        small = singlet(thickness=1.4)
+        small["surfaces"][1]["semi_aperture"] = 9
+        assert PlenopticCamera(main_lens=small).main_lens.surfaces[0].semi_aperture == 10
+
+
+def test_a_published_lens_with_wide_semi_apertures_is_taken():
+    """As lists for drawings have them: nothing else of the lens changes."""
+    lens = bundled_prescription("cooke_triplet").to_plain()
+    for surface in lens["surfaces"][:2]:
+        surface["semi_aperture"] = 15.0
+    with pytest.warns(UserWarning, match=r"surfaces 1 and 2 cross 11\.\d+ mm from the axis: .* 15 and 15, end there"):
+        wide = Prescription.from_plain(lens)
+    own = bundled_prescription("cooke_triplet")
+    assert paraxial(wide).entrance_radius == paraxial(own).entrance_radius
+    assert wide.surfaces[2:] == own.surfaces[2:]
 
 
 @pytest.mark.parametrize(

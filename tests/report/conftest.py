@@ -23,7 +23,7 @@ FLAGS = (
 @pytest.fixture(scope="session")
 def tiny():
     """Settings of the letters on 16 x 16 lenses."""
-    small = letters(16)
+    small = letters(16) | {"lens_model": "parabolic"}
     return Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=small, spp=4, truth_spp=64)
 
 

@@ -34,6 +34,12 @@ def files(folder):
     return {path.name: path.read_bytes() for path in (folder / "data").glob("*.exr")}
 
 
+def test_the_papers_lenses_are_parabolic_phases_by_rays_and_by_waves():
+    for settings in reproductions.PRESETS.values():
+        camera = load_scene(settings.scene, parameters=settings.parameters).sensors()[0].camera
+        assert camera.lens_model == "parabolic"
+
+
 def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figures, tiny, tmp_path, capsys):
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
@@ -44,7 +50,10 @@ def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figur
     figures |= {name.replace(".png", ".pdf") for name in figures}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
     ray = read_capture(tmp_path / "data" / "capture_ray.exr")
+    # All captures have the paper's lenses.
     assert ray.camera.lens_model == "parabolic"
+    for name in ("wave", "points"):
+        assert read_capture(tmp_path / "data" / f"capture_{name}.exr").camera == ray.camera
     # Both of its lenses are, not the microlenses alone.
     twin = with_camera(load_scene("letters", parameters=tiny.parameters), ray.camera)
     np.testing.assert_array_equal(ray.image, render_capture(twin, model="ray", spp=tiny.spp).image)

@@ -47,6 +47,8 @@ def test_a_refusal_tells_the_estimate_the_limit_and_what_would_fit():
     with pytest.raises(InputError, match="work: it would need nan GiB"):
         require_memory(float("nan"), "work")
     require_memory(16 * GIB, "work")
+    with pytest.raises(InputError, match=r"at most 16 GiB are allowed; lengths are millimetres: check their unit$"):
+        require_memory(7504 * GIB, "work")
 
 
 @pytest.mark.parametrize("highest", [1, 2, 7, 1000])

@@ -29,8 +29,10 @@ def test_the_factory_makes_the_lens_of_a_camera():
     assert (real.wavelength, real.pupil_distance) == (WAVELENGTH, REAL.pupil_distance)
 
 
-def test_rays_of_a_bound_camera_refract_as_waves_do():
-    assert OpticalSystem(THIN, WAVELENGTH).lens.model == "parabolic"
+@pytest.mark.parametrize("model", ["ideal", "parabolic"])
+def test_waves_of_a_bound_camera_refract_as_its_rays_do(model):
+    camera = THIN.replace(lens_model=model)
+    assert OpticalSystem(camera, WAVELENGTH).lens.model == main_lens(camera).model == model
 
 
 def test_data_without_optics_are_refused():

@@ -50,7 +50,14 @@ def arriving(
     Qx, Qy, _ = pupil(sx[rim][:, None, None] + part[:, None], sy[rim][:, None, None] + part)
     cover[rim] = (np.hypot(Qx, Qy) < a).mean((1, 2))
     distance, far = np.sqrt((Px - X) ** 2 + (Py - Y) ** 2 + g * g), math.sqrt(x * x + y * y + b * b)
-    path = distance - math.sqrt(X * X + Y * Y + g * g) - (Px**2 + Py**2) / (2 * camera.focal_length) + length - far
+    if camera.lens_model == "ideal":
+        # To the point's real image.
+        image = 1 / (1 / camera.focal_length - 1 / g)
+        Xi, Yi = -X * image / g, -Y * image / g
+        path = math.sqrt(Xi**2 + Yi**2 + image**2) - np.sqrt((Px - Xi) ** 2 + (Py - Yi) ** 2 + image**2)
+    else:
+        path = distance - math.sqrt(X * X + Y * Y + g * g) - (Px**2 + Py**2) / (2 * camera.focal_length)
+    path += length - far
     amplitude = g * length**2 / (distance**2 * b)
     power = (cover * amplitude**2).sum() * step**2
     waves = cover * amplitude * np.exp(1j * k * path) * (step**2 / (wavelength * 1e-6 * math.sqrt(power)))

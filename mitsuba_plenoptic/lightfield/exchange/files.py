@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ...camera import PlenopticCamera
+from ...camera import PlenopticCamera, are_alike
 from ...errors import InputError, argument, naming, refuse_if, refusing, require_module
 from ...io.captures import Capture, read_capture
 from ...io.files import atomic_output, require_file, require_size, require_writable
@@ -185,7 +185,7 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     if not (path.parent / name).is_file():
         return None
     found = read_ground_truth(path.parent / name)
-    return found if found.camera == capture.camera else None
+    return found if are_alike(found.camera, capture.camera) else None
 
 
 def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
-from ...runtime.backend import array_module
+from ...runtime.backend import array_module, drjit_array
 from ...runtime.batches import Box, Part
 from ...runtime.fft import as_field, as_words, pack, unpack
 from ..patch import FieldChain, Memory, Parts, PatchBatch
@@ -226,7 +226,7 @@ class VjpBatch(FieldBatch):
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(part):
-                given = unpack(words(as_words(cotangent)))
+                given = unpack(drjit_array(words, as_words(cotangent)))
                 products = part.real * given.real + part.imag * given.imag
                 total = total + dr.sum(parameters.types.Float64(products))
         if dr.grad_enabled(total):

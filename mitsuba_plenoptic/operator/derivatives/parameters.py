@@ -18,7 +18,7 @@ from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, 
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
 from ...optics.waves import in_millimetres
-from ...runtime.backend import array_module, backend, is_zero
+from ...runtime.backend import array_module, backend, drjit_array, is_zero
 from ...system.microlens_orders import VaryingArrayFactor
 from ...system.optical_system import OpticalSystem
 from ..grid import Grid
@@ -50,7 +50,7 @@ class _VaryingPath(dr.CustomOp):
     def backward(self) -> None:
         gradient, x, y = (backend().to_host(backend().from_drjit(part)) for part in (self.grad_out(), *self._points))
         found = np.array(_gradients(self._count, gradient, x, y, self._radius))
-        self.set_grad_in("coefficients", type(self.grad_in("coefficients"))(found))
+        self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), found))
 
     def name(self) -> str:
         return "aberrations"

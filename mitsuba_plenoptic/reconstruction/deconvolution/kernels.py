@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...runtime.backend import backend, backend_of
-from ...runtime.batches import Part
+from ...runtime.batches import Box, Part
 from ...runtime.fft import worker_count
 from ...runtime.limits import largest_fitting, require_memory, single_threaded_blas
 from .cells import BinCells, CellSet
@@ -98,14 +98,14 @@ def require_response_memory(memory: Callable[[int], float], oversample: int, dis
     require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
 
 
-def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]]) -> Kernel:
-    """Gather the point spreads of a cell's bins."""
+def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
+    """Gather the point spreads of a cell's bins, of which `together` x `together` samples make one of the cells'."""
     found = []
     for number, parts in enumerate(spreads):
         for part in parts:
-            reached = cells.holding(part.box)
-            sums = backend_of(part.sums).to_host(part.sums)
-            values = cells.split(sums[0], part.box, reached)
+            box, sums = merged(part.box, backend_of(part.sums).to_host(part.sums)[0], together)
+            reached = cells.holding(box)
+            values = cells.split(sums, box, reached)
             found.append((number, reached.index - cell, values))
     low = np.min([index.min(0) for _, index, _ in found], axis=0)
     high = np.max([index.max(0) for _, index, _ in found], axis=0)
@@ -117,6 +117,19 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
         dense[position[:, 1], position[:, 0], number] += values
     steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
     return sparse_kernel(steps, dense.reshape(-1, *dense.shape[2:]))
+
+
+def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, NDArray[np.float32]]:
+    """Return the means of `together` x `together` samples, and their box on the grid of these."""
+    if together == 1:
+        return box, samples
+    left, top = box.left // together, box.top // together
+    columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
+    before = box.top - top * together, box.left - left * together
+    shape = (rows - top, together, columns - left, together)
+    whole = np.zeros((shape[0] * together, shape[2] * together), np.float32)
+    whole[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
+    return Box(left, top, columns - left, rows - top), whole.reshape(shape).mean((1, 3), dtype=np.float32)
 
 
 def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kernel:

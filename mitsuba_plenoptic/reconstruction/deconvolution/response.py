@@ -45,20 +45,30 @@ _RADIATORS, _MOST_RADIATORS = 8, 32
 _RADIATORS_PER_LINE = 4
 """The same along a period of the finest lines that the plane's light resolves."""
 
+_PIXEL_SAMPLES = 3
+"""Samples across a pixel, at least, in which the light of kernels is kept."""
+
 _INFINITY = 1e6
 """Focal lengths at which light counts as collimated."""
 
 
-def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> Grid:
-    """Lay the grid that holds the light of planes at some distances."""
+def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> tuple[Grid, int]:
+    """Lay the grid that holds the light of planes at some distances, and count the samples to be merged on each axis.
+
+    Pixels feel little of what is finer than a third of them. Where the lattice is turned, samples are interpolated
+    before they are integrated, and none are merged.
+    """
     depths = [finite_distance(camera, distance) for distance in distances]
     points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
-    return Grid.of(system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)]))
+    given = system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)])
+    grid, together = Grid.of(*given), 1
+    if grid.rotation == 0:
+        together = max(1, int(camera.pixel_size / (_PIXEL_SAMPLES * float(grid.pitch.max()))))
+    return Grid.of(*given, together), together
 
 
-def wave_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
-    """Return for each bin of a cell the batches whose sums, added, are its response."""
-    grid = cells.grid
+def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
+    """Return for each bin of a cell the batches whose sums on a grid, added, are its response."""
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
@@ -214,8 +224,12 @@ class Response(StoredResponse):
         job: Job | None = None,
     ) -> None:
         job = job or Job()
-        grid = ray_grid(camera) if wavelength is None else wave_grid(camera, distances, wavelength)
-        self._batches: Batches = ray_batches if wavelength is None else wave_batches
+        self._batches: Batches = ray_batches
+        if wavelength is None:
+            grid, self._together = ray_grid(camera), 1
+        else:
+            fine, self._together = wave_grid(camera, distances, wavelength)
+            grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
         self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
@@ -248,12 +262,14 @@ class Response(StoredResponse):
 
     def _kernel(self, distance: float, members: NDArray[np.int64], job: Job, done: int, total: int) -> Kernel:
         """Compute the kernel of a zone from the spreads of the cell in its middle."""
-        cell = self._sampled.index[members[len(members) // 2]]
+        own = self._sampled.index[members]
+        places = own @ self.cells.vectors
+        cell = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         batches = self._batches(self.cells, distance, cell)
         flat = [batch for some in batches for batch in some]
         share = [int(number == len(some) - 1) for some in batches for number in range(len(some))]
         parts = job.each(flat, share, done, total)
-        return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches))
+        return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches), self._together)
 
     def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
         """Cut the cells into zones; if each zone has its own kernel, into so large ones that the kernels fit."""

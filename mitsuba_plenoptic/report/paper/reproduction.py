@@ -44,6 +44,8 @@ _PLATES = {
 _PAPER = Settings(
     scene="letters",
     distances=(210.0, 240.0, 280.0),
+    # The paper's lenses are parabolic phases, in both models of light.
+    parameters={"lens_model": "parabolic"},
     slider=(200.0, 210.0, 220.0, 230.0, 240.0, 250.0, 260.0, 270.0, 280.0, 290.0, 300.0),
     spp=64,
     points=64,
@@ -54,7 +56,7 @@ _PAPER = Settings(
 PRESETS = {
     "quick": replace(
         _PAPER,
-        parameters={"resolution": "2048", "detector_width": "4.096", "letter_scale": "0.5"},
+        parameters={**_PAPER.parameters, "resolution": "2048", "detector_width": "4.096", "letter_scale": "0.5"},
         points=32,
     ),
     "paper": _PAPER,

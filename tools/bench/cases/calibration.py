@@ -145,6 +145,29 @@ def real_camera() -> Iterator[Row]:
 
 
 @case(
+    "calibration.corners",
+    "The calibration of a real Raytrix R12 from corners alone, against that with centres",
+    page="docs/calibration.md",
+)
+def corners_alone() -> Iterator[Row]:
+    """Compare the focal length, the centres of micro-images and the errors of poses that are left out."""
+    corners, centres, both, _ = calibrated()
+    found = calibrate(corners, BOARD, PlenopticCamera.preset("raytrix"))
+    f, deviation = found.numbers["focal_length"], found.deviations["focal_length"]
+    yield figure("focal length", f, unit="mm")
+    yield figure("its deviation", deviation, unit="mm")
+    yield figure("deviations from that with centres", abs(f - both.numbers["focal_length"]) / deviation, at_most=2.0)
+    yield figure("RMS over every row", found.evaluation.error, unit="px")
+    left_out = cross_validate(corners, BOARD, found)
+    yield figure("mean of left-out poses", np.mean(list(left_out.values())), at_most=1.12, unit="px")
+    yield figure("boards in other poses, as stated", found.prediction_deviation, at_most=1.0, unit="px")
+    geometry = {"pixel_size": found.camera.pixel_size, "row_ratio": found.camera.lattice.row_ratio}
+    unit = found.index.unit(centres["k"], centres["l"])
+    apart = predict_centres(np.array(list(found.numbers.values())), unit, **geometry)[0] - centres.pixel
+    yield figure("centres of micro-images", np.sqrt((apart**2).sum(1).mean()), at_most=1.2, unit="px")
+
+
+@case(
     "calibration.rendered",
     "Boards rendered in fitted poses through the calibrated real camera, detected, against the corners observed",
     page="docs/calibration.md",

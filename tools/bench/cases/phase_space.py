@@ -2,8 +2,8 @@
 
 A wall of points, an even grid over some lenses, is captured twice: by signed rays, and point by point with the fields'
 squares added (`CaptureOperator`, method "patch", accuracy 0). The walls have about as much edge as area, and so show
-more error than a scene. Rays follow the parabolic lenses that waves pass. The noise of the rays is found from two
-captures and subtracted; the light that the reference itself loses is stated.
+more error than a scene. The noise of the rays is found from two captures and subtracted; the light that the reference
+itself loses is stated.
 """
 
 from __future__ import annotations
@@ -35,6 +35,20 @@ from ..timing import once
 
 WAVELENGTH = 633.0
 
+
+def _scaled(f_number: float, lens_model: str) -> PlenopticCamera:
+    """Return a camera of 10 mm focal length, focused at 64 mm, whose micro-images of ten coarse pixels touch."""
+    focal_length, focus_distance, pitch = 10.0, 64.0, 0.04
+    distance = conjugate_distance(focal_length, focus_distance)
+    depth = pitch * distance * f_number / focal_length
+    depth /= 1 - depth / distance
+    return PlenopticCamera(
+        focal_length=focal_length, aperture_radius=focal_length / f_number / 2, mla_distance=distance,
+        mla_pitch=pitch, mla_focal_length=depth, lens_model=lens_model,
+        detector_width=10 * pitch * (1 + depth / distance), resolution=(100, 100),
+    )  # fmt: skip
+
+
 CAMERAS = {
     "square": PlenopticCamera(),
     "turned": PlenopticCamera(mla_rotation=7.0),
@@ -59,6 +73,8 @@ CAMERAS = {
     "microlenses f4": PlenopticCamera(mla_focal_length=0.256, detector_distance=0.256, aperture_radius=12.0),
     "microlenses f2": PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=12.0),
     "medium": PlenopticCamera(mla_medium=1.5, mla_focal_length=0.768, detector_distance=0.768),
+    **{f"parabolic f{number:g}": _scaled(number, "parabolic") for number in (2.0, 2.8, 5.6, 10.0)},
+    **{f"ideal f{number:g}": _scaled(number, "ideal") for number in (2.0, 2.8, 5.6, 10.0)},
     "second": PlenopticCamera(
         focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
     ),
@@ -166,7 +182,7 @@ class Wall:
         pitch = camera.mla_pitch
         self.blur = abs(blur)
         self._pupil_distance, self._pupil_radius = camera.pupil_distance, camera.pupil_radius
-        self._thin = camera.main_lens is None
+        self._model = camera.lens_model if camera.main_lens is None else None
         lens = camera.objective
         if lens is not None:
             self.distance = blur * pitch / (lens.magnification * math.tan(lens.half_angle))
@@ -208,11 +224,13 @@ class Wall:
         """Return cos^4 of the angle between a ray from a pupil point and the axis, over its mean over the pupil.
 
         Points behind thin lenses spread their power over the detector with this factor, which captures of scenes leave
-        out by convention.
+        out by convention. The ray is that in the scene for an ideal lens, which keeps ranges of slopes, and that to the
+        array for a parabolic phase, which keeps ranges of direction cosines.
         """
-        if not self._thin:
+        if self._model is None:
             return 1.0
-        b, radius = self._pupil_distance, self._pupil_radius
+        scale, b = (self._scale, self.distance) if self._model == "ideal" else (1.0, self._pupil_distance)
+        x, y, radius = x * scale, y * scale, self._pupil_radius
         own = dr.square(pupil[0] - x) + dr.square(pupil[1] - y)
         return 1 + 2 * (x * x + y * y + radius * radius / 2 - own) / (b * b)
 

@@ -1,0 +1,58 @@
+"""The version that wrote a file, and the lens model of wave captures of versions that stated none.
+
+Up to version 1.0 files state no version, and wave captures refracted at a thin main lens as a parabolic phase does,
+whatever the camera's `lens_model`, except in front of lenses of fewer than 20 wavelengths. Captures by rays, and
+cameras by themselves, mean what they state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from typing import Any
+
+from ..camera import PlenopticCamera, has_small_lenses
+from ..prescription.glass import LINE_D
+
+VERSION = version("mitsuba-plenoptic")
+"""The version that files written by this process state."""
+
+KEY = "version"
+"""Name of the entry that states it."""
+
+
+def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a file's record with the version that writes it."""
+    return {**record, KEY: VERSION}
+
+
+def is_of_1_0(record: Mapping[str, Any]) -> bool:
+    """Return whether version 1.0 or an earlier one wrote a record: it states no version."""
+    return KEY not in record
+
+
+def camera_of_waves(
+    camera: PlenopticCamera, wavelength: float | tuple[float, ...] | None, metadata: Mapping[str, Any]
+) -> PlenopticCamera:
+    """Return the camera of a wave capture of version 1.0 with the `lens_model` that its waves had.
+
+    The capture's longest wavelength decides whether its lenses are small; the line d, where it states none.
+    """
+    if camera.main_lens is not None or camera.lens_model == "parabolic":
+        return camera
+    spectrum = metadata.get("spectrum")
+    stated = wavelength, metadata.get("wavelength"), spectrum.get("wavelengths") if isinstance(spectrum, dict) else None
+    longest = max((number for value in stated for number in _numbers(value)), default=LINE_D)
+    return camera if has_small_lenses(camera, longest) else camera.replace(lens_model="parabolic")
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """Yield the positive numbers in a number, a list, or a text with commas; metadata may hold anything else."""
+    parts = value.split(",") if isinstance(value, str) else value if isinstance(value, (list, tuple)) else [value]
+    for part in parts:
+        try:
+            number = float(part)
+        except (TypeError, ValueError):
+            continue
+        if number > 0:
+            yield number

@@ -1,0 +1,220 @@
+"""Files that version 1.0 wrote, whose waves were parabolic, and the version that files state now."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from stopped_runs import StoppedError, stopped_before
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, parse_recipe
+from mitsuba_plenoptic.io import captures
+from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.io.exr import read_attributes, read_exr
+from mitsuba_plenoptic.io.versions import camera_of_waves
+from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.lightfield.exchange import open_light_field
+from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.runtime.jobs import Job
+
+OLD = Path(__file__).parents[1] / "files_of_1_0"
+VERSION = version("mitsuba-plenoptic")
+
+
+@pytest.fixture
+def remarks(caplog):
+    """Return the lines in the log, and empty it; each file's remark is made anew."""
+    caplog.set_level("INFO", "mitsuba_plenoptic")
+    captures._remark.cache_clear()
+
+    def remarks():
+        lines = [record.getMessage() for record in caplog.records]
+        caplog.clear()
+        return lines
+
+    return remarks
+
+
+@pytest.mark.parametrize("name", ["wave.exr", "spread.exr", "wave.png"])
+def test_wave_captures_behind_a_thin_lens_were_parabolic(name, remarks):
+    path = OLD / name
+    read = mp.read_raw if path.suffix == ".png" else mp.read_capture
+    found = read(path)
+    assert found.model == "wave" and found.camera.lens_model == "parabolic"
+    assert remarks() == [f"{path}: a wave capture of version 1.0 or earlier: its lens_model is read as parabolic"]
+    assert read(path).camera == found.camera and remarks() == []
+
+
+@pytest.mark.parametrize("name", ["ray.exr", "small_lenses.exr", "real_lens.exr"])
+def test_other_captures_mean_what_they_state(name, remarks):
+    """By rays; by waves behind lenses of few wavelengths, which followed the camera; and behind a real lens."""
+    found, stated = mp.read_capture(OLD / name), read_attributes(OLD / name)
+    assert found.model == ("ray" if name == "ray.exr" else "wave") and "version" not in stated
+    assert found.camera == mp.PlenopticCamera.from_dict(stated["camera"])
+    assert found.camera.lens_model == "ideal" and remarks() == []
+
+
+def test_the_camera_that_is_read_has_the_spread_of_1_0():
+    """A full field at f/2.8, whose camera says ideal: spherical aberration spreads it over many pixels."""
+    found = mp.read_capture(OLD / "spread.exr")
+    spreads = {
+        model: mp.CaptureOperator(
+            found.camera.replace(lens_model=model), [(0.0, 0.0, 72.0)], wavelength=633.0, method="full_field"
+        ).forward([1.0])
+        for model in ("parabolic", "ideal")
+    }
+    np.testing.assert_allclose(spreads[found.camera.lens_model], found.image, atol=1e-5 * found.image.max())
+    assert np.linalg.norm(spreads["ideal"] - found.image) > 0.5 * np.linalg.norm(found.image)
+
+
+@pytest.mark.parametrize(
+    ("wavelength", "metadata", "expected"),
+    [
+        (550.0, {}, "parabolic"),
+        (633.0, {}, "ideal"),
+        ((633.0, 550.0, 450.0), {}, "ideal"),
+        (None, {"wavelength": "600, 550, 450"}, "parabolic"),
+        (None, {"wavelength": "633, 550, 450"}, "ideal"),
+        # Means of channels, of light up to 700 nm.
+        ((580.0, 540.0, 450.0), {"spectrum": {"wavelengths": [400.0, 700.0]}}, "ideal"),
+        (None, {"spectrum": "mine", "wavelength": [None, "green"]}, "parabolic"),
+    ],
+)
+def test_the_longest_wavelength_decides_whether_lenses_were_small(wavelength, metadata, expected):
+    """Lenses of 12.4 um are as wide as 20 waves of 620 nm."""
+    camera = mp.PlenopticCamera(mla_pitch=0.0124, detector_width=0.0496, resolution=(16, 16))
+    assert camera_of_waves(camera, wavelength, metadata) == camera.replace(lens_model=expected)
+
+
+def test_a_camera_by_itself_is_ideal():
+    assert mp.PlenopticCamera.from_json((OLD / "camera.json").read_text()).lens_model == "ideal"
+
+
+def test_truth_and_white_captures_by_rays_still_belong_to_it():
+    """Both have the camera as it was stated."""
+    wave, ray = (mp.read_capture(OLD / f"{model}.exr") for model in ("wave", "ray"))
+    white = mp.Capture(white_image(ray.camera), ray.camera)
+    lf = mp.decode(wave, truth=mp.read_ground_truth(OLD / "wave.truth.exr"), white=white)
+    assert "depth" in lf.coords and "depth" in open_light_field(OLD / "wave.exr", truth=True).coords
+    other = mp.Capture(white.image, ray.camera.replace(aperture_radius=4.5))
+    with pytest.raises(mp.InputError, match=r"white: its camera has aperture_radius = 4\.5, that of the capture 5"):
+        mp.decode(wave, white=other)
+
+
+def test_captures_written_again_keep_their_camera(tmp_path, remarks):
+    found = mp.read_capture(OLD / "wave.exr")
+    mp.write_capture(tmp_path / "again.exr", found)
+    remarks()
+    again = mp.read_capture(tmp_path / "again.exr")
+    assert again.camera == found.camera and again.metadata == found.metadata and remarks() == []
+    # An ideal wave capture of this version stays one.
+    ideal = mp.Capture(found.image, found.camera.replace(lens_model="ideal"), 633.0, "wave")
+    mp.write_capture(tmp_path / "ideal.exr", ideal)
+    assert mp.read_capture(tmp_path / "ideal.exr").camera == ideal.camera and remarks() == []
+
+
+def test_a_data_set_is_read_and_not_mixed_with_this_version(tmp_path, remarks):
+    folder = tmp_path / "data"
+    shutil.copytree(OLD / "data", folder)
+    made = DataSet(folder)
+    assert [line.partition(": ")[::2] for line in remarks()] == [
+        (
+            str(folder),
+            "a data set of version 1.0 or earlier: the lens_model of its wave captures is read as parabolic, unless "
+            "they have a main_lens or lenses of fewer than 20 wavelengths",
+        )
+    ]
+    assert made[0].camera == made[0].capture("ray").camera and made[0].camera.lens_model == "ideal"
+    assert made[0].capture("wave").camera == made[0].camera.replace(lens_model="parabolic")
+    assert made.damaged() == []
+    recipe = parse_recipe(made.manifest["recipe"] | {"count": 2})
+    with pytest.raises(mp.InputError, match=f"samples made by other software: version was None, is '{VERSION}'"):
+        make_dataset(recipe, folder)
+
+
+def test_a_checkpoint_is_refused_in_one_line(tmp_path):
+    """Even by the same run: the version is named first."""
+    path = tmp_path / "wave.exr.checkpoint"
+    shutil.copy(OLD / path.name, path)
+    with np.load(path) as archive:
+        run, shape = json.loads(str(archive["header"]))["run"], archive["image"].shape
+    with pytest.raises(mp.InputError) as caught, Checkpoint(path, "resume") as checkpoint:
+        checkpoint.run = run
+        checkpoint.begin(shape)
+    said = str(caught.value)
+    assert said.startswith(f"{path}: the checkpoint of another run: version = nothing there, {VERSION} here; software.")
+    assert "\n" not in said and path.read_bytes() == (OLD / path.name).read_bytes()
+
+
+def test_a_checkpoint_of_another_lens_model_is_refused(tmp_path):
+    path, camera = tmp_path / "checkpoint", mp.read_capture(OLD / "wave.exr").camera
+
+    def compute(lens_model):
+        seen = camera.replace(lens_model=lens_model)
+        operator = mp.CaptureOperator(seen, [(0.0, 0.0, 240.0)], spectrum=Spectrum.lines(600.0, 550.0, 450.0))
+        with Checkpoint(path, "resume") as checkpoint:
+            operator.forward([[1.0, 1.0, 1.0]], job=Job(None, None, checkpoint))
+
+    with pytest.raises(StoppedError), stopped_before(lambda sums: len(sums) == 1):
+        compute("parabolic")
+    with np.load(path) as archive:
+        assert json.loads(str(archive["header"]))["version"] == VERSION
+    with pytest.raises(mp.InputError, match=r"another run: camera\.lens_model = parabolic there, ideal here$"):
+        compute("ideal")
+
+
+def test_a_run_file_says_what_has_changed_and_runs(tmp_path, monkeypatch, capfd):
+    steps = (OLD / "run.yaml").read_text()
+    (tmp_path / "run.yaml").write_text(steps.replace("letter_scale=0.05", "letter_scale=0.05, lens_model=parabolic"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "run.yaml"]) == 0
+    said = [line for line in capfd.readouterr().err.splitlines() if "1.0" in line]
+    assert said == [
+        "mitsuba-plenoptic: run.yaml: it states no version, as those of version 1.0 and earlier: waves refracted at a "
+        "thin main lens as lens_model parabolic then, and follow the camera's lens_model now; the line version: "
+        f"{VERSION} ends this"
+    ]
+    assert mp.read_capture("wave.exr").camera == mp.read_capture(OLD / "wave.exr").camera
+
+
+@pytest.mark.parametrize(
+    ("version", "step", "changed"),
+    [
+        ("", "render: {scene: letters, output: a.exr, spp: 0}", False),
+        ("", "render: {scene: speckle, output: a.exr, spp: 0}", True),
+        ("", "render: {scene: letters, model: wave, output: a.exr, spp: 0}", True),
+        (f"version: {VERSION}\n", "render: {scene: letters, model: wave, output: a.exr, spp: 0}", False),
+        ("", "reconstruct: {capture: no.exr, output: a.exr, distance: 240}", False),
+        ("", "reconstruct: {capture: no.exr, output: a.exr, distance: 240, method: coherent}", True),
+        ("", "dataset: {recipe: no.yaml, output: data}", True),
+    ],
+)
+def test_the_remark_is_made_of_waves_without_a_version(tmp_path, capfd, version, step, changed):
+    (tmp_path / "run.yaml").write_text(f"{version}steps:\n- {step}\n")
+    assert main(["run", str(tmp_path / "run.yaml")]) == 2
+    assert capfd.readouterr().err.count("it states no version") == changed
+
+
+def test_files_state_the_version(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    capture = mp.read_capture(OLD / "wave.exr")
+    mp.write_capture("raw.exr", capture)
+    mp.write_raw("raw.png", mp.expose(capture, mp.Detector(), photons=100, seed=1))
+    mp.write_ground_truth("raw.truth.exr", mp.read_ground_truth(OLD / "wave.truth.exr"))
+    for name in ("raw.exr", "raw.truth.exr"):
+        assert read_attributes(name)["version"] == VERSION
+    assert f'"version": "{VERSION}"'.encode() in Path("raw.png").read_bytes()
+    assert mp.read_raw("raw.png").camera == capture.camera
+    assert main(["reconstruct", "raw.exr", "-o", "out.exr", "--distance", "240", "--save-run", "run.yaml"]) == 0
+    assert read_exr("out.exr")[2]["version"] == VERSION
+    assert Path("run.yaml").read_text().startswith(f"version: {VERSION}\nsteps:\n- reconstruct:\n")
+    recipe = yaml.safe_load((OLD / "recipe.yaml").read_text())
+    made = make_dataset(parse_recipe(recipe), "data")
+    assert made.manifest["version"] == made[0].facts["version"] == VERSION

@@ -1,0 +1,290 @@
+"""Thin main lenses of both models, by rays and by waves: stars against the Airy pattern, and refocused walls.
+
+Behind an ideal lens rays and waves differ by diffraction and by microlenses, which are thin phases in waves. A textured
+wall is captured by both and refocused by rays. Their difference, after one factor for all bins, is held against what
+two transfer functions predict (Goodman, "Introduction to Fourier Optics", section 6.3): that of a microlens, by which
+the ray capture is filtered, and that of the pupil, by which the refocused image is. The factor is stated: thin phases
+enlarge micro-images, and dim them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic.lens_data import conjugate_distance
+from mitsuba_plenoptic.operator.full_field import point_fields
+from mitsuba_plenoptic.system.optical_system import OpticalSystem
+
+from .. import Row, at_most, case
+from ..measures import mean_of_seeds, relative, spot_filtered, without_noise, write_comparison
+
+WAVELENGTH = 550.0
+MODELS = ("ideal", "parabolic")
+_FREQUENCY, _MODES, _CONTRAST = 0.25, 60, 0.35
+_MARGIN = 3
+_LENS_SAMPLES = 400
+
+
+def camera_of(
+    f_number: float, lens_model: str = "ideal", *, focal_length: float = 50.0, pitch: float = 0.1, lenses: int = 24
+) -> PlenopticCamera:
+    """Return a camera, focused at 6.4 focal lengths, whose micro-images of ten pixels touch each other."""
+    distance = conjugate_distance(focal_length, 6.4 * focal_length)
+    depth = 1 / (focal_length / f_number / (pitch * distance) + 1 / distance)
+    return PlenopticCamera(
+        focal_length=focal_length, aperture_radius=focal_length / f_number / 2, mla_distance=distance,
+        mla_pitch=pitch, mla_focal_length=depth, lens_model=lens_model,
+        detector_width=lenses * pitch * (1 + depth / distance), resolution=(10 * lenses,) * 2,
+    )  # fmt: skip
+
+
+@case(
+    "lens-models.stars",
+    "A star's light in the array's plane by waves, encircled at 1, 2 and 4 Airy radii, less that of the Airy pattern",
+    {
+        "f-number": "{f_number:g}", "model": "{model}", "field (degrees)": "{degrees:.1f}",
+        "1 radius": "{one:+.4f}", "2 radii": "{two:+.4f}", "4 radii": "{four:+.4f}", "largest": "{worst:.4f}",
+    },
+    (at_most("worst", "limit"),),
+    page="docs/theory/rays.md",
+    quick={"f_numbers": (5.6,)},
+)  # fmt: skip
+def stars(
+    *,
+    f_numbers: tuple[float, ...] = (2.0, 2.8, 5.6, 10.0),
+    degrees: tuple[float, ...] = (0.0, 3.9),
+    places: tuple[float, ...] = (0.0, 0.5),
+) -> Iterator[Row]:
+    """Compare stars on the axis and off it, over a lens's centre (0.5) and over the corner of four (0).
+
+    The focal length is 8 mm, so that a full field takes less than 4 GiB; 3.9 degrees are 40 lenses of a camera of
+    50 mm. Stars by a parabolic phase are stated, not judged.
+    """
+    from scipy.special import j0, j1
+
+    for number in f_numbers:
+        for model in MODELS:
+            for angle in degrees:
+                for place in places:
+                    camera = camera_of(number, model, focal_length=8.0, lenses=2)
+                    side = (
+                        camera.mla_pitch * place
+                        + round(camera.mla_distance * math.tan(math.radians(angle)) / camera.mla_pitch)
+                        * camera.mla_pitch
+                    )
+                    lit = _around(camera, side)
+                    distance = camera.focus_distance
+                    star = np.array([-side * distance / camera.mla_distance, 0.0, distance])
+                    field = point_fields(OpticalSystem(lit, WAVELENGTH), star).mla
+                    power = np.abs(field.samples) ** 2 * field.pitch**2
+                    x, y = (
+                        start + field.pitch * np.arange(size)
+                        for start, size in zip(field.origin, power.shape[::-1], strict=True)
+                    )
+                    radius = np.hypot(x - side, y[:, None])
+                    found = []
+                    for count in (1, 2, 4):
+                        v = 3.8317 * count
+                        edge = v * WAVELENGTH * 1e-6 * camera.mla_distance / (2 * math.pi * camera.aperture_radius)
+                        inside = np.clip((edge - radius) / field.pitch + 0.5, 0, 1)
+                        found.append(float((power * inside).sum() - (1 - j0(v) ** 2 - j1(v) ** 2)))
+                    yield {
+                        "f_number": number, "model": model, "degrees": angle, "one": found[0], "two": found[1],
+                        "four": found[2], "worst": max(map(abs, found)), "limit": 0.01 if model == "ideal" else None,
+                    }  # fmt: skip
+
+
+def _around(camera: PlenopticCamera, side: float) -> PlenopticCamera:
+    """Return a camera with a detector that is cropped to two lenses about a place on the array along x."""
+    pixels = round(abs(side) / camera.pixel_size)
+    size = 2 * pixels + camera.resolution[0]
+    return camera.replace(
+        detector_width=size * camera.pixel_size, resolution=(size, size),
+        crop_offset=(2 * pixels if side > 0 else 0, pixels), crop_size=camera.resolution,
+    )  # fmt: skip
+
+
+@case(
+    "lens-models.walls",
+    "A textured wall refocused by rays: the capture by waves against that by ideal rays, and what diffraction predicts",
+    {
+        "f-number": "{f_number}", "blur (lenses)": "{blur:g}", "waves": "{model}",
+        "captures differ by": "{captured:.2%}", "refocused images by": "{refocused:.2%}",
+        "diffraction predicts": "{predicted:.2%}", "factor": "{factor:.4f}", "noise": "{noise:.2%}",
+    },
+    (at_most("refocused", "limit"),),
+    page="docs/theory/rays.md",
+    quick={"f_numbers": (10.0,), "blurs": (2.0,), "lenses": 12, "spp": 64},
+)  # fmt: skip
+def walls(
+    output: Path,
+    *,
+    f_numbers: tuple[float, ...] = (2.0, 2.8, 5.6, 10.0, 0.0),
+    blurs: tuple[float, ...] = (0.0, 2.0),
+    lenses: int = 24,
+    spp: int = 256,
+    seeds: int = 2,
+) -> Iterator[Row]:
+    """Compare walls in focus and blurred, the radius of the blur in lenses; f-number 0 is the paper's camera."""
+    for number in f_numbers:
+        for blur in blurs:
+            made = {
+                model: camera_of(number, model, lenses=lenses)
+                if number
+                else PlenopticCamera(detector_width=0.064 * lenses, resolution=(32 * lenses,) * 2, lens_model=model)
+                for model in MODELS
+            }
+            camera = made["ideal"]
+            distance = distance_of(camera, blur)
+            scene = scene_of(camera, distance)
+
+            def seen(image: np.ndarray, camera: PlenopticCamera = camera, distance: float = distance) -> np.ndarray:
+                return inner(refocused(camera, image, distance))
+
+            rays = [taken(scene, "ray", spp, seed) for seed in range(seeds)]
+            image, noise = mean_of_seeds(lambda seed, rays=rays, seen=seen: seen(rays[seed]), seeds)
+            mean = np.mean(rays, 0)
+            expected = pupil_filtered(refocused(camera, lens_filtered(mean, camera), distance), camera)
+            predicted, _ = _scaled(inner(expected), image)
+            for model in MODELS:
+                scene = scene_of(made[model], distance)
+                waves = [taken(scene, "wave", spp, seed) for seed in range(seeds)]
+                other, own = mean_of_seeds(lambda seed, waves=waves, seen=seen: seen(waves[seed]), seeds)
+                difference, factor = _scaled(other, image)
+                yield {
+                    "f_number": f"{number:g}" if number else "paper's", "blur": blur, "model": model,
+                    "captured": without_noise(
+                        relative(np.mean(waves, 0), mean), *(_noise(images) for images in (rays, waves))
+                    ),
+                    "refocused": without_noise(difference, noise, own), "predicted": predicted, "factor": factor,
+                    "noise": math.hypot(noise, own), "limit": 2 * predicted if model == "ideal" else None,
+                }  # fmt: skip
+                write_comparison(
+                    output / f"f{number:g}_{blur:g}_{model}_waves_rays_times_10.png", other, image, gain=10
+                )
+
+
+def _scaled(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
+    """Return the relative difference of an image that is scaled to its reference, and the factor."""
+    factor = float(np.vdot(image, reference) / np.vdot(image, image))
+    return relative(factor * image, reference), factor
+
+
+def _noise(images: list[np.ndarray]) -> float:
+    """Return the noise of the mean of images over its norm."""
+    return mean_of_seeds(lambda seed: images[seed], len(images))[1]
+
+
+@case(
+    "lens-models.microlenses",
+    "Micro-images of a white wall by rays of both models, filtered by a lens's transfer function, against waves",
+    {
+        "f-number": "{f_number:g}", "lenses off the axis": "{off_axis:g}", "rays": "{model}",
+        "differ from waves by": "{difference:.2%}", "light over that of waves": "{light:.4f}",
+    },
+    page="docs/theory/rays.md",
+    quick={"f_numbers": (5.6,), "off_axis": (0,)},
+)  # fmt: skip
+def microlenses(
+    *,
+    f_numbers: tuple[float, ...] = (2.0, 2.8, 5.6, 10.0),
+    off_axis: tuple[int, ...] = (0, 40),
+    spp: int = 256,
+) -> Iterator[Row]:
+    """Compare four lenses on the axis and off it, with 32 pixels across a lens."""
+    for number in f_numbers:
+        for aside in off_axis:
+            waves = None
+            for model in MODELS:
+                camera = camera_of(number, model, lenses=2 * aside + 8)
+                camera = camera.replace(
+                    resolution=(32 * (2 * aside + 8),) * 2, crop_offset=(64 * aside, 32 * aside), crop_size=(256, 256)
+                )
+                scene = scene_of(camera, camera.focus_distance, white=True)
+                if waves is None:
+                    waves = taken(scene, "wave", spp, 0)[64:-64, 64:-64]
+                found = spot_filtered(taken(scene, "ray", spp, 0), camera, WAVELENGTH)[64:-64, 64:-64]
+                yield {
+                    "f_number": number, "off_axis": aside, "model": model, "difference": relative(found, waves),
+                    "light": found.mean() / waves.mean(),
+                }  # fmt: skip
+
+
+def distance_of(camera: PlenopticCamera, blur: float) -> float:
+    """Return the distance of the plane whose points light discs of some lenses' radius, behind the focused plane."""
+    power = (1 - blur * camera.mla_pitch / camera.aperture_radius) / camera.mla_distance
+    return 1 / (1 / camera.focal_length - power)
+
+
+def taken(scene: mi.Scene, model: str, spp: int, seed: int) -> np.ndarray:
+    """Capture a scene."""
+    options = {"wavelength": WAVELENGTH} if model == "wave" else {}
+    return render_capture(scene, model=model, spp=spp, seed=seed, **options).image.astype(float)
+
+
+def scene_of(camera: PlenopticCamera, distance: float, *, white: bool = False) -> mi.Scene:
+    """Return a scene of one wall that fills the view, of smooth random radiance without frequencies near the bins'."""
+    bins = camera.bin_count[0] + 2 * (2 + math.ceil(camera.blur_diameter(distance) / camera.mla_pitch))
+    generator, place = np.random.default_rng(0), (np.arange(8 * bins) + 0.5) / 8
+    texture = np.ones((8 * bins, 8 * bins))
+    for _ in range(_MODES):
+        fx, fy = generator.uniform(-_FREQUENCY, _FREQUENCY, 2)
+        wave = 2 * np.pi * (fx * place + fy * place[:, None] + generator.uniform())
+        texture += _CONTRAST * math.sqrt(2 / _MODES) * np.cos(wave)
+    half = bins * camera.mla_pitch * distance / camera.mla_distance / 2
+    placed = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale([half, half, 1])
+    texture = np.ones_like(texture) if white else texture
+    bitmap = mi.Bitmap(np.maximum(texture, 0.05).astype(np.float32)[..., None])
+    light = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "bilinear"}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 1},
+            "sensor": camera.to_sensor(),
+            "wall": {
+                "type": "rectangle", "to_world": placed, "emitter": {"type": "area", "radiance": light},
+                "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            },
+        }
+    )  # fmt: skip
+
+
+def refocused(camera: PlenopticCamera, image: np.ndarray, distance: float) -> np.ndarray:
+    """Refocus a capture by rays."""
+    return reconstruct(Capture(image.astype(np.float32), camera), distance, method="ray").image.astype(float)
+
+
+def lens_filtered(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Convolve a capture with the spot of collimated light behind one square microlens, a thin parabolic phase."""
+    wavelength, step, count = WAVELENGTH * 1e-6, camera.mla_pitch / _LENS_SAMPLES, 4 * _LENS_SAMPLES
+    place = (np.arange(count) - count // 2 + 0.5) * step
+    lens = np.exp(-1j * np.pi * place**2 / (wavelength * camera.mla_focal_length)) * (abs(place) < camera.mla_pitch / 2)
+    cosine = np.fft.fftfreq(count, step) * wavelength
+    square = cosine**2 + cosine[:, None] ** 2
+    spectrum = np.fft.fft(lens) * np.fft.fft(lens)[:, None] * (square < 1)
+    spectrum *= np.exp(2j * np.pi * camera.detector_distance / wavelength * np.sqrt(np.maximum(1 - square, 0)))
+    spot = np.abs(np.fft.ifft2(spectrum)) ** 2
+    size = 2 * image.shape[0]
+    waves = np.exp(-2j * np.pi * np.outer(np.fft.fftfreq(size, camera.pixel_size), place))
+    transfer = (waves @ spot @ waves.T) / spot.sum()
+    return np.fft.ifft2(np.fft.fft2(image, (size, size)) * transfer).real[: image.shape[0], : image.shape[1]]
+
+
+def pupil_filtered(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Filter a refocused image by the transfer function of a round pupil."""
+    cut = 2 * camera.aperture_radius / (WAVELENGTH * 1e-6 * camera.mla_distance) * camera.mla_pitch
+    fx, fy = np.fft.fftfreq(image.shape[1]), np.fft.fftfreq(image.shape[0])[:, None]
+    part = np.minimum(np.hypot(fx, fy) / cut, 1)
+    transfer = 2 / np.pi * (np.arccos(part) - part * np.sqrt(1 - part**2))
+    return np.fft.ifft2(np.fft.fft2(image) * transfer).real
+
+
+def inner(image: np.ndarray) -> np.ndarray:
+    """Return the bins of an image away from its border, to which light comes from beyond the detector."""
+    return image[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
