@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -34,13 +33,15 @@ from ..camera.vector import Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.base import Pair
 from ..optics import rays
+from ..runtime.backend import drjit_array
 from ..system.array_kernels import REACH, displaced
 from ..system.lens_kinds import LensKinds
 from ..system.phase_space import PhaseSpace, RayCoefficients
+from ..system.pixel_kernels import PixelKernels
 from .control_variate import known_means
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Cells, Drawn, Lot
+from .signed_draws import Drawn, Lot
 from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -112,7 +113,7 @@ class CameraTangents(_CameraSum):
         super().__init__(*arguments, **options)
 
     def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        own = np.array(super()._kernels_of(plan, kind))
+        (own,) = super()._kernels_of(plan, kind)
         change = sum(
             (
                 part * slope
@@ -121,25 +122,29 @@ class CameraTangents(_CameraSum):
             ),
             np.zeros_like(own),
         )
-        return [*own, *displaced(own), *change]
+        return [own, *displaced(own), change]
 
     def _bring(
         self,
-        cells: Cells,
-        key: Any,
+        lot: Lot,
+        drawn: Drawn,
         radiance: list[Any],
         known: list[Pair],
         lit: Any,
         number: int,
         lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, the rays' coefficients of each kernel, of its slopes, and of its change."""
-        first = dr.arange(mi.UInt32, dr.width(cells.index)) * dr.opaque(mi.UInt32, self._spp)
+        """Return, for each image of a node, the values of each cell for each kernel, its slopes, and its change.
+
+        The changes of the direction cosines of the cells' light follow.
+        """
+        (first, start), kept = self._first(lot.pixels), drawn.kept
         node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
         used, weights = node.mixture(lanes)
-        radiance, known = [radiance[i] for i in used], [known[i] for i in used]
+        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
+        if lanes is not None:
+            weights = self._spread(weights)
         assert isinstance(table, RayCoefficients)  # others are refused
-        drawn, _ = self._drawn_rays(cells, key)
         _, direction = self._groups[0][0].trace(drawn.place, drawn.pupil, drawn.height)
         with dr.resume_grad():
             varying = varying_parameters(self._camera)
@@ -157,16 +162,16 @@ class CameraTangents(_CameraSum):
         wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            drawn, even = self._draws.draw(cells, k, key), (k & 1) == 0
+            ray, even = kept.at(first + k), ((start + k) & 1) == 0
             du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
-            means = [dr.select(drawn.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
+            means = [dr.select(ray.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
             lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
-            nodes = drawn.point, drawn.inner, drawn.chance, drawn.open
+            nodes = ray.point, ray.inner, ray.chance, ray.open
             values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
             result = []
             for row, before in zip(weights, brought, strict=True):
                 mean = mixed(row, means)
-                strength = dr.select(drawn.open, (mixed(row, lights) - mean) * drawn.weight, 0)
+                strength = dr.select(ray.open, (mixed(row, lights) - mean) * ray.weight, 0)
                 own = [strength * value for value in values]
                 change = [
                     strength * (a * measure + u * du + v * dv + q * wider)
@@ -178,14 +183,20 @@ class CameraTangents(_CameraSum):
                 result.append([old + part for old, part in zip(before, parts, strict=True)])
             return k + 1, result
 
-        brought = self._mean_of(bring, lit, number, cells)
         # All rays of a cell and a lens have nearly the same direction.
-        bent = tuple(dr.gather(mi.Float, change, first) for change in changes[6:])
-        count, every, cosines = node.plan.functions.count, node.plan.values, self._draws.cosines(cells)
-        for values in brought:
-            more = self._oblique[number].changed(values[3 * every : 3 * every + count], cosines, bent)
-            values[count:every] = [a + b for a, b in zip(values[count:every], more, strict=True)]
-        return brought
+        bent = [dr.gather(mi.Float, change, first) for change in changes[6:]]
+        return [[*values, *bent] for values in self._mean_of(bring, lit, number)]
+
+    def _combined(
+        self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
+    ) -> NDArray[np.float32]:
+        """Return the images of all sets of values; see `_bring`."""
+        parts, bent = values[:-2], values[-2:]
+        images = super()._combined(kernels, parts, cosines, number)
+        own = np.split(parts, self._sets)[-1]
+        turned = np.einsum("atpx,apx->tpx", self._nodes[number].plan.oblique.slopes(cosines), bent)
+        images[: len(kernels[0].kernels)] += kernels[0].combined(own, turned)
+        return images
 
 
 class CameraAdjoint(_CameraSum):
@@ -203,9 +214,9 @@ class CameraAdjoint(_CameraSum):
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
     def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        own = np.array(super()._kernels_of(plan, kind))
+        (own,) = super()._kernels_of(plan, kind)
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
-        return [*own, *displaced(own), *(kernel for name, i in self._of_kernels for kernel in slopes[name][i])]
+        return [own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
@@ -214,34 +225,32 @@ class CameraAdjoint(_CameraSum):
             self._vjp(lot, felt, total)
         return {name: total[name] for name in self._names}
 
-    def _by_direction(self, images: Any, number: int, lot: Lot, some: Any) -> list[list[Any]]:
+    def _by_direction(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
         """Return the gradients with respect to the direction of light over the functions' values; see `_felt`."""
-        plan = self._nodes[number].plan
-        own = self._gathered(images, number, lot, some, range(plan.functions.count, plan.values))
-        made = self._oblique[number].slopes(own, self._cosines_of(lot, some))
-        dr.eval(made)
-        return made
+        kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
+        own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
+        slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))
+        return [[drjit_array(mi.Float, part) for part in kernels.adjoint(own, along)] for along in slopes]
 
-    def _vjp(self, lot: Lot, felt: list[list[Any]], total: Values) -> None:
+    def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
-        key, count = dr.opaque(mi.UInt32, lot.seed & ~15), dr.width(lot.some)
-        drawn, own = self._drawn_rays(lot.cells, key)
+        drawn, own = self._drawn_rays(lot.pixels, lot.key)
         ((pupil, _),), (lanes,) = self._groups, lot.lanes
         radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
         seen = dr.select(drawn.open, mi.Float(1), 0)
         require_finite(radiance, seen)
-        known, lit = known_means(radiance, seen, count, self._spp)
+        known, lit = known_means(radiance, seen, dr.width(lot.some), self._together)
         lit = dr.compress(lit)
         if not dr.width(lit):
             return
-        spp = dr.opaque(mi.UInt32, self._spp)
-        cells = replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, lit))
-        drawn, own = self._drawn_rays(cells, key)
+        together = dr.opaque(mi.UInt32, self._together)
+        drawn, own = self._drawn_rays(lot.pixels.take(lit), lot.key)
         _, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
-        sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
+        sample = dr.arange(mi.UInt32, dr.width(own)) - own * together
         even = (sample & 1) == 0
-        points, cell, own = (drawn.point, drawn.inner, drawn.chance, drawn.open), own, dr.gather(mi.UInt32, lit, own)
-        lights = [dr.gather(mi.Float, light, own * spp + sample, drawn.open) for light in radiance]
+        points, cell = (drawn.point, drawn.inner, drawn.chance, drawn.open), self._cell_of(own, sample, dr.width(lit))
+        own = dr.gather(mi.UInt32, lit, own)
+        lights = [dr.gather(mi.Float, light, own * together + sample, drawn.open) for light in radiance]
         means = [
             dr.select(drawn.open, dr.select(even, *(dr.gather(mi.Float, half, own) for half in pair[::-1])), 0)
             for pair in known

@@ -158,19 +158,19 @@ class SignedRayAdjoint(SignedRaySum):
         for lot, felt in self._back(gradient):
             self._vjp(lot, felt)
 
-    def _vjp(self, lot: Lot, felt: list[list[Any]]) -> None:
-        """Propagate the gradients of the coefficient images through the rays of a lot; see `_back`."""
-        drawn, own = self._drawn_rays(lot.cells, dr.opaque(mi.UInt32, lot.seed & ~15))
-        spp, rays = dr.opaque(mi.UInt32, self._spp), dr.width(own)
+    def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
+        """Propagate the gradients of the images through the rays of a lot; see `_back`."""
+        drawn, own = self._drawn_rays(lot.pixels, lot.key)
+        together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             replay = self._light.replay(*self._asked(pupil, drawn, own, lanes, lot.seed))
-            # Cells of which no ray hits a surface are left out.
+            # Pixels of which no ray hits a surface are left out.
             meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
-            met = dr.compress(dr.block_sum(meets, self._spp) > 0)
+            met = dr.compress(dr.block_sum(meets, self._together) > 0)
             if not dr.width(met):
                 continue
-            lane = dr.arange(mi.UInt32, dr.width(met) * self._spp)
-            place = dr.gather(mi.UInt32, met, lane // spp) * spp + lane % spp
+            lane = dr.arange(mi.UInt32, dr.width(met) * self._together)
+            place = dr.gather(mi.UInt32, met, lane // together) * together + lane % together
             cotangent = dr.zeros(mi.Spectrum, rays)
             for value, part in self._cotangents(lot, met, felt, nodes, lanes).items():
                 every = dr.zeros(mi.Float, rays)
@@ -180,16 +180,12 @@ class SignedRayAdjoint(SignedRaySum):
             replay.differentiate(dr.ADMode.Backward, cotangent)
 
     def _cotangents(
-        self, lot: Lot, met: Any, felt: list[list[Any]], nodes: Sequence[int], lanes: Lanes | None
+        self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
     ) -> dict[int, Any]:
-        """Return the derivatives by the radiance values of each ray of the cells `met` of a lot."""
-        spp = dr.opaque(mi.UInt32, self._spp)
-        cells, key = (
-            replace(lot.cells, index=dr.gather(mi.UInt32, lot.cells.index, met)),
-            dr.opaque(mi.UInt32, lot.seed & ~15),
-        )
-        drawn, own = self._drawn_rays(cells, key)
-        sample = dr.arange(mi.UInt32, dr.width(own)) - own * spp
+        """Return the derivatives by the radiance values of each ray of the pixels `met` of a lot."""
+        drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
+        sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
+        cell = self._cell_of(own, sample, dr.width(met))
         # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:
@@ -198,7 +194,7 @@ class SignedRayAdjoint(SignedRaySum):
             direct, others = [], []
             for total in felt[number]:
                 (parts,) = self._felt(total, number, lot, met)
-                parts = [dr.gather(mi.Float, part, own, drawn.open) for part in parts]
+                parts = [dr.gather(mi.Float, part, cell, drawn.open) for part in parts]
                 by_ray = drawn.weight * mixed(values, parts)
                 direct.append(dr.select(drawn.open, by_ray, 0))
                 others.append(dr.select(drawn.open, (parts[0] - by_ray) * self._known_part, 0))
@@ -211,7 +207,7 @@ class SignedRayAdjoint(SignedRaySum):
                 totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, others)
         seen = dr.select(drawn.open, mi.Float(1), 0)
         dr.eval(seen, totals)
-        (even, odd), *sums = halves(seen, [total[1] for total in totals.values()], dr.width(met), self._spp)[0]
+        (even, odd), *sums = halves(seen, [total[1] for total in totals.values()], dr.width(met), self._together)[0]
         by_mean = [
             (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
         ]

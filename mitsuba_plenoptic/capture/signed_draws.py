@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -67,39 +67,80 @@ class Drawn(NamedTuple):
     # Whether the pupil transmits them.
     open: Any
 
+    @property
+    def kept(self) -> Kept:
+        """What the coefficients of the rays depend on."""
+        return Kept(self.point, self.inner, self.weight, self.chance, self.open)
+
+
+class Kept(NamedTuple):
+    """What the coefficients of rays depend on: see `Drawn`."""
+
+    point: Pair
+    inner: Pair
+    weight: Any
+    chance: tuple[Any, Any, Any, Any]
+    open: Any
+
+    def at(self, lane: Any) -> Kept:
+        """Return that of some of the rays, which has been computed."""
+        point, inner, chance = (
+            tuple(dr.gather(mi.Float, value, lane) for value in values)
+            for values in (self.point, self.inner, self.chance)
+        )
+        return Kept(
+            *(point, inner, dr.gather(mi.Float, self.weight, lane), chance), open=dr.gather(mi.Bool, self.open, lane)
+        )
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Pixels of the detector, each with a lens."""
+
+    # A rectangle of pixels.
+    box: Box
+    # Indices in the rectangle, row by row.
+    index: Any
+    # Lattice indices (i, j) of the lenses relative to the lenses of the pixels' chief rays.
+    steps: NDArray[np.int64]
+
+    def take(self, which: Any) -> Pixels:
+        """Return some of the pixels."""
+        return replace(self, index=dr.gather(mi.UInt32, self.index, which))
+
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of the detector's grid."""
+    """Cells of the detector's grid, into which pixels are divided."""
 
-    # A rectangle of the grid.
-    box: Box
-    # Their indices in the rectangle, row by row.
-    index: Any
-    # Lattice indices (i, j) of their lenses relative to the lenses of their chief rays.
-    steps: NDArray[np.int64]
+    # The pixel of each cell.
+    pixels: Pixels
+    # The place of each cell in its pixel, row by row.
+    place: Any
 
 
 class Lot(NamedTuple):
-    """Cells, each with a lens that lights it, whose rays are traced at once."""
+    """Pixels, each with a lens that lights it, whose rays are traced at once."""
 
-    # Their indices among all cells.
+    # Their indices among all pixels.
     some: Any
-    kind: Any
-    cells: Cells
+    # The kind of all of the lenses.
+    kind: int
+    pixels: Pixels
     # Wavelengths that are drawn for them, for each group of nodes.
     lanes: list[Lanes | None]
     seed: int
 
-    def first(self, every: Any, values: int) -> Any:
-        """Return the positions of the lot's first values in an image of `values` for each kind of `every` cells."""
-        return self.some + every * (self.kind * values)
+    @property
+    def key(self) -> Any:
+        """The seed of the rays' points, whose lowest bits number the points."""
+        return dr.opaque(mi.UInt32, self.seed & ~15)
 
 
 class Aims(NamedTuple):
-    """Detector cells, and the lenses through which they see the pupil."""
+    """Detector cells or pixels, and the lenses through which they see the pupil."""
 
-    # Centres of the cells.
+    # Centres of the cells or pixels.
     middle: Pair
     # Centres of the lenses.
     centre: Pair
@@ -109,16 +150,20 @@ class Aims(NamedTuple):
 
 
 class Draws:
-    """Draws rays for the cells of a camera's detector."""
+    """Draws rays for the cells of a camera's detector.
+
+    The rays of a pixel and a lens are numbered, cell by cell. All those of even numbers, and all of odd ones, follow a
+    sequence that fills the lens evenly.
+    """
 
     def __init__(
         self,
         camera: PlenopticCamera,
         plans: Sequence[PhaseSpace],
-        # Width of a cell in millimetres.
-        step: float,
+        # Count of cells across a pixel.
+        parts: int = 1,
     ) -> None:
-        self._camera, self._step = camera, step
+        self._camera, self._parts = camera, parts
         self.pupil, self._lens = RayPupil(plans[0].system), plans[0].system.lens
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
@@ -138,16 +183,17 @@ class Draws:
 
     @property
     def widest(self) -> float:
-        """Return the radius in the pupil's plane within which the ray through a lit cell's centre passes."""
+        """Return the radius in the pupil's plane within which the ray through a lit pixel's centre passes."""
         camera = self._camera
-        # Other points of the cell see other points of the pupil.
-        cell = self._step * camera.pupil_distance / camera.reduced_distance * ORDER / math.sqrt(2)
+        # Other points of the pixel and around its cells see other points of the pupil.
+        wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
+        pixel = wide * camera.pupil_distance / camera.reduced_distance / math.sqrt(2)
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
-        return self._lens.reach + cell + lens
+        return self._lens.reach + pixel + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
-        """Return the lenses that can light a cell, as lattice indices relative to the lens of its chief ray."""
+        """Return the lenses that can light a pixel, as lattice indices relative to the lens of its chief ray."""
         camera = self._camera
         # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
@@ -155,7 +201,7 @@ class Draws:
 
     @property
     def lit_lenses(self) -> float:
-        """Return the mean count of lenses that light a cell."""
+        """Return the mean count of lenses that light a pixel."""
         return float(math.pi * self._seen(self.widest) ** 2 / self._camera.lattice.cell_area)
 
     def _seen(self, radius: float) -> float:
@@ -164,23 +210,48 @@ class Draws:
         farthest = radius * camera.reduced_distance / self._lens.pupil_distance_from(camera.reduced_distance)
         return farthest * max(self.enlargements)
 
-    def aims(self, cells: Cells) -> Aims:
-        """Return the centres of cells and of the lenses through which they are lit."""
+    @property
+    def _step(self) -> float:
+        """The width of a cell in millimetres."""
+        return self._camera.pixel_size / self._parts
+
+    def cells(self, pixels: Pixels) -> Cells:
+        """Return all cells of pixels, first those at the first place of each pixel."""
+        count = dr.width(pixels.index)
+        lane, every = dr.arange(mi.UInt32, count * self._parts**2), dr.opaque(mi.UInt32, count)
+        place = lane // every
+        return Cells(pixels.take(lane - place * every), place)
+
+    def aims(self, pixels: Pixels) -> Aims:
+        """Return the centres of pixels and of the lenses through which they are lit."""
         camera, lattice = self._camera, self._camera.lattice
         # Opaque values are kernel inputs, so that other values do not compile the kernels again.
-        columns = dr.opaque(mi.UInt32, cells.box.columns)
-        left, top = (dr.opaque(mi.Int32, number) for number in (cells.box.left, cells.box.top))
-        row = cells.index // columns
+        columns = dr.opaque(mi.UInt32, pixels.box.columns)
+        left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
+        row = pixels.index // columns
         x, y = (
-            (mi.Float(mi.Int32(index) + low) + 0.5) * self._step - 0.5 * camera.resolution[axis] * camera.pixel_size
-            for axis, index, low in ((0, cells.index - row * columns, left), (1, row, top))
+            (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
+            for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
         )
         z = camera.reduced_distance + self.kinds.height(x, y) / camera.mla_medium
         chief = tuple(self._lens.chief_point(p, z) for p in (x, y))
         i, j = lattice.cell(*(m - shift for m, shift in zip(chief, chief_ray_shift(camera, *chief), strict=True)))
-        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), cells.steps, strict=True))
+        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), pixels.steps, strict=True))
         centre, height = self.kinds.place(i, j)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
+
+    def _aims_of(self, cells: Cells) -> Aims:
+        """Return the centres of cells and of the lenses of their pixels."""
+        aims = self.aims(cells.pixels)
+        if self._parts == 1:
+            return aims
+        parts = dr.opaque(mi.UInt32, self._parts)
+        row = cells.place // parts
+        x, y = (
+            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
+            for p, index in zip(aims.middle, (cells.place - row * parts, row), strict=True)
+        )
+        return aims._replace(middle=(x, y))
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands, in the mean over a lens, on detector points."""
@@ -197,26 +268,27 @@ class Draws:
 
     def cosines(self, cells: Cells) -> Pair:
         """Return the direction cosines, in the lattice's frame, with which the light of cells meets the array."""
-        camera, aims = self._camera, self.aims(cells)
+        camera, aims = self._camera, self._aims_of(cells)
         u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
         # In the medium behind the lenses the sine is smaller by its index.
         scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)
         return u * scale, v * scale
 
     def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
-        """Return the rays of the given sample indices; those of even and of odd indices are independent."""
-        aims, lattice = self.aims(cells), self._camera.lattice
+        """Return the rays of the given numbers in their pixels; those of even and of odd numbers are independent."""
+        aims, lattice, pixel = self._aims_of(cells), self._camera.lattice, cells.pixels.index
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
-        chance = chances_of(cells.index, seed ^ (sample << 4))
+        chance = chances_of(pixel, seed ^ (sample << 4))
         for axis, step in enumerate(_STEPS):
-            value = index * step + mi.sample_tea_float32(cells.index, seed ^ (half * 8 + axis + 1))
+            value = index * step + mi.sample_tea_float32(pixel, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
         within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
         x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)
         if self.by_points:
-            point, aside, weight = lattice.aperture_point(*random[:2]), self._diffracted(cells.index, sample, seed), 1.0
+            point, aside = lattice.aperture_point(*random[:2]), self._diffracted(pixel, sample, seed)
+            weight = dr.ones(mi.Float, dr.width(sample))
             turn = dr.gather(mi.Float, self._turns, aims.kind)
             pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
             inner = self.pupil.inner(pupil, aims.centre)
@@ -240,9 +312,9 @@ class Draws:
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height
 
-    def _diffracted(self, cell: Any, sample: Any, seed: Any) -> Pair:
+    def _diffracted(self, pixel: Any, sample: Any, seed: Any) -> Pair:
         """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""
-        first, second = (mi.sample_tea_float32(cell, seed ^ (sample << 4) ^ number) for number in (11, 12))
+        first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
         place = first * (_AIRY - 1)
         low = mi.UInt32(place)
         v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)

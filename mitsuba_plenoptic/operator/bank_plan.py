@@ -103,7 +103,7 @@ class BankPlan:
 
     def convolution(self, blocks: list[Box]) -> Convolution:
         """Return the convolution of the images of blocks; cells, within which light is added, are parts of pixels."""
-        return Convolution(self._camera, self.kernels, self._step, 0, (blocks[0].rows, blocks[0].columns))
+        return Convolution(self._camera, self.kernels, self._step, (blocks[0].rows, blocks[0].columns))
 
     def images(self, which: NDArray[np.int64], weights: NDArray[np.float64], block: Box) -> list[NDArray[np.float32]]:
         """Return for each channel of weights (n, channels) the images (kernels, rows, columns) of some points."""

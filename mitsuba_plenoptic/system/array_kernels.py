@@ -30,7 +30,7 @@ from ..runtime.limits import require_memory, single_threaded_blas
 from .lens_functions import LensFunctions
 from .lens_kinds import Kind
 from .lens_waves import LensWaves
-from .oblique import DIRECTIONS, Oblique, changes
+from .oblique import DIRECTIONS, Oblique, changes, terms
 
 _TRANSFER_SAMPLES = 64
 """Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
@@ -128,6 +128,19 @@ class ArrayKernels(LensWaves):
     def values(self) -> int:
         """Number of kernels of a kind of lenses, and of the values of an image that they are for."""
         return self.functions.count + self.oblique.count
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64]:
+        """The covariance of an image's values in light with random edges from all directions."""
+        functions, oblique = self.functions, self.oblique
+        u, v, inside = self.aperture_grid(_LAGS)
+        light = functions.light(u[inside], v[inside])
+        expected = np.transpose(terms(*self._cosines().T / oblique.largest))
+        factors = np.einsum("rnk,sk->srn", oblique.factors, expected)
+        both = np.concatenate(
+            [np.broadcast_to(np.eye(functions.count), (len(expected), *light.shape)), factors], axis=1
+        )
+        return np.asarray(np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected))
 
     def _cosines(self) -> NDArray[np.float64]:
         """Return the direction cosines (n, 2) on the array, in its frame, of light from the pupil to the detector."""
@@ -253,8 +266,8 @@ class ArrayKernels(LensWaves):
             axis=0,
         )
         # Their period is shorter, but not the border of their windows.
-        reached = min(count, count // _COARSER + _BORDER // 2)
-        small, aside = self._placed(transfer, every * _COARSER, step, reached, kind), count - reached
+        small = self._placed(transfer, every * _COARSER, step, count // _COARSER + _BORDER // 2, kind)
+        aside = (kernels.shape[1] - small.shape[1]) // 2
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
     def _placed(
@@ -374,5 +387,4 @@ def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     steps = np.arange(-_REACHED, _REACHED + 1)
     ideal = np.divide((-1.0) ** steps, steps, out=np.zeros(len(steps)), where=steps != 0)
     wide = np.pad(kernels, [(0, 0), (_REACHED, _REACHED), (_REACHED, _REACHED)])
-    both = [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]
-    return [kernel for along in both for kernel in along]
+    return [convolve1d(wide, -ideal * np.kaiser(len(steps), _SHAPE), axis, mode="constant") for axis in (2, 1)]

@@ -22,15 +22,12 @@ from ..camera import PlenopticCamera
 from ..runtime.batches import Box, Part, add
 from ..runtime.fft import fast_length, resting_drjit, worker_count
 
-_TAIL = 8
-"""Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
-
 _SQUARE = 1024
 """Approximate width of the convolution of a tile in samples."""
 
 
 class Convolution:
-    r"""Convolutions of images with kernels, one after another."""
+    """Convolutions of images with kernels, one after another."""
 
     def __init__(
         self,
@@ -40,10 +37,6 @@ class Convolution:
         kernels: Sequence[NDArray[np.float32]],
         # Sample pitch of the kernels in millimetres: that of the pixels, divided by an integer.
         pitch: float,
-        # Order of the B-spline by which rays were collected in the images: 1 adds a ray to the sample in which it
-        # arrives, 4 distributes it over the nearest four samples along each axis. This multiplies the images' spectra
-        # by :math:`\mathrm{sinc}^{order}` along each axis.
-        order: int,
         # Largest rows and columns of samples that are convolved together; by default those of `box`.
         size: tuple[int, int] | None = None,
     ) -> None:
@@ -58,10 +51,8 @@ class Convolution:
         self.tile = rows, columns
         self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
         self._spectra = np.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
-        sharp = [np.sinc(frequency(support)) ** -order for frequency in (scipy.fft.fftfreq, scipy.fft.rfftfreq)]
         for spectrum, kernel in zip(self._spectra, kernels, strict=True):
-            wide = scipy.fft.rfft2(np.pad(kernel, self._margin - kernel.shape[0] // 2)) * (sharp[0][:, None] * sharp[1])
-            spectrum[...] = scipy.fft.rfft2(scipy.fft.irfft2(wide, (support, support)), self._size)
+            spectrum[...] = scipy.fft.rfft2(np.pad(kernel, self._margin - kernel.shape[0] // 2), self._size)
 
     @property
     def memory(self) -> float:
@@ -153,7 +144,7 @@ def box_of(camera: PlenopticCamera, pitch: float, margin: int) -> Box:
 def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
     """Return the distance in samples from which light still reaches the recorded pixels."""
     # Kernels of different lens types have different widths.
-    return max(len(kernel) for kernel in kernels) // 2 + _TAIL
+    return max(len(kernel) for kernel in kernels) // 2
 
 
 def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tuple[float, float]:

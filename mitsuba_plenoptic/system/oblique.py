@@ -138,6 +138,20 @@ class Oblique:
         """Number of combinations."""
         return len(self.factors)
 
+    def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return 1 and the terms (1 + terms, ...) of direction cosines (2, ...); without combinations 1 alone."""
+        u, v = cosines / np.float32(self.largest)
+        return np.stack([np.ones_like(u), *(terms(u, v) if self.count else [])])
+
+    def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the derivatives (2, 1 + terms, ...) of `terms` by either cosine."""
+        scale = np.float32(1 / self.largest)
+        u, v = cosines * scale
+        none, one = np.zeros_like(u), np.full_like(u, scale)
+        return np.stack(
+            [[none, *(_changes_of_terms(u, v, *change) if self.count else [])] for change in ((one, none), (none, one))]
+        )
+
 
 def changes() -> NDArray[np.float64]:
     """Return the matrix (terms, directions) from kernels for `DIRECTIONS` to their changes by the terms."""
@@ -170,38 +184,10 @@ class ObliqueImages:
             for rows in self._used
         ]
 
-    def _scaled(self, cosines: Pair) -> Pair:
-        """Return direction cosines over the largest ones."""
-        scale = dr.opaque(mi.Float, 1 / self._largest)
-        return cosines[0] * scale, cosines[1] * scale
-
     def extended(self, images: list[Any], cosines: Pair) -> list[Any]:
         """Return the values of the functions' images, followed by those of the combinations' images."""
-        return images + [_product(row, images) for row in self._factors(terms(*self._scaled(cosines)))]
-
-    def reduced(self, images: list[Any], cosines: Pair) -> list[Any]:
-        """Return the adjoint of `extended`: values for the functions from those for all images."""
-        functions, combinations = images[: len(images) - self._count], images[len(images) - self._count :]
-        rows = self._factors(terms(*self._scaled(cosines)))
-        return [value + _product([row[n] for row in rows], combinations) for n, value in enumerate(functions)]
-
-    def changed(self, images: list[Any], cosines: Pair, change: Pair) -> list[Any]:
-        """Return the change of the values of the combinations' images by a change of the direction cosines."""
-        (u, v), (du, dv) = self._scaled(cosines), self._scaled(change)
-        return [_product(row, images) for row in self._factors(_changes_of_terms(u, v, du, dv))]
-
-    def slopes(self, images: list[Any], cosines: Pair) -> list[list[Any]]:
-        """Return the adjoint of `changed` by the change along either axis: factors of the functions' values.
-
-        `images` are those of the combinations.
-        """
-        nothing, one = mi.Float(0), dr.opaque(mi.Float, 1 / self._largest)
-        made = []
-        for change in ((one, nothing), (nothing, one)):
-            (u, v), (du, dv) = self._scaled(cosines), change
-            rows = self._factors(_changes_of_terms(u, v, du, dv))
-            made.append([_product([row[n] for row in rows], images) for n in range(self._functions)])
-        return made
+        scale = dr.opaque(mi.Float, 1 / self._largest)
+        return images + [_product(row, images) for row in self._factors(terms(*(cosine * scale for cosine in cosines)))]
 
 
 def _product(factors: Sequence[Any], values: Sequence[Any]) -> Any:

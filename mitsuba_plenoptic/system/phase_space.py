@@ -79,6 +79,9 @@ _SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOp
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
+_PACKET = 4
+"""Count of coefficients that are gathered at a time."""
+
 _TABLES = 16
 """Number of tables, of some 35 MiB each, that are cached: all that a spectrum of as many nodes takes."""
 
@@ -197,8 +200,9 @@ class PhaseSpace(ArrayKernels):
         u, v, inside = u[used], v[used], inside[used]
         functions = self.functions
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
-        table = []
-        for radial, node in enumerate(self.nodes):
+        shapes = [(node.angular + 1, *reversed(node.counts), functions.count) for node in self.nodes]
+        table = Table(shapes)
+        for radial, (node, part) in enumerate(zip(self.nodes, table, strict=True)):
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
             to_space, orders, lags = [], [], []
             for side, count, along in zip(node.sides, node.counts, (u[0], v[:, 0]), strict=True):
@@ -210,7 +214,6 @@ class PhaseSpace(ArrayKernels):
                 orders.append(np.exp(-2j * np.pi * np.outer(order, along) / side).astype(np.complex64))
                 lags.append(np.asarray(order * (reach / side), np.float64))
             spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
-            part = np.empty((node.angular + 1, *reversed(node.counts), self.functions.count), np.float32)
             for angle in range(node.angular + 1):
                 overlap = self._overlap(
                     radial,
@@ -221,7 +224,6 @@ class PhaseSpace(ArrayKernels):
                     radius,
                 )
                 part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
-            table.append(part)
         return table
 
     def _overlap(
@@ -316,18 +318,38 @@ class TableNodes:
         return mi.UInt(dr.floor(turn + chance))
 
 
+class Table(list[NDArray[np.float32]]):
+    """The arrays (..., coefficients) of a table's nodes, which lie in whole packets one after another in `flat`."""
+
+    def __init__(self, shapes: Sequence[tuple[int, ...]]) -> None:
+        wide = [(*shape[:-1], -(-shape[-1] // _PACKET) * _PACKET) for shape in shapes]
+        ends = np.cumsum([math.prod(shape) for shape in wide])
+        self.flat = empty_packets((int(ends[-1]),), np.float32)
+        self.flat[:] = 0
+        parts = np.split(self.flat, ends[:-1])
+        super().__init__(
+            part.reshape(padded)[..., : shape[-1]] for part, padded, shape in zip(parts, wide, shapes, strict=True)
+        )
+
+    @classmethod
+    def of(cls, arrays: Sequence[NDArray[np.float32]]) -> Table:
+        """Return arrays as a table; of a table itself, which fills much memory, no copy."""
+        if isinstance(arrays, cls):
+            return arrays
+        made = cls([array.shape for array in arrays])
+        for part, array in zip(made, arrays, strict=True):
+            part[...] = array
+        return made
+
+
 class RayCoefficients:
     """The table of a `PhaseSpace`, or one of the same layout, on the device of the active variant."""
 
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
-        count = plan.functions.count
-        self._packets = -(-count // 4)
-        # Coefficients are gathered four at a time.
-        parts = [np.pad(part, [(0, 0)] * 3 + [(0, 4 * self._packets - count)]).ravel() for part in table]
-        whole = empty_packets((sum(part.size for part in parts),), np.float32)
-        self._table = drjit_array(mi.Float, np.concatenate(parts, out=whole))
-        first = np.cumsum([0] + [part.size // 4 // self._packets for part in parts])[:-1]
+        self._packets = -(-plan.functions.count // _PACKET)
+        self._table = drjit_array(mi.Float, Table.of(table).flat)
+        first = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table])[:-1]
         self._first = drjit_array(mi.Int, first)
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
         self._sides = [drjit_array(mi.Float, column) for column in sides.T]

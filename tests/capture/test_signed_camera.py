@@ -18,7 +18,7 @@ from mitsuba_plenoptic.capture.signed_camera import (
     varying_parameters,
 )
 from mitsuba_plenoptic.capture.signed_colours import Node
-from mitsuba_plenoptic.capture.signed_draws import Cells
+from mitsuba_plenoptic.capture.signed_draws import Pixels
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, SumTask
 from mitsuba_plenoptic.system.array_kernels import REACH, displaced
@@ -59,9 +59,9 @@ def moved(camera, name, amount):
     return camera.replace(**{name: start.tolist() if len(start) > 1 else float(start[0])})
 
 
-def traced(work, cells, key):
+def traced(work, pixels, key):
     """Return the rays that a sum draws, and their slopes in the scene."""
-    drawn, _ = work._drawn_rays(cells, key)
+    drawn, _ = work._drawn_rays(pixels, key)
     return drawn, RayPupil(OpticalSystem(work._camera, 633.0)).trace(drawn.place, drawn.pupil, drawn.height)[1]
 
 
@@ -84,11 +84,11 @@ class HeldRays(CameraTangents):
             pass
         return self.total
 
-    def _bring(self, cells, key, radiance, known, lit, number, lanes):
+    def _bring(self, lot, drawn, radiance, known, lit, number, lanes):
         lane = dr.arange(mi.UInt32, dr.width(radiance[0]))
         own, sample = lane // self._spp, lane % self._spp
-        index = dr.gather(mi.UInt32, cells.index, own)
-        drawn, direction = traced(self, cells, key)
+        index, box = dr.gather(mi.UInt32, lot.pixels.index, own), lot.pixels.box
+        drawn, direction = traced(self, lot.pixels, lot.key)
         mean = dr.select((sample & 1) == 0, *(dr.gather(mi.Float, half, own) for half in known[0][::-1]))
         mean = dr.select(drawn.open, mean, 0)
         strength = dr.select(drawn.open, (radiance[0] - mean) * drawn.weight, 0)
@@ -106,12 +106,14 @@ class HeldRays(CameraTangents):
         values = [value * count for value in values]
         values[0] += np.asarray(mean * dr.exp(there.density - here.density), float)
         # Light meets the lenses of the other camera in another direction.
-        values = self._oblique[number].extended([mi.Float(value) for value in values], there.cosines)
+        oblique = self._nodes[number].plan.oblique
+        bent = oblique.terms(np.array([np.asarray(cosine) for cosine in there.cosines]))[1:]
+        values += list(np.einsum("rnk,kx,nx->rx", oblique.factors, bent, np.array(values)))
         place = [
             np.asarray(whole, float) + first + self.margin + np.asarray(after - before, float)
             for whole, first, after, before in zip(
-                (index // cells.box.columns, index % cells.box.columns),
-                (cells.box.top, cells.box.left),
+                (index // box.columns, index % box.columns),
+                (box.top, box.left),
                 there.cell[::-1],
                 here.cell[::-1],
                 strict=True,
@@ -121,7 +123,7 @@ class HeldRays(CameraTangents):
             self.total += (
                 np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
             )
-        return super()._bring(cells, key, radiance, known, mi.Bool(False), number, lanes)
+        return super()._bring(lot, drawn, radiance, known, dr.zeros(mi.Bool, dr.width(lot.some)), number, lanes)
 
     def interpolated(self, point, drawn):
         """Return coefficients that are interpolated linearly in the point."""
@@ -200,8 +202,8 @@ def test_rays_come_back_to_where_they_were_drawn(node):
     camera = node.plan.camera
     work = CameraTangents(camera, light, [node], parts=1, spp=8, seed=3, changes={})
     step = camera.pixel_size
-    cells = Cells(Box(0, 0, PIXELS, PIXELS), mi.UInt32(50, 1000, 30000), np.array([0, 0]))
-    drawn, direction = traced(work, cells, mi.UInt32(16))
+    pixels = Pixels(Box(0, 0, PIXELS, PIXELS), mi.UInt32(50, 1000, 30000), np.array([0, 0]))
+    drawn, direction = traced(work, pixels, mi.UInt32(16))
     held = hold(camera, varying_parameters(camera), drawn, direction, step)
     for found, expected in zip(held.point, drawn.point, strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-5)
@@ -215,7 +217,7 @@ def test_what_displaces_kernels_is_their_slope():
     x = np.arange(-20, 21)
     rng = np.random.default_rng(0)
     kernel = np.exp(-((x - 1.3) ** 2 + (x[:, None] + 0.4) ** 2) / 18) + 0.05 * rng.uniform(size=(41, 41)).mean()
-    along_x, along_y = displaced(kernel[None])
+    (along_x,), (along_y,) = displaced(kernel[None])
     wide = np.arange(-36, 37)
     smooth = np.exp(-((wide - 15) ** 2 + (wide[:, None] - 3) ** 2) / 200)
     inner = smooth[16:-16, 16:-16]

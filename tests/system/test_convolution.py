@@ -14,7 +14,7 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     generator = np.random.default_rng(0)
     kernels = generator.random((2, 9, 9), dtype=np.float32)
     pitch = camera.pixel_size / 2
-    plain, shared = Convolution(camera, kernels, pitch, 0), Convolution(camera, kernels, pitch, 2)
+    plain = Convolution(camera, kernels, pitch)
     images = generator.random((2, plain.box.rows, plain.box.columns), dtype=np.float32)
     m = -plain.box.left + 4
     whole = sum(scipy.signal.fftconvolve(image, kernel, "same") for image, kernel in zip(images, kernels, strict=True))
@@ -22,7 +22,7 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     expected = fine.reshape(61, 2, 200, 2).sum((1, 3))
     assert plain.forward(images).shape == (61, 200)
     np.testing.assert_allclose(plain.forward(images), expected, rtol=1e-5)
-    bands, box = Convolution(camera, kernels, pitch, 0, size=(25, plain.box.columns)), plain.box
+    bands, box = Convolution(camera, kernels, pitch, size=(25, plain.box.columns)), plain.box
     total = np.zeros((1, 61, 200), np.float32)
     for top in range(0, box.rows, 25):
         rows = Box(box.left, box.top + top, box.columns, min(25, box.rows - top))
@@ -32,8 +32,8 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
         add(Part(reached, part[None]), Box(0, 0, 200, 61), total)
     np.testing.assert_allclose(total[0], expected, rtol=1e-5)
     pixels = generator.random((61, 200), dtype=np.float32)
-    back = sum(np.vdot(image.astype(float), part) for image, part in zip(images, shared.adjoint(pixels), strict=True))
-    assert np.vdot(shared.forward(images).astype(float), pixels) == pytest.approx(back, rel=1e-5)
+    back = sum(np.vdot(image.astype(float), part) for image, part in zip(images, plain.adjoint(pixels), strict=True))
+    assert np.vdot(plain.forward(images).astype(float), pixels) == pytest.approx(back, rel=1e-5)
     # A part of the samples, and some beyond those that pixels feel.
     part = Box(box.left + 100, box.top - 7, box.columns - 60, 40)
     image = next(bands.adjoint(pixels, part))

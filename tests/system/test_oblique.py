@@ -2,7 +2,6 @@
 
 import math
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from scipy.ndimage import gaussian_filter, shift
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.capture.signed_colours import plan_of
-from mitsuba_plenoptic.capture.signed_draws import Cells, Draws
+from mitsuba_plenoptic.capture.signed_draws import Draws, Pixels
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.system.oblique import Oblique, ObliqueImages, phase, terms
@@ -51,7 +50,7 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
     kernels = plan.kernels(0.001, REACH * camera.mla_pitch) / 0.001**2
     factors = plan.oblique.factors[:, 0] @ np.array(terms(*(s / plan.oblique.largest for s in cosines)))
     place = (np.arange(kernels.shape[1]) - kernels.shape[1] // 2) * 0.001
-    enlargement = Draws(camera, [plan], camera.pixel_size).enlargements[0]
+    enlargement = Draws(camera, [plan]).enlargements[0]
     exact = exact_spot(camera, lens, place, [enlargement * camera.detector_distance * t for t in slopes])
     middle = np.abs(place) < 0.03
     square = np.ix_(middle, middle)
@@ -110,51 +109,34 @@ def test_there_are_at_most_twice_as_many_combinations_as_functions():
     assert plan.oblique.count == 2 * plan.functions.count
 
 
-def test_reduced_is_the_adjoint_of_extended():
+def test_combinations_have_the_images_of_their_factors():
     rng = np.random.default_rng(1)
     factors = rng.normal(size=(2, 3, 5))
     factors[0, 1] = 0
-    images = ObliqueImages(Oblique(0.2, factors, factors))
-    cosines = [mi.Float(rng.uniform(-0.2, 0.2, 7)) for _ in range(2)]
-    values, felt = ([mi.Float(rng.normal(size=7)) for _ in range(count)] for count in (3, 5))
-    one = sum(dr.sum(a * b)[0] for a, b in zip(images.extended(values, cosines), felt, strict=True))
-    other = sum(dr.sum(a * b)[0] for a, b in zip(values, images.reduced(felt, cosines), strict=True))
-    assert one == pytest.approx(other, rel=1e-5)
-    exact = factors @ np.array(terms(*(s.numpy() / 0.2 for s in cosines)))
-    assert images.extended(values, cosines)[3].numpy() == pytest.approx(
-        (exact[0] * np.array([v.numpy() for v in values])).sum(0), rel=1e-4
+    cosines, values = rng.uniform(-0.2, 0.2, (2, 7)), rng.normal(size=(3, 7))
+    found = ObliqueImages(Oblique(0.2, factors, factors)).extended(
+        [mi.Float(value) for value in values], tuple(mi.Float(cosine) for cosine in cosines)
     )
+    exact = factors @ np.array(terms(*(cosines / 0.2)))
+    assert np.array([value.numpy() for value in found[3:]]) == pytest.approx((exact * values).sum(1), rel=1e-4)
 
 
-def test_changes_of_combinations_are_slopes():
+def test_slopes_of_terms_are_their_differences():
     rng = np.random.default_rng(2)
-    factors, step = rng.normal(size=(2, 3, 5)), 1e-3
-    images = ObliqueImages(Oblique(0.2, factors, factors))
-    values = [mi.Float(rng.normal(size=4)) for _ in range(3)]
-    cosines, change = (tuple(mi.Float(rng.uniform(-0.2, 0.2, 4)) for _ in range(2)) for _ in range(2))
-    before, after = (
-        images.extended(values, tuple(s + side * step * d for s, d in zip(cosines, change, strict=True)))[3:]
-        for side in (-1, 1)
-    )
-    slopes = [(b.numpy() - a.numpy()) / (2 * step) for a, b in zip(before, after, strict=True)]
-    found = images.changed(values, cosines, change)
-    assert np.array([each.numpy() for each in found]) == pytest.approx(np.array(slopes), rel=0.02, abs=0.02)
-    felt = [mi.Float(rng.normal(size=4)) for _ in range(2)]
-    along = images.slopes(felt, cosines)
-    one = sum(dr.sum(a * b)[0] for a, b in zip(found, felt, strict=True))
-    other = sum(
-        dr.sum(d * sum(a * b for a, b in zip(parts, values, strict=True)))[0]
-        for d, parts in zip(change, along, strict=True)
-    )
-    assert one == pytest.approx(other, rel=1e-4)
+    oblique, step = Oblique(0.2, *rng.normal(size=(2, 2, 3, 5))), 1e-3
+    cosines = rng.uniform(-0.2, 0.2, (2, 7)).astype(np.float32)
+    for found, along in zip(oblique.slopes(cosines), step * np.eye(2, dtype=np.float32), strict=True):
+        before, after = (oblique.terms(cosines + side * along[:, None]) for side in (-1, 1))
+        assert found == pytest.approx((after - before) / (2 * step), rel=1e-3, abs=1e-3)
+    assert Oblique.nothing(3).terms(cosines).shape == Oblique.nothing(3).slopes(cosines).shape[1:] == (1, 7)
 
 
 def test_cells_know_the_direction_of_their_light():
     camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
-    draws = Draws(camera, [plan_of(camera, 633.0, False, 633.0)], camera.pixel_size)
-    cells = Cells(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), np.zeros(2))
-    u, v = draws.cosines(cells)
-    aims = draws.aims(cells)
+    draws = Draws(camera, [plan_of(camera, 633.0, False, 633.0)])
+    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), np.zeros(2))
+    u, v = draws.cosines(draws.cells(pixels))
+    aims = draws.aims(pixels)
     pupil = draws.seen(aims.middle, aims)
     across = [c.numpy() - P.numpy() for c, P in zip(aims.centre, pupil, strict=True)]
     x, y = (each / np.sqrt(camera.mla_distance**2 + across[0] ** 2 + across[1] ** 2) for each in across)

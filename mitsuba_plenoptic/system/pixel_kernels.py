@@ -1,0 +1,143 @@
+r"""Kernels on the grid of pixels, and the images of pixels that the coefficients of rays in cells make for them.
+
+Rays are collected in cells, p across a pixel. The coefficients of each place of a cell in its pixel have a kernel on
+the grid of pixels, the sum of the cells' kernel over a pixel, and so have their products with the terms by which
+kernels change with the direction of light (`oblique`). These kernels resemble each other, because a pixel does not
+distinguish where light lands in it. Responses of pixels are therefore projected onto a few patterns, the principal
+components in random light (Jolliffe, "Principal component analysis", section 3.5), and there is one image for each
+pattern. The first pattern is the response to even light, which is exact; what the others lack of the light of a
+response is added to it, so that all light is kept.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..runtime.limits import single_threaded_blas
+from .oblique import Oblique
+
+_TAIL = 8
+"""Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
+
+_TOGETHER = 2**18
+"""Count of products of coefficients and terms that are combined at a time, which the processor's caches hold."""
+
+
+class PixelKernels:
+    """Kernels of the images of pixels, and these images, for the coefficients of one kind of lenses."""
+
+    @single_threaded_blas()
+    def __init__(
+        self,
+        # Kernels (values, k, k) of cells: those of the functions over a lens, and oblique ones.
+        kernels: NDArray[np.float64],
+        oblique: Oblique,
+        # Count of cells across a pixel.
+        parts: int,
+        # Order of the B-splines over cells by which rays are collected in addition to pixels; 0 for none.
+        order: int,
+        # Covariance of the values in random light, and the part of images of such light that may be missing.
+        covariance: NDArray[np.float64],
+        tolerance: float,
+    ) -> None:
+        own = _by_places(_sharpened(kernels, order), parts)
+        responses = own.reshape(-1, own.shape[2] * own.shape[3])
+        if parts == 1:
+            patterns, factors = responses, np.eye(len(responses))
+        else:
+            patterns = _patterns(own, covariance, tolerance)
+            factors = responses @ patterns.T
+            factors[:, 0] += (responses - factors @ patterns).sum(1) / patterns[0].sum()
+        self.kernels = patterns.reshape(-1, *own.shape[2:]).astype(np.float32)
+        functions = len(kernels) - oblique.count
+        factors = factors.reshape(*own.shape[:2], -1)
+        # Oblique kernels are for sums of products of the functions' coefficients and terms.
+        products = np.einsum("rnt,rpk->tnpk", oblique.factors, factors[functions:])
+        every = np.concatenate([factors[None, :functions], products]) if oblique.count else factors[None]
+        # Factors (images, terms * functions * places), the first term being 1.
+        self._factors = np.ascontiguousarray(every.reshape(-1, len(self.kernels)).T, np.float32)
+        self._shape = every.shape[:3]
+
+    @single_threaded_blas()
+    def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the images (n, pixels) of coefficients (functions, places, pixels).
+
+        `terms` (1 + terms, places, pixels) are 1 and the terms of the direction in which light meets the lenses.
+        """
+        terms, pixels = terms[: self._shape[0]], values.shape[2]
+        images = np.empty((len(self.kernels), pixels), np.float32)
+        for part in self._parts(pixels):
+            products = terms[:, None, :, part] * values[:, :, part]
+            np.matmul(self._factors, products.reshape(self._factors.shape[1], -1), out=images[:, part])
+        return images
+
+    @single_threaded_blas()
+    def by_terms(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the adjoint of `combined` for the products (1 + terms, functions, places, pixels)."""
+        return (self._factors.T @ images).reshape(*self._shape, -1)
+
+    def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the adjoint of `combined` for the coefficients."""
+        values = np.empty((*self._shape[1:], images.shape[1]), np.float32)
+        for part in self._parts(images.shape[1]):
+            values[..., part] = np.einsum(
+                "tpx,tnpx->npx", terms[: self._shape[0], :, part], self.by_terms(images[:, part])
+            )
+        return values
+
+    def _parts(self, pixels: int) -> list[slice]:
+        """Divide a count of pixels."""
+        size = max(1, _TOGETHER // self._factors.shape[1])
+        return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
+
+
+def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+    """Return the fewest orthonormal patterns (n, pixels) that leave a part `tolerance` of images of random light.
+
+    `kernels` have the shape (values, places, k, k), and `covariance` is that of the values.
+    """
+    # Light that is the same for all cells of a pixel.
+    even = kernels[0].sum(0).ravel()
+    first = (even / np.linalg.norm(even))[None]
+    values, vectors = np.linalg.eigh(covariance)
+    root = (vectors * np.sqrt(np.maximum(values, 0))).T
+    # Of all light, that which differs from cell to cell needs the most patterns.
+    random = np.tensordot(root, kernels, (1, 0)).reshape(-1, even.size)
+    whole = np.square(random).sum()
+    random -= (random @ first.T) @ first
+    by_rows = len(random) < even.size
+    removed, vectors = np.linalg.eigh(random @ random.T if by_rows else random.T @ random)
+    used = np.cumsum(np.maximum(removed, 0)) > tolerance**2 * whole
+    others = vectors[:, used].T
+    if by_rows:
+        others = others @ random / np.sqrt(removed[used])[:, None]
+    return np.concatenate([first, others[::-1]])
+
+
+def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+    r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, by which a B-spline of this order smooths."""
+    if order == 0:
+        return kernels
+    wide = np.pad(kernels, [(0, 0), (_TAIL, _TAIL), (_TAIL, _TAIL)])
+    size = wide.shape[1:]
+    sharp = [
+        np.sinc(frequency(n)) ** -order
+        for n, frequency in zip(size, (scipy.fft.fftfreq, scipy.fft.rfftfreq), strict=True)
+    ]
+    return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(wide) * (sharp[0][:, None] * sharp[1]), size))
+
+
+def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
+    """Return the sums over pixels (values, places, k, k) of kernels of cells, for each place of a cell in its pixel."""
+    count = kernels.shape[1] // 2
+    reach = -(-count // parts)
+    own = np.zeros((len(kernels), parts, parts, 2 * reach + 1, 2 * reach + 1))
+    wide = np.pad(kernels, [(0, 0), *[(reach * parts + parts - 1 - count,) * 2] * 2])
+    extent = (2 * reach + 1) * parts
+    for row, column in np.ndindex(parts, parts):
+        top, left = parts - 1 - row, parts - 1 - column
+        part = wide[:, top : top + extent, left : left + extent]
+        own[:, row, column] = part.reshape(len(kernels), 2 * reach + 1, parts, 2 * reach + 1, parts).sum((2, 4))
+    return own.reshape(len(kernels), parts**2, 2 * reach + 1, 2 * reach + 1)
