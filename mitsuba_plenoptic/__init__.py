@@ -157,12 +157,22 @@ __all__ = [
 ]
 
 
+def _modules() -> set[str]:
+    """Return the names of the modules and subpackages."""
+    return {module.name for module in pkgutil.iter_modules(__path__)} - {"__main__"}
+
+
+def __dir__() -> list[str]:
+    dunders = {name for name in globals() if name.startswith("__")}
+    return sorted({*__all__, *_modules(), *dunders, "__version__"})
+
+
 def __getattr__(name: str) -> Any:
     if name in _MODULE_OF:
         found = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
     elif name == "__version__":
         found = importlib.import_module("importlib.metadata").version("mitsuba-plenoptic")
-    elif any(module.name == name for module in pkgutil.iter_modules(__path__)):
+    elif name in _modules():
         return importlib.import_module(f".{name}", __name__)
     else:
         suggest = importlib.import_module(".errors", __name__).did_you_mean

@@ -17,7 +17,6 @@ import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar, cast
 
-
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 
 _LONGEST = 1000

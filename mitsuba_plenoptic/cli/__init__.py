@@ -194,7 +194,7 @@ def _is_usage(error: Exception) -> bool:
     return hasattr(error, "format_message")
 
 
-def _plain_lines(command: str) -> contextlib.AbstractContextManager[None]:
+def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
     """Return `plain_lines` of a command that does something."""
     from ..runtime.progress import plain_lines
 
