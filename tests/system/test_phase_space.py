@@ -142,6 +142,13 @@ def test_cameras_that_it_does_not_know_are_refused():
         PhaseSpace(camera, 633.0)
 
 
+def test_openings_of_a_few_wavelengths_are_refused():
+    with pytest.raises(InputError, match=r"mla_fill = 0.05: for signed rays it must be 0.0989 or more, openings of 10"):
+        PhaseSpace(PlenopticCamera(mla_fill=0.05), 633.0)
+    narrow = PhaseSpace(PlenopticCamera(mla_fill=0.1), 633.0)
+    assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
+
+
 def test_plans_of_many_cameras_keep_a_bounded_number_of_tables(monkeypatch):
     """As those of the steps of a fit, of which other caches keep the plans."""
     made = []
