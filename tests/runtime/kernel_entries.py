@@ -1,8 +1,8 @@
 """The kernels of everything that hands NumPy's memory to Dr.Jit, with all of this memory aligned or none of it.
 
-Run as a module with 0, for arrays at multiples of 64 bytes, or another number, and the names of entries; prints the kernels of each as
-JSON. A handler (NEP 49) places all arrays of NumPy, whoever makes them: this package, SciPy, or Dr.Jit when it converts
-numbers.
+Run as a module with 0, for arrays at multiples of 64 bytes, or another number, and the names of entries; prints the
+kernels of each as JSON. A handler (NEP 49) places all arrays of NumPy, whoever makes them: this package, SciPy, or
+Dr.Jit when it converts numbers.
 """
 
 import ctypes
