@@ -334,7 +334,7 @@ class SignedRaySum:
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
-            dr.eval(radiance, counted, drawn.kept)
+            dr.eval(radiance, counted, *drawn.kept)
             require_finite(radiance, counted)
             # Any function may be the light; derivatives and band-limited light may be negative.
             if getattr(self._light, "is_radiance", False):
