@@ -119,8 +119,7 @@ def _around(camera: PlenopticCamera, side: float) -> PlenopticCamera:
     {
         "f-number": "{f_number}", "blur (lenses)": "{blur:g}", "waves": "{model}",
         "captures differ by": "{captured:.2%}", "refocused images by": "{refocused:.2%}",
-        "diffraction predicts": "{predicted:.2%}", "factor": "{factor:.4f}",
-        "predicted factor": "{predicted_factor:.4f}", "noise": "{noise:.2%}",
+        "diffraction predicts": "{predicted:.2%}", "factor": "{factor:.4f}", "noise": "{noise:.2%}",
     },
     (at_most("refocused", "limit"),),
     page="docs/theory/rays.md",
@@ -154,7 +153,7 @@ def walls(
             rays = [taken(scene, "ray", spp, seed) for seed in range(seeds)]
             image, noise = mean_of_seeds(lambda seed, rays=rays, seen=seen: seen(rays[seed]), seeds)
             mean = np.mean(rays, 0)
-            predicted, dimmer = _predicted(camera, distance, spp * seeds)
+            predicted = _predicted(camera, distance, spp * seeds)
             for model in MODELS:
                 scene = scene_of(made[model], distance)
                 waves = [taken(scene, "wave", spp, seed) for seed in range(seeds)]
@@ -166,7 +165,6 @@ def walls(
                         relative(np.mean(waves, 0), mean), *(_noise(images) for images in (rays, waves))
                     ),
                     "refocused": without_noise(difference, noise, own), "predicted": predicted, "factor": factor,
-                    "predicted_factor": dimmer,
                     "noise": math.hypot(noise, own), "limit": 2 * predicted if model == "ideal" else None,
                 }  # fmt: skip
                 write_comparison(
@@ -174,8 +172,8 @@ def walls(
                 )
 
 
-def _predicted(camera: PlenopticCamera, distance: float, spp: int) -> tuple[float, float]:
-    """Return how refocused images of waves and rays differ by the diffraction of pupil and lenses, and their factor.
+def _predicted(camera: PlenopticCamera, distance: float, spp: int) -> float:
+    """Return how refocused images of waves and rays differ by the diffraction of pupil and lenses.
 
     Lenses spread the light of finer pixels, whose edges are those of the rays' micro-images.
     """
@@ -186,7 +184,7 @@ def _predicted(camera: PlenopticCamera, distance: float, spp: int) -> tuple[floa
         refocused(camera, each.reshape(camera.resolution[1], parts, camera.resolution[0], parts).mean((1, 3)), distance)
         for each in (image, lens_filtered(image, fine))
     )
-    return _scaled(inner(pupil_filtered(after, camera)), inner(before))
+    return _scaled(inner(pupil_filtered(after, camera)), inner(before))[0]
 
 
 def _scaled(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
