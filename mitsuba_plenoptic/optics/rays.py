@@ -23,7 +23,6 @@ from ..camera import PlenopticCamera
 from ..lens_data import defocus_factor
 from ..runtime.backend import drjit_array, rsqrt
 
-
 Pair = tuple[Any, Any]
 """x and y of slopes or direction cosines."""
 
@@ -162,10 +161,7 @@ def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
     """
     if _is_one(index):
         return 1.0
-    if chief is None:
-        root = (1 + _dot(before, before)) / (1 + _dot(behind, behind))
-    else:
-        root = _widening(chief, index)
+    root = (1 + _dot(before, before)) / (1 + _dot(behind, behind)) if chief is None else _widening(chief, index)
     return root * root
 
 

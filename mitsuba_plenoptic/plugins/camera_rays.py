@@ -356,9 +356,10 @@ class CameraRays:
         if any(self.camera.mla_tilt):
             z = z + height
         turn = self._turn((mx - cx, my - cy), f2)
-        if any(self.camera.mla_figure_error):
-            error = FigureError.of(self.camera).slopes(mx, my)
-            turn = turn[0] + error[0], turn[1] + error[1]
+        error = FigureError.of(self.camera) if any(self.camera.mla_figure_error) else None
+        if error is not None:
+            right, up = error.slopes(mx, my)
+            turn = turn[0] + right, turn[1] + up
         chief = None
         if not turns_cosines(self.camera):
             chief = self.lens.slope_to(0.0, cx, height), self.lens.slope_to(0.0, cy, height)
