@@ -8,6 +8,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import scipy.stats  # noqa: F401  # before torch is mocked, for whose tensors SciPy looks when this is imported
 from sphinx.ext.autodoc.mock import _MockObject
 
 HERE = Path(__file__).resolve().parent

@@ -18,68 +18,89 @@ have their lamps in another order each time, so that the noise of their light di
 
 # ruff: noqa: E402
 import importlib
-import importlib.metadata
+import pkgutil
 from typing import TYPE_CHECKING, Any
 
 from .runtime import llvm
 
-# Dr.Jit takes its LLVM from the environment when it is first imported, which all of the following do.
+# Dr.Jit takes its LLVM from the environment when it is first imported, which plugins do.
 llvm.choose()
 
-from . import design as design
-from . import far_sources as far_sources
-from . import laser as laser
 from . import plugins as plugins
-from .camera import PlenopticCamera
-from .capture.render import estimate_capture, render_capture
-from .capture.scene import load_scene, scene_path
-from .detector import Detector, expose
-from .errors import InputError, did_you_mean
-from .focusing import focus_by_group
-from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
-from .io.checkpoints import Checkpoint
-from .io.examples import example, example_truth
-from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
-from .io.lens_file import read_prescription
-from .lenses.lens_system import LensSystem
-from .objective import Objective
-from .operator.operator import CaptureOperator
-from .operator.point_spread import point_spread_function
-from .operator.stored import StoredOperator
-from .operator.volumes import volume_points
-from .optics.guards import PhysicsError, PhysicsWarning
-from .optics.spectrum import Spectrum
-from .phase_screen import PhaseScreen, frozen_flow
-from .plugins.other_camera import with_camera
-from .prescription import Prescription
-from .runtime.batches import Cluster
-from .runtime.jobs import Job
 
 if TYPE_CHECKING:
+    from . import design as design
+    from . import far_sources as far_sources
+    from . import laser as laser
     from .calibration import calibrate
+    from .camera import PlenopticCamera
+    from .capture.render import estimate_capture, render_capture
+    from .capture.scene import load_scene, scene_path
+    from .detector import Detector, expose
+    from .errors import InputError
     from .fitting import fit
+    from .focusing import focus_by_group
+    from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
+    from .io.checkpoints import Checkpoint
+    from .io.examples import example, example_truth
+    from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
+    from .io.lens_file import read_prescription
+    from .lenses.lens_system import LensSystem
     from .lightfield import decode, demosaic, ground_truth
+    from .objective import Objective
     from .onchip import bank_disparity, dual_pixel, half_disparity, match_halves, psf_bank
+    from .operator.operator import CaptureOperator
+    from .operator.point_spread import point_spread_function
+    from .operator.stored import StoredOperator
+    from .operator.volumes import volume_points
+    from .optics.guards import PhysicsError, PhysicsWarning
+    from .optics.spectrum import Spectrum
+    from .phase_screen import PhaseScreen, frozen_flow
+    from .plugins.other_camera import with_camera
+    from .prescription import Prescription
     from .reconstruction import Reconstruction, reconstruct
     from .report.viewer import Viewer, view
+    from .runtime.batches import Cluster
+    from .runtime.jobs import Job
     from .runtime.progress import progress_bar
 
-# Whole parts that bring large libraries, imported when they are first asked for.
-_LATER = {
-    "calibrate": "calibration",
-    "decode": "lightfield",
-    "demosaic": "lightfield",
-    **dict.fromkeys(("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"), "onchip"),
-    "fit": "fitting",
-    "ground_truth": "lightfield",
-    "Reconstruction": "reconstruction",
-    "reconstruct": "reconstruction",
-    "progress_bar": "runtime.progress",
-    "Viewer": "report.viewer",
-    "view": "report.viewer",
-}
+    __version__: str
 
-__version__ = importlib.metadata.version("mitsuba-plenoptic")
+# The modules of public names, which are imported when a name is first asked for: no program needs all of them.
+_MODULES = {
+    "calibration": ("calibrate",),
+    "camera": ("PlenopticCamera",),
+    "capture.render": ("estimate_capture", "render_capture"),
+    "capture.scene": ("load_scene", "scene_path"),
+    "detector": ("Detector", "expose"),
+    "errors": ("InputError",),
+    "fitting": ("fit",),
+    "focusing": ("focus_by_group",),
+    "io.captures": ("Capture", "read_capture", "read_raw", "write_capture", "write_raw"),
+    "io.checkpoints": ("Checkpoint",),
+    "io.examples": ("example", "example_truth"),
+    "io.ground_truth": ("GroundTruth", "read_ground_truth", "write_ground_truth"),
+    "io.lens_file": ("read_prescription",),
+    "lenses.lens_system": ("LensSystem",),
+    "lightfield": ("decode", "demosaic", "ground_truth"),
+    "objective": ("Objective",),
+    "onchip": ("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"),
+    "operator.operator": ("CaptureOperator",),
+    "operator.point_spread": ("point_spread_function",),
+    "operator.stored": ("StoredOperator",),
+    "operator.volumes": ("volume_points",),
+    "optics.guards": ("PhysicsError", "PhysicsWarning"),
+    "optics.spectrum": ("Spectrum",),
+    "phase_screen": ("PhaseScreen", "frozen_flow"),
+    "plugins.other_camera": ("with_camera",),
+    "prescription": ("Prescription",),
+    "reconstruction": ("Reconstruction", "reconstruct"),
+    "report.viewer": ("Viewer", "view"),
+    "runtime.batches": ("Cluster",),
+    "runtime.jobs": ("Job",),
+    "runtime.progress": ("progress_bar",),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "Capture",
@@ -136,10 +157,25 @@ __all__ = [
 ]
 
 
+def _modules() -> set[str]:
+    """Return the names of the modules and subpackages."""
+    return {module.name for module in pkgutil.iter_modules(__path__)} - {"__main__"}
+
+
+def __dir__() -> list[str]:
+    dunders = {name for name in globals() if name.startswith("__")}
+    return sorted({*__all__, *_modules(), *dunders, "__version__"})
+
+
 def __getattr__(name: str) -> Any:
-    if name in _LATER:
-        # From the second time on Python finds it in the module itself.
-        return globals().setdefault(name, getattr(importlib.import_module(f".{_LATER[name]}", __name__), name))
-    if name in _LATER.values():
+    if name in _MODULE_OF:
+        found = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
+    elif name == "__version__":
+        found = importlib.import_module("importlib.metadata").version("mitsuba-plenoptic")
+    elif name in _modules():
         return importlib.import_module(f".{name}", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{did_you_mean(name, __all__)}")
+    else:
+        suggest = importlib.import_module(".errors", __name__).did_you_mean
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{suggest(name, __all__)}")
+    # From the second time on Python finds it in the module itself.
+    return globals().setdefault(name, found)

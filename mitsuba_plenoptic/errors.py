@@ -17,8 +17,6 @@ import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar, cast
 
-import numpy as np
-
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 
 _LONGEST = 1000
@@ -168,7 +166,7 @@ def require_number(
     finite: bool = True,
 ) -> float:
     """Return `value` as a float."""
-    if isinstance(value, (bool, np.bool_, str, bytes, bytearray)) or value is None:
+    if _is_flag(value) or isinstance(value, (str, bytes, bytearray)) or value is None:
         raise InputError(f"{name} = {short_repr(value)}: it must be a number")
     try:
         number = float(value)
@@ -213,7 +211,7 @@ def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
 
 def require_flag(name: str, value: Any) -> bool:
     """Return a truth value as a bool; a word such as "no", which Python takes for true, is refused."""
-    if not isinstance(value, (bool, np.bool_)):
+    if not _is_flag(value):
         raise InputError(f"{name} = {short_repr(value)}: it must be True or False")
     return bool(value)
 
@@ -399,6 +397,16 @@ def require_numbers(
     return tuple(require_number(name, number, minimum=minimum, maximum=maximum) for number in value)
 
 
+def _is_flag(value: Any) -> bool:
+    """Return whether a value is a truth value, of Python's or of NumPy's."""
+    # The help of the command imports this module, and needs no NumPy.
+    import numpy as np
+
+    return isinstance(value, (bool, np.bool_))
+
+
 def _plain(value: Any) -> Any:
     """Return an array of NumPy as lists, and anything else as it is."""
+    import numpy as np
+
     return value.tolist() if isinstance(value, np.ndarray) else value

@@ -1,6 +1,9 @@
 """Imports run one way through the package, and importing it is quick."""
 
 import ast
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,3 +49,54 @@ def test_imports_run_one_way(path):
     allowed = {*FLOORS[: FLOORS.index(first) + 1]}
     # A sentence that names the version is no arrow upwards.
     assert imported(path) - {"__version__"} <= allowed
+
+
+def loaded(code):
+    """Return the package's modules, and the names of libraries, that a new process has imported after some code."""
+    code += "; import json, sys; print(json.dumps(sorted(sys.modules)), file=sys.stderr)"
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    modules = json.loads(made.stderr.splitlines()[-1])
+    own = {name.partition(".")[2] for name in modules if name.partition(".")[0] == "mitsuba_plenoptic"}
+    return own, {name.partition(".")[0] for name in modules}
+
+
+HEAVY = {"numpy", "scipy", "pandas", "xarray", "matplotlib", "skimage", "OpenEXR", "PIL", "yaml", "h5py"}
+
+
+def test_the_package_imports_only_what_registers_its_plugins():
+    own, libraries = loaded("import mitsuba_plenoptic")
+    assert own == {"", "runtime", "runtime.llvm", "plugins"}
+    assert not libraries & HEAVY
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["--version"]])
+def test_the_help_imports_no_command(words):
+    own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
+    assert own == {"", "runtime", "runtime.llvm", "plugins", "cli", "errors"}
+    assert not libraries & HEAVY
+
+
+def test_the_help_lists_every_command_with_its_first_sentence(capsys):
+    assert mitsuba_plenoptic.cli.main(["--help"]) == 0
+    page = capsys.readouterr().out
+    commands = mitsuba_plenoptic.cli.command_line()
+    described = {command.name: command.callback.__doc__ for command in commands.registered_commands}
+    described |= {group.name: group.typer_instance.info.help for group in commands.registered_groups}
+    assert set(described) == set(mitsuba_plenoptic.cli.COMMANDS)
+    for name, text in described.items():
+        assert f" {name} " in page
+        assert text.split()[0] in page
+
+
+@pytest.mark.parametrize("name", mitsuba_plenoptic.__all__)
+def test_public_names_are_found_when_they_are_asked_for(name):
+    assert getattr(mitsuba_plenoptic, name) is not None
+
+
+def test_names_of_the_package_are_public_ones_and_modules():
+    shown = set(dir(mitsuba_plenoptic))
+    modules = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert {name for name in shown if not name.startswith("__")} == {*mitsuba_plenoptic.__all__, *modules} - {
+        "__init__", "__main__"
+    }  # fmt: skip
+    assert {"__version__", "__doc__", "__all__"} <= shown

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib
 import logging
+import os
 import re
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ..errors import InputError, at_shell
-from ..runtime.progress import plain_lines
-from .run_file import recorded
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -75,14 +76,22 @@ def _root(
         typer.echo(context.get_help())
 
 
-def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with some of its subcommands; loading all of them takes a second."""
+def _command() -> typer.Typer:
+    """Return the command without subcommands."""
     made = typer.Typer(
         rich_markup_mode="rich",
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     made.callback(invoke_without_command=True)(_root)
+    return made
+
+
+def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """Return the command with some of its subcommands; loading all of them takes a second."""
+    from .run_file import recorded
+
+    made = _command()
     for name in names:
         command = getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name)
         if isinstance(command, typer.Typer):
@@ -90,6 +99,29 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
         else:
             made.command(name)(recorded(command, step_commands) if name in STEPS else command)
     return made
+
+
+def _outline() -> typer.Typer:
+    """Return the command with subcommands that have their help alone, for which none of their modules is imported."""
+    made = _command()
+    for name in COMMANDS:
+        made.command(name, help=_docstring(name))(lambda: None)
+    return made
+
+
+def _docstring(name: str) -> str | None:
+    """Return the docstring of a subcommand's function from its file; for a group of commands, that of the file."""
+    module = ast.parse(Path(__file__).with_name(f"{COMMANDS[name]}.py").read_text(encoding="utf-8"))
+    own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
+    return ast.get_docstring(next(own, module))
+
+
+def _called(words: Sequence[str]) -> list[str]:
+    """Return the subcommand among the words of a command line, or of one that a shell completes; else nothing."""
+    if "_MITSUBA_PLENOPTIC_COMPLETE" in os.environ:
+        # The last word is being typed.
+        words = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split(" ")[1:-1]
+    return [word for word in words[:1] if word in COMMANDS]
 
 
 def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
@@ -120,21 +152,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     passes through with its traceback.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    called = words[:1] if words[:1] and words[0] in COMMANDS else []
-    group: Any = typer.main.get_command(command_line(called or COMMANDS))
+    called = _called(words)
+    group: Any = typer.main.get_command(command_line(called) if called else _outline())
     with warnings.catch_warnings(), _remarks():
         warnings.showwarning = _print_warning
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            quick = not called or not {"-h", "--help"}.isdisjoint(words)
-            with at_shell(_OPTIONS), contextlib.nullcontext() if quick else plain_lines(words[0]):
+            quick = not called or not words or not {"-h", "--help"}.isdisjoint(words)
+            with at_shell(_OPTIONS), contextlib.nullcontext() if quick else _plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
         except (KeyboardInterrupt, typer.Abort):
             return 130
         except Exception as error:
-            known = dict(commands_of(group)) if called else {}
-            command = known.get(words[0]) or known.get(" ".join(words[:2])) if called else None
+            known = dict(commands_of(group)) if called and words else {}
+            command = known.get(words[0]) or known.get(" ".join(words[:2])) if known else None
             own = command.params if command else ()
             message = mistake(error, {option: option for one in own for option in one.opts})
             if message is None:
@@ -160,6 +192,13 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
 def _is_usage(error: Exception) -> bool:
     """Return whether an error is one of Typer's own of usage; their class has no public name in all versions."""
     return hasattr(error, "format_message")
+
+
+def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
+    """Return `plain_lines` of a command that does something."""
+    from ..runtime.progress import plain_lines
+
+    return plain_lines(command)
 
 
 @contextlib.contextmanager

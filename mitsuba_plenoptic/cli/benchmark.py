@@ -1,4 +1,4 @@
-"""The commands ``benchmark make``, ``run``, ``score`` and ``export``."""
+"""Make a benchmark of captures with ground truth, answer its tasks, and score the answers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 benchmark = typer.Typer(
-    help="Make a benchmark of captures with ground truth, answer its tasks, and score the answers.",
+    help=__doc__,
     rich_markup_mode="rich",
 )
 

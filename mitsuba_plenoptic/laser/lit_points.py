@@ -180,7 +180,8 @@ class LaserScene:
         grid = np.stack(np.meshgrid(*[(np.arange(_ACROSS) + 0.5) / _ACROSS] * 2), -1).reshape(-1, 2)
         for shape in self.scene.shapes():
             box = shape.bbox()
-            world = mi.Point3f(np.array([box.corner(corner) for corner in range(8)], np.float32).T)
+            sides = np.array([box.corner(corner) for corner in range(8)], np.float32).T
+            world = mi.Point3f(*(drjit_array(mi.Float, side) for side in sides))
             corners = (to_camera @ world).numpy().T.astype(float)
             if corners[:, 2].min() > 0:
                 images = self.system.lens.images(corners)

@@ -7,7 +7,6 @@ import math
 import warnings
 
 import numpy as np
-from scipy.stats import qmc
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
@@ -259,6 +258,9 @@ def _mean_response(camera: PlenopticCamera) -> float:
     """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
+    # Importing this takes longer than most commands of a shell need in all.
+    from scipy.stats import qmc
+
     s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)

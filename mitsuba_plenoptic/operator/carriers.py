@@ -5,7 +5,7 @@ the same phase to the light of all points. Their fields differ by tilts and by l
 non-uniform Fourier transforms (`Tilts`).
 
 An ideal main lens turns the sphere of each point into one about the point's own image, and these differ by much more
-than tilts: by 35 waves at f/2, 4 mm off the axis. With the vergence v behind the lens and the slopes u of the point,
+than tilts: by 41 waves at f/2, 3.5 mm off the axis. With the vergence v behind the lens and the slopes u of the point,
 
 .. math:: p(P, X) = \frac{1}{\lambda v} \left((1 + u^2)^{1/2} - (1 + |v P + u|^2)^{1/2}\right) .
 

@@ -12,13 +12,13 @@ from typing import Any, NoReturn
 
 import mitsuba as mi
 
-from ..errors import InputError
 from ..runtime import llvm
-from . import integrator, laser, sensor
 
 
 def _refuse(name: str, reason: str) -> Callable[[Any], NoReturn]:
     def constructor(props: Any) -> NoReturn:
+        from ..errors import InputError
+
         raise InputError(f"{name}: {reason}")
 
     return constructor
@@ -27,6 +27,9 @@ def _refuse(name: str, reason: str) -> Callable[[Any], NoReturn]:
 def _register(old: str | None, new: str | None) -> None:
     if new is None:
         return
+    # Without a variant nothing needs what these import.
+    from . import integrator, laser, sensor
+
     reason = None
     if new.startswith("scalar"):
         reason = f"variant {new}: this plugin needs an llvm_ad_* or cuda_ad_* variant"

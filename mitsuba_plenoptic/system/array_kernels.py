@@ -95,7 +95,7 @@ class ArrayKernels(LensWaves):
         polynomials = LensFunctions.polynomials(u[inside], v[inside], self.degree + higher, scale)
         if not higher:
             return polynomials
-        u, v, inside = self.aperture_grid(math.ceil(_COARSE * self.lattice.pitches[0] / self.lattice.aperture_width))
+        u, v, inside = self.aperture_grid(self._samples_of(_COARSE))
         images = np.concatenate(
             [
                 self._images(polynomials, kind, polynomials.functions)
@@ -114,7 +114,8 @@ class ArrayKernels(LensWaves):
             return Oblique.nothing(functions.count)
         cosines = self._cosines()
         largest = float(np.hypot(*cosines.T).max())
-        u, v, inside = self.aperture_grid(_LAGS)
+        # Small apertures fall between the points of a grid that is as fine for all.
+        u, v, inside = self.aperture_grid(max(_LAGS, self._samples_of(_COARSE)))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
         coarse = _TRANSFER_SAMPLES // _COARSER
         images = [
@@ -123,6 +124,10 @@ class ArrayKernels(LensWaves):
         ]
         light = functions.light(u[inside], v[inside])
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance)
+
+    def _samples_of(self, count: int) -> int:
+        """Return the samples across a pitch of which a count is across an aperture."""
+        return math.ceil(count * self.lattice.pitches[0] / self.lattice.aperture_width)
 
     @property
     def values(self) -> int:

@@ -76,6 +76,9 @@ MOST_SHIFT = 0.3
 _SMOOTH = "closer to a parabola, for the shortest wavelength, too; use CaptureOperator"
 """The rule for the shape of microlenses."""
 
+_NARROWEST = 10.0
+"""Width of openings in wavelengths below which kernels lack more than 3 % of the light, or have far too much."""
+
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
 
@@ -117,12 +120,23 @@ class PhaseSpace(ArrayKernels):
             ),
             ("glass", camera.glass is not None, "taken at the wavelength, by camera.at_wavelength"),
             ("mla_glass", camera.mla_glass is not None, "taken at the wavelength, by camera.at_wavelength"),
+            (
+                "mla_fill",
+                self._least_fill > camera.mla_fill,
+                f'{self._least_fill:.3g} or more, openings of {_NARROWEST:g} wavelengths; use method="points"',
+            ),
             ("mla_shape", camera.mla_shape is not None and self.aberration > MOST_PHASE, _SMOOTH),
             ("mla_shape", camera.mla_shape is not None and self.by_points, "near the microlenses' focus"),
             ("detector_distance", self._shift > MOST_SHIFT, f"closer to the microlenses' focus, {self._limits}"),
         ):
             if refused:
                 raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
+
+    @property
+    def _least_fill(self) -> float:
+        """The `mla_fill` of the narrowest openings whose kernels hold."""
+        camera = self.camera
+        return _NARROWEST * in_millimetres(self.wavelength) * camera.mla_fill / float(camera.lattice.aperture_width)
 
     @property
     def _shift(self) -> float:

@@ -11,6 +11,7 @@ from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.reconstruction.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.reconstruction.splatting import traced_white
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from tools.bench.cases import field_of_view, lens_models
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}
 
@@ -25,6 +26,31 @@ def real_camera(lens="double_gauss", lenses=12, **numbers):
     values = {"focal_length": 40, "aperture_radius": 2.5, "focus_distance": 120}
     values |= {"detector_width": 0.064 * lenses, "resolution": (32 * lenses, 32 * lenses)}
     return PlenopticCamera(main_lens=lens, **(values | numbers))
+
+
+def test_phases_for_many_points_are_stigmatic_behind_ideal_lenses_only():
+    """On the axis and in the corner of the field: parabolic lenses have their aberrations of the third order."""
+    rows = list(field_of_view.fields(f_numbers=(2.0, 10.0), blurs=(0.0,), places=(0.0, 1.0)))
+    assert len(rows) == 8
+    for row in rows:
+        found = [row[name] for name in ("whole", "single", "laser")]
+        if row["model"] == "ideal":
+            assert max(found) < 1e-4
+            assert row["axial"] > 2 or not row["degrees"]
+        elif row["f_number"] == "10":
+            camera = lens_models.camera_of(10.0)
+            assert found[1] == found[2] == pytest.approx(third_order(camera, row["degrees"]), rel=0.03)
+
+
+def third_order(camera, degrees):
+    """Return the largest aberration in waves over the pupil of a thin parabolic lens, of a point off the axis."""
+    g, b, f = camera.focus_distance, camera.mla_distance, camera.focal_length
+    s, turn = np.tan(np.radians(degrees)), np.linspace(0, 2 * np.pi, 49)
+    radius = np.linspace(0, camera.aperture_radius, 9)[:, None]
+    square, along = radius**2, radius * np.cos(turn) * s
+    path = -(square**2) / 8 * (1 / g**3 + 1 / b**3) + square * along / 2 * (1 / g**2 - 1 / b**2)
+    path -= along**2 / (2 * f) + square * s**2 / (4 * f)
+    return abs(path).max() / (lens_models.WAVELENGTH * 1e-6)
 
 
 @pytest.mark.parametrize(

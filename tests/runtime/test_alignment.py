@@ -60,7 +60,11 @@ def test_aligned_arrays_are_shared():
     assert np.shares_memory(drjit_array(dr.llvm.Float64, given).numpy(), given)
 
 
-_TYPES = {f"{kind}{bits}" for kind in ("Float", "Int", "UInt") for bits in ("", 16, 32, 64)} | {"Bool", "TensorXf"}
+_TYPES = (
+    {f"{kind}{bits}" for kind in ("Float", "Int", "UInt") for bits in ("", 16, 32, 64)}
+    | {f"{kind}{size}f" for kind in ("Point", "Vector") for size in (2, 3)}
+    | {"Bool", "TensorXf"}
+)
 
 
 def shared_directly(source):
@@ -80,6 +84,7 @@ def shared_directly(source):
     [
         ("mi.Float(np.ones(3))", True),
         ("Float64(table.ravel())", True),
+        ("mi.Point3f(np.ones((3, 8)))", True),
         ("types.UInt64(as_words(field))", True),
         ("drjit_array(mi.Float, np.ones(3))", False),
         ("mi.Float(index)", False),

@@ -6,7 +6,7 @@ import weakref
 import mitsuba as mi
 import numpy as np
 import pytest
-from scipy.special import j1
+from scipy.special import j0, j1
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
@@ -140,6 +140,22 @@ def test_cameras_that_it_does_not_know_are_refused():
     camera = PlenopticCamera(detector_distance=1.0)
     with pytest.raises(InputError, match=r"detector_distance = .*: for signed rays it must be closer to the micro"):
         PhaseSpace(camera, 633.0)
+
+
+@pytest.mark.parametrize("f_number", [2, 5.6, 12, 30, 60, 240, 1000])
+def test_windows_hold_the_airy_pattern(f_number):
+    """All but 0.6 % of its light, by the encircled energy (Born and Wolf, "Principles of Optics", section 8.5.2)."""
+    camera = PlenopticCamera(aperture_radius=120 / f_number / 2)
+    half = min(PhaseSpace(camera, 633.0).nodes[-1].sides) / 2
+    v = 2 * np.pi * camera.pupil_radius / (633e-6 * camera.pupil_distance) * half
+    assert j0(v) ** 2 + j1(v) ** 2 < 0.006
+
+
+def test_openings_of_a_few_wavelengths_are_refused():
+    with pytest.raises(InputError, match=r"mla_fill = 0.05: for signed rays it must be 0.0989 or more, openings of 10"):
+        PhaseSpace(PlenopticCamera(mla_fill=0.05), 633.0)
+    narrow = PhaseSpace(PlenopticCamera(mla_fill=0.1), 633.0)
+    assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
 
 
 def test_plans_of_many_cameras_keep_a_bounded_number_of_tables(monkeypatch):

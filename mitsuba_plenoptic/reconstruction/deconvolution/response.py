@@ -5,6 +5,7 @@ Kernels are means of exact point spreads, or of rays.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 from collections.abc import Callable, Sequence
@@ -244,10 +245,7 @@ class Response(StoredResponse):
         bins, total = self.cells.bins[0] * self.cells.bins[1], len(distances) * len(asked)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
-            kernels: list[Kernel] = []
-            for members in asked:
-                done = (len(self.planes) * len(asked) + len(kernels)) * bins
-                kernels.append(self._kernel(distance, members, job, done, total * bins))
+            kernels = self._kernels(distance, asked, job, len(self.planes) * len(asked) * bins, total * bins)
             kernels = self._on_disk(kernels) * (len(groups) // len(kernels))
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
 
@@ -260,16 +258,29 @@ class Response(StoredResponse):
             for kernel in kernels
         ]
 
-    def _kernel(self, distance: float, members: NDArray[np.int64], job: Job, done: int, total: int) -> Kernel:
-        """Compute the kernel of a zone from the spreads of the cell in its middle."""
+    def _kernels(
+        self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
+    ) -> list[Kernel]:
+        """Compute the kernel of each zone from the spreads of the cell in its middle.
+
+        A zone may be one batch, so that only the batches of all zones together keep all cores busy.
+        """
+        cells = [self._middle(members) for members in groups]
+        batches = [self._batches(self.cells, distance, cell) for cell in cells]
+        flat = [batch for bins in batches for some in bins for batch in some]
+        share = [int(number == len(some) - 1) for bins in batches for some in bins for number in range(len(some))]
+        with contextlib.closing(job.each(flat, share, done, total)) as parts:
+            return [
+                make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in bins), self._together)
+                for cell, bins in zip(cells, batches, strict=True)
+            ]
+
+    def _middle(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the cell in the middle of a zone."""
         own = self._sampled.index[members]
         places = own @ self.cells.vectors
-        cell = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
-        batches = self._batches(self.cells, distance, cell)
-        flat = [batch for some in batches for batch in some]
-        share = [int(number == len(some) - 1) for some in batches for number in range(len(some))]
-        parts = job.each(flat, share, done, total)
-        return make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in batches), self._together)
+        middle: NDArray[np.int64] = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
+        return middle
 
     def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
         """Cut the cells into zones; if each zone has its own kernel, into so large ones that the kernels fit."""
