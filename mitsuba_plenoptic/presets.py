@@ -68,10 +68,10 @@
     the diagonals. Expose captures with ``mosaic="QUAD_RGGB"``.
 
 Of these three on-chip-lens cameras no maker publishes what is between lenses and photodiodes. Ours: a height of 8 um
-for the full frame and of 4.5 um for telephones in a medium of the index 1.5, focused lenses without gaps, two pixels apart and
-shifted by `mla_cra` to the chief rays through the pupil's centre, no crosstalk. As all such cameras they have 2 x 2
-square pixels below each lens; `dual_pixel` adds those of a larger photodiode. Ours too: thin main lenses, focused at 2 m
-or at 1 m.
+for the full frame and of 4.5 um for telephones in a medium of the index 1.5, focused lenses without gaps, two pixels
+apart and shifted by `mla_cra` to the chief rays through the pupil's centre, no crosstalk. As all such cameras they have
+2 x 2 square pixels below each lens; `dual_pixel` adds those of a larger photodiode. Ours too: thin main lenses, focused
+at 2 m or at 1 m.
 
 All have the `lens_model` ``ideal``: lenses of real cameras are corrected, and no aberrations then add to the difference
 of rays and waves. The paper's own lenses are parabolic phases, which aberrate the light of ``paper`` by up to 0.74

@@ -192,7 +192,9 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
     x, y = (side / np.linalg.norm(side) for side in stretch)
     assert square > 0.1
     alike = math.acos(x @ y) / (2 * math.pi)
-    assert quarters == pytest.approx(np.array([[[0.25] * 2] * 2, [[alike, 0.5 - alike], [0.5 - alike, alike]]]), abs=0.01)
+    assert quarters == pytest.approx(
+        np.array([[[0.25] * 2] * 2, [[alike, 0.5 - alike], [0.5 - alike, alike]]]), abs=0.01
+    )
 
 
 def test_crosstalk_adds_each_half_to_the_other():
