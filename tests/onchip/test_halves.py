@@ -220,7 +220,7 @@ def test_halves_by_waves_are_sums_of_plane_waves():
     # A little is turned into evanescent waves.
     assert light == pytest.approx(0.998, abs=0.004)
     assert dual_snell.left_of_point(camera, field, "wave") == pytest.approx(
-        dual_snell.left_of_star(camera, field), abs=0.005
+        dual_snell.left_of_star(camera, field, 2**11), abs=0.005
     )
 
 
