@@ -84,7 +84,16 @@ class UniformLens:
 def chief_points(lens: MainLens, position: Pair, detector_distance: Any, index: Any) -> Pair:
     """Return the places on the MLA of the rays from detector positions to the pupil's centre, by Snell's law.
 
-    The detector lies at `detector_distance` behind the MLA in a medium of this index.
+    Parameters
+    ----------
+    lens : MainLens
+        Main lens.
+    position : (array, array)
+        x and y on the detector in millimetres.
+    detector_distance : float or array
+        Distance from the MLA to the detector in millimetres.
+    index : float or array
+        Refractive index of the medium between them.
     """
     near = tuple(lens.chief_point(p, detector_distance / index) for p in position)
     if isinstance(index, (int, float)) and index == 1:
