@@ -68,9 +68,10 @@
     the diagonals. Expose captures with ``mosaic="QUAD_RGGB"``.
 
 Of these three on-chip-lens cameras no maker publishes what is between lenses and photodiodes. Ours: a height of 8 um
-for the full frame and of 4.5 um for telephones in a medium of the index 1.5, focused lenses without gaps, positions
-that follow the chief rays through the pupil's centre, no crosstalk. As all such cameras they have 2 x 2 square pixels
-below each lens; `dual_pixel` adds those of a larger photodiode. Ours too: thin main lenses, focused at 2 m or at 1 m.
+for the full frame and of 4.5 um for telephones in a medium of the index 1.5, focused lenses without gaps, two pixels
+apart and shifted by `mla_cra` to the chief rays through the pupil's centre, no crosstalk. As all such cameras they have
+2 x 2 square pixels below each lens; `dual_pixel` adds those of a larger photodiode. Ours too: thin main lenses, focused
+at 2 m or at 1 m.
 
 All have the `lens_model` ``ideal``: lenses of real cameras are corrected, and no aberrations then add to the difference
 of rays and waves. The paper's own lenses are parabolic phases, which aberrate the light of ``paper`` by up to 0.74
@@ -79,6 +80,7 @@ waves of 633 nm over the field; `report.experiment`, which repeats its study, se
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 
@@ -92,7 +94,6 @@ def _on_chip(
     index: float = 1.5,
 ) -> dict[str, Any]:
     """Return an on-chip-lens camera; `height` is the distance from its lenses to the photodiodes in the medium."""
-    reduced = height / index
     mla_distance = 1 / (1 / focal_length - 1 / focus_distance)
     return {
         "focal_length": focal_length,
@@ -100,11 +101,29 @@ def _on_chip(
         "focus_distance": focus_distance,
         "mla_focal_length": height,
         "mla_medium": index,
+        "mla_pitch": 2 * pixel,
         # The middle of each lens's pixels sees the middle of the pupil.
-        "mla_pitch": 2 * pixel * mla_distance / (mla_distance + reduced),
+        "mla_cra": _chief_rays(pixel / 2 * math.hypot(*resolution), mla_distance, height, index),
         "detector_width": pixel * resolution[0],
         "resolution": resolution,
     }
+
+
+_HEIGHTS = 20
+"""Steps of image height in a table of chief-ray angles."""
+
+
+def _chief_rays(corner: float, mla_distance: float, height: float, index: float) -> tuple[float, ...]:
+    """Return image heights up to that of the corner and the chief-ray angles there in degrees, as for `mla_cra`.
+
+    Image heights are those of pixels; their lenses stand nearer to the axis by the way of the chief ray in the medium.
+    """
+    table = []
+    for step in range(_HEIGHTS + 1):
+        slope = corner / mla_distance * step / _HEIGHTS
+        within = math.asin(math.sin(math.atan(slope)) / index)
+        table += [mla_distance * slope + height * math.tan(within), math.degrees(math.atan(slope))]
+    return tuple(table)
 
 
 _RAYTRIX: dict[str, Any] = {

@@ -237,6 +237,7 @@ class CameraAdjoint(_CameraSum):
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         ((pupil, _),), (lanes,) = self._groups, lot.lanes
         radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
+        radiance = [light * self._answer(drawn) for light in radiance]
         seen = dr.select(drawn.open, mi.Float(1), 0)
         require_finite(radiance, seen)
         known, lit = known_means(radiance, seen, dr.width(lot.some), self._together)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
+from ..lenses.common import chief_points
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
 from ..runtime.batches import Box
@@ -188,6 +189,9 @@ class Draws:
         # Other points of the pixel and around its cells see other points of the pupil.
         wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
         pixel = wide * camera.pupil_distance / camera.reduced_distance / math.sqrt(2)
+        # Snell's law spreads them most at the corner, along the radius.
+        corner = self._lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        pixel *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
         return self._lens.reach + pixel + lens
 
@@ -233,8 +237,8 @@ class Draws:
             (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
             for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
         )
-        z = camera.reduced_distance + self.kinds.height(x, y) / camera.mla_medium
-        chief = tuple(self._lens.chief_point(p, z) for p in (x, y))
+        z = camera.detector_distance + self.kinds.height(x, y)
+        chief = chief_points(self._lens, (x, y), z, camera.mla_medium)
         i, j = lattice.cell(*(m - shift for m, shift in zip(chief, chief_ray_shift(camera, *chief), strict=True)))
         i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), pixels.steps, strict=True))
         centre, height = self.kinds.place(i, j)
@@ -258,13 +262,23 @@ class Draws:
         chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
         return self.pupil.seen(chief, aims.centre, self._camera.detector_distance, aims.height)
 
+    def evenness(self, drawn: Drawn) -> Any:
+        """Return the weights by which rays of all cells are even over the pupil."""
+        return self.pupil.evenness(
+            self._shrunk(drawn.detector, drawn.kind), self._camera.detector_distance + drawn.height
+        )
+
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
         """Return where the light that lands on detector points lands if it passes the centres of lenses, from these."""
+        return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
+
+    def _shrunk(self, offset: Pair, kind: Any) -> Pair:
+        """Return places relative to the lenses' centres as if all light passed these: micro-images are enlarged."""
         if len(self.enlargements) > 1:
-            larger = dr.gather(mi.Float, mi.Float(self.enlargements), aims.kind)
+            larger = dr.gather(mi.Float, mi.Float(self.enlargements), kind)
         else:
             larger = dr.opaque(mi.Float, self.enlargements[0])
-        return tuple((p - c) / larger for c, p in zip(aims.centre, detector, strict=True))
+        return tuple(value / larger for value in offset)
 
     def cosines(self, cells: Cells) -> Pair:
         """Return the direction cosines, in the lattice's frame, with which the light of cells meets the array."""

@@ -369,13 +369,13 @@ class SignedRaySum:
         return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
 
     def _answer(self, drawn: Drawn) -> Any:
-        """Return the pixels' response to rays by their paths behind the lenses."""
-        absorption = self._camera.mla_absorption
+        """Return the pixels' response to rays by their paths behind the lenses, times the rays' weights in a medium."""
+        absorption, even = self._camera.mla_absorption, self._draws.evenness(drawn)
         if self._response is None and not absorption:
-            return 1
+            return even
         aside, depth = self._draws.crossed(drawn)
         response = 1 if self._response is None else self._response(dr.atan(aside / depth))
-        return response * transmittance(absorption, aside, depth)
+        return response * transmittance(absorption, aside, depth) * even
 
     def _bring(
         self,

@@ -42,7 +42,9 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     sensor = plenoptic_sensor(scene)
     camera = PlenopticCamera.from_sensor(sensor)
     rows, columns = (count // ACROSS for count in camera.shape)
-    x, y = (drjit_array(mi.Float, values) for values in _lens_centres(camera))
+    regular = _lens_centres(camera)
+    shift = chief_ray_shift(camera, *regular)
+    x, y = (drjit_array(mi.Float, place + aside) for place, aside in zip(regular, shift, strict=True))
     hits = FirstHits(scene, sensor, ["depth"])
 
     def of_lenses(index: Any) -> tuple[Any, Any]:
@@ -63,7 +65,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y of the middles of the recorded lenses on the array, each (rows, columns)."""
+    """Return x and y of the middles of the recorded lenses on the array, each (rows, columns), before `mla_cra`."""
     index = [
         np.floor(((first + ACROSS * np.arange(size // ACROSS) + 1) - count / 2 - offset / camera.pixel_size) / ACROSS)
         for first, size, count, offset in zip(
@@ -71,17 +73,17 @@ def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
         )
     ]
     x, y = camera.lattice.centre(*np.meshgrid(*index))
-    right, up = chief_ray_shift(camera, x, y)
-    return x + right, y + up
+    return x, y
 
 
 def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
     """Return a camera with the same lenses and a small pupil, whose image below each lens is as large as before.
 
-    Lenses that are aligned to chief rays stand where the smaller pitch that corresponds to them puts them.
+    Lenses that are aligned to chief rays stand where the smaller pitch puts them that suits the recorded ones best.
     """
-    b = camera.pupil_distance
-    pitch = camera.mla_pitch * (b / (b + camera.reduced_distance) if camera.mla_cra else 1.0)
+    b, (x, y) = camera.pupil_distance, _lens_centres(camera)
+    right, up = chief_ray_shift(camera, x, y)
+    pitch = camera.mla_pitch * (1 + float((x * right + y * up).sum() / (x * x + y * y).sum()))
     z = _FILLED * pitch * b * _STOPPED / (2 * camera.pupil_radius)
     return camera.replace(
         aperture_radius=camera.aperture_radius / _STOPPED,

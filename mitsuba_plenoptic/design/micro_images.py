@@ -9,7 +9,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_wavelength
-from ..lenses.common import main_lens
+from ..lenses.common import chief_points, main_lens
 from ..optics.waves import in_millimetres
 
 MOST_OVERLAP = 100_000
@@ -171,7 +171,7 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
     (n, SECTORS) array
         By the angle, from 0 to 180 degrees, between the directions towards the lens and away from the axis.
     """
-    lens, z, n = main_lens(camera), camera.reduced_distance, camera.mla_medium
+    lens, z, n = main_lens(camera), camera.detector_distance, camera.mla_medium
     s, t = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, _LENS_POINTS)] * 2))
     offset = np.stack(camera.lattice.aperture_point(s, t))[:, :, None, None]
     angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
@@ -191,8 +191,8 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
         square = (behind**2).sum(0)
         # The rest is reflected totally.
         passes = square < 1
-        position = radius * away + offset - z * n * behind / np.sqrt(np.where(passes, 1 - square, 1))
-        towards = radius * away - lens.chief_point(position, z)
+        position = radius * away + offset - z * behind / np.sqrt(np.where(passes, 1 - square, 1))
+        towards = radius * away - np.stack(chief_points(lens, (position[0], position[1]), z, n))
         distance = np.hypot(*towards) * passes
         sector = np.arccos(np.clip((towards * away).sum(0) / np.maximum(distance, 1e-12), -1, 1)) * (SECTORS / np.pi)
         np.maximum.at(found[row], np.minimum(sector.astype(int), SECTORS - 1), distance)

@@ -218,7 +218,8 @@ class _Bundles:
         scales = _scales(self.camera, self.lens, self.points)
         on_array, on_detector = (value(abs(scale)) * step for scale in scales)
         for (i, j), fraction in self._lenses(position, on_array):
-            self._detect(image, self._detector_position(pupil, position, i, j), on_detector, power * fraction)
+            landed, shrunk = self._detector_position(pupil, position, i, j)
+            self._detect(image, landed, on_detector * shrunk, power * fraction)
 
     @staticmethod
     def _number(value: Any) -> Any:
@@ -264,24 +265,24 @@ class _Bundles:
         whole = sum((fraction for _, fraction in found), 0.0)
         return [(lens, fraction / whole) for lens, fraction in found]
 
-    def _detector_position(self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any) -> tuple[Any, Any]:
-        """Return the positions at which rays through lenses of the given indices hit the detector."""
+    def _detector_position(
+        self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any
+    ) -> tuple[tuple[Any, Any], Any]:
+        """Return where rays through lenses hit the detector, and how much closer there than by the reduced distance."""
         camera, lattice = self.camera, self._lattice
         lengths = [self._number(length) for length in camera.reduced_focal_lengths]
         f2 = lengths[0]
         for number, length in enumerate(lengths[1:], 1):
             f2 = dr.select(abs(lattice.lens_type(i, j) - number) < 0.5, length, f2)
         b, z = self._number(self.lens.pupil_distance), self._number(camera.detector_distance)
-        n = self._number(camera.mla_medium)
-        slope = tuple((q - P) / b for q, P in zip(position, pupil, strict=True))
-        bent = tuple((q - c) / f2 for q, c in zip(position, lattice.centre(i, j), strict=True))
-        if camera.lens_model == "ideal":
-            behind = tuple((s - turn) / n for s, turn in zip(slope, bent, strict=True))
-        else:
-            cosines = rays.slopes_to_cosines(*slope)
-            behind = rays.cosines_to_slopes(*((s - turn) / n for s, turn in zip(cosines, bent, strict=True)))
-        x, y = (q + z * s for q, s in zip(position, behind, strict=True))
-        return x, y
+        slope = (position[0] - pupil[0]) / b, (position[1] - pupil[1]) / b
+        cx, cy = lattice.centre(i, j)
+        turn = (position[0] - cx) / f2, (position[1] - cy) / f2
+        chief = (cx / b, cy / b) if camera.lens_model == "ideal" else None
+        n = camera.mla_medium if camera.mla_medium == 1 else self._number(camera.mla_medium)
+        x, y = rays.into_medium(slope, turn, chief, n)
+        shrunk = rays.evenness(slope, (x, y), chief, n) ** -0.25 if camera.mla_medium != 1 else 1.0
+        return (position[0] + z * x, position[1] + z * y), shrunk
 
     def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
         """Add squares around positions on the detector to the pixels that they cover."""

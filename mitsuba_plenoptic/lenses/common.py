@@ -81,6 +81,29 @@ class UniformLens:
         return images
 
 
+def chief_points(lens: MainLens, position: Pair, detector_distance: Any, index: Any) -> Pair:
+    """Return the places on the MLA of the rays from detector positions to the pupil's centre, by Snell's law.
+
+    Parameters
+    ----------
+    lens : MainLens
+        Main lens.
+    position : (array, array)
+        x and y on the detector in millimetres.
+    detector_distance : float or array
+        Distance from the MLA to the detector in millimetres.
+    index : float or array
+        Refractive index of the medium between them.
+    """
+    near = tuple(lens.chief_point(p, detector_distance / index) for p in position)
+    if isinstance(index, (int, float)) and index == 1:
+        return near[0], near[1]
+    # One step: the direction at the paraxial place is right to the square of z / b.
+    x, y = (lens.slope_to(0.0, m) for m in near)
+    slope = rays.refracted((x, y), 1 / index)
+    return position[0] + detector_distance * slope[0], position[1] + detector_distance * slope[1]
+
+
 class FiniteDistance:
     """A main lens with its exit pupil at a finite distance before the array, for the ray model."""
 

@@ -23,6 +23,9 @@ from ..camera import PlenopticCamera
 from ..lens_data import defocus_factor
 from ..runtime.backend import drjit_array, rsqrt
 
+Pair = tuple[Any, Any]
+"""x and y of slopes or direction cosines."""
+
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
     """Where the line from a detector point to the main lens's centre crosses the MLA: p b / (b + z).
@@ -93,6 +96,87 @@ def refracted(slope: tuple[Any, Any], index: float) -> tuple[Any, Any]:
     """Return the slope behind a border at which direction cosines grow by a relative index, by Snell's law."""
     sx, sy = slopes_to_cosines(*slope)
     return cosines_to_slopes(index * sx, index * sy)
+
+
+def into_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> Pair:
+    r"""Return the slope behind a microlens and the border of a medium of index n; `out_of_medium` is the inverse.
+
+    Lenses that turn direction cosines follow Snell's law, :math:`s = n s' + \tau`. Ideal lenses have the slope
+
+    .. math:: t' = \frac{c}{n} \left[ t + c^2 \left( \tfrac{1}{n^2} - 1 \right) (t_c \cdot (t - t_c))\, t_c \right]
+              - \frac{\tau}{n} , \qquad c = \left[ 1 + \left( 1 - \tfrac{1}{n^2} \right) t_c^2 \right]^{-1/2} :
+
+    Snell's law for the chief ray and its derivative for the others, so that all light of one direction meets in the
+    lens's focal plane. Both laws hold in the direction of light and against it.
+
+    Parameters
+    ----------
+    slope : (array, array)
+        Slope before the lens, on the side of the main lens.
+    turn : (array, array)
+        Change of the direction by the lens, from behind it to before it: minus the offset from the lens's centre, over
+        the focal length in air.
+    chief : (array, array), optional
+        Slope before the lens of the ray through the centres of the lens and of the pupil. None: the lens turns
+        direction cosines.
+    index : float or array
+        Refractive index n.
+    """
+    if chief is None:
+        cosines = slopes_to_cosines(*slope)
+        return cosines_to_slopes(*((s - change) / index for s, change in zip(cosines, turn, strict=True)))
+    if _is_one(index):
+        return slope[0] - turn[0], slope[1] - turn[1]
+    c = rsqrt(_widening(chief, index))
+    along = c * c * (1 / (index * index) - 1) * _dot(chief, (slope[0] - chief[0], slope[1] - chief[1]))
+    x, y = ((c * (t + along * own) - change) / index for t, change, own in zip(slope, turn, chief, strict=True))
+    return x, y
+
+
+def out_of_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> tuple[Pair, Any]:
+    """Return the slope before a microlens from that in the medium behind it, and whether light passes the border.
+
+    The inverse of `into_medium`, with the same parameters. Lenses that turn direction cosines reflect steep light
+    totally; its slope is 0.
+    """
+    if chief is None:
+        sx, sy = (index * s + change for s, change in zip(slopes_to_cosines(*slope), turn, strict=True))
+        emerges = sx * sx + sy * sy < 1
+        select = dr.select if dr.is_array_v(sx) else np.where
+        return cosines_to_slopes(select(emerges, sx, 0), select(emerges, sy, 0)), emerges
+    if _is_one(index):
+        return (slope[0] + turn[0], slope[1] + turn[1]), True
+    c = rsqrt(_widening(chief, index))
+    bent = tuple((index * t + change) / c - own for t, change, own in zip(slope, turn, chief, strict=True))
+    along = 1 + (1 - 1 / (index * index)) * _dot(chief, bent)
+    return (bent[0] + along * chief[0], bent[1] + along * chief[1]), True
+
+
+def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
+    """Return the weight by which rays that are even over a detector in a medium are even over the pupil.
+
+    It is the area of slopes before a microlens over that in the medium, less the factor n^2 that both have on the axis:
+    c^-4 with the c of `into_medium`, and for lenses that turn direction cosines the square of the ratio of 1 + t^2.
+    Without a medium it is 1.
+    """
+    if _is_one(index):
+        return 1.0
+    root = (1 + _dot(before, before)) / (1 + _dot(behind, behind)) if chief is None else _widening(chief, index)
+    return root * root
+
+
+def _widening(chief: Pair, index: Any) -> Any:
+    """Return c^-2 of `into_medium`."""
+    return 1 + (1 - 1 / (index * index)) * _dot(chief, chief)
+
+
+def _dot(a: Pair, b: Pair) -> Any:
+    return a[0] * b[0] + a[1] * b[1]
+
+
+def _is_one(index: Any) -> bool:
+    """Whether there is no medium, so that slopes keep the bits that they have without its formulas."""
+    return isinstance(index, (int, float)) and index == 1
 
 
 _ANGLES = 1025

@@ -22,7 +22,7 @@ from ..design.micro_images import (
 )
 from ..lattice import Lattice, make_lattice
 from ..lenses.base import MainLens, Pair, Traced
-from ..lenses.common import main_lens
+from ..lenses.common import chief_points, main_lens
 from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
@@ -271,12 +271,11 @@ class CameraRays:
 
     def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
         """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
-        z = self.detector_distance / self.camera.mla_medium
-        x, y = (self.lens.chief_point(p, z) for p in pixel)
+        x, y = chief_points(self.lens, pixel, self.detector_distance, self.camera.mla_medium)
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / self.lens.pupil_distance
             x, y = x * nearer, y * nearer
-        right, up = chief_ray_shift(self.camera, x, y, z)
+        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
         return (x, y), self.lattice.cell(x - right, y - up)
 
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
@@ -333,35 +332,40 @@ class CameraRays:
 
         `pixel` is the detector point, a pair of Dr.Jit arrays.
         """
-        (px, py), (mx, my), (cx, cy), f2 = pixel, *passage
-        lens = self.lens
-        if light is not None:
-            f2 = f2 * light.mla_ratio
-            lens = light.through(lens)
-        z, n = self.detector_distance, self.camera.mla_medium
-        height = self._height(cx, cy) if any(self.camera.mla_tilt) else None
-        if height is not None:
-            z = z + height
-        error = FigureError.of(self.camera) if any(self.camera.mla_figure_error) else None
-        if self.camera.mla_shape is None and self.camera.lens_model == "ideal":
-            slope = tuple(rays.microlens_slope(p, m, c, z / n, f2) for p, m, c in ((px, mx, cx), (py, my, cy)))
-            if error is not None:
-                slope = tuple(t + turn for t, turn in zip(slope, error.slopes(mx, my), strict=True))
-            emerges = mi.Bool(True)
-        else:
-            sx, sy = rays.slopes_to_cosines((mx - px) / z, (my - py) / z)
-            turn_x, turn_y = self._turn((mx - cx, my - cy), f2)
-            sx, sy = n * sx + turn_x, n * sy + turn_y
-            if error is not None:
-                sx, sy = (cosine + turn for cosine, turn in zip((sx, sy), error.slopes(mx, my), strict=True))
-            # The rest is reflected totally.
-            emerges = sx * sx + sy * sy < 1
-            slope = rays.cosines_to_slopes(*(dr.select(emerges, cosine, 0) for cosine in (sx, sy)))
-        if height is not None:
+        lens = self.lens if light is None else light.through(self.lens)
+        slope, _, emerges = self._before_array(pixel, passage, light)
+        mx, my = passage.point
+        if any(self.camera.mla_tilt):
             # The point at which the ray crosses the plane of the lens on the axis.
+            height = self._height(*passage.centre)
             mx, my = mx - height * slope[0], my - height * slope[1]
         point, slope, is_open = lens.trace((mx, my), slope)
         return point, slope, is_open & emerges
+
+    def evenness(self, pixel: Pair, passage: Passage, light: RayColours | None = None) -> Any:
+        """Return the weights by which rays from all points of the detector are even over the pupil."""
+        return self._before_array(pixel, passage, light)[1]
+
+    def _before_array(self, pixel: Pair, passage: Passage, light: RayColours | None) -> tuple[Pair, Any, Any]:
+        """Return the slopes of rays before the array, their weights, and whether they leave the medium."""
+        (mx, my), (cx, cy), f2 = passage
+        z, n = self.detector_distance, self.camera.mla_medium
+        if light is not None:
+            f2 = f2 * light.mla_ratio
+        height = self._height(cx, cy) if any(self.camera.mla_tilt) else 0.0
+        if any(self.camera.mla_tilt):
+            z = z + height
+        turn = self._turn((mx - cx, my - cy), f2)
+        error = FigureError.of(self.camera) if any(self.camera.mla_figure_error) else None
+        if error is not None:
+            right, up = error.slopes(mx, my)
+            turn = turn[0] + right, turn[1] + up
+        chief = None
+        if not turns_cosines(self.camera):
+            chief = self.lens.slope_to(0.0, cx, height), self.lens.slope_to(0.0, cy, height)
+        behind = (mx - pixel[0]) / z, (my - pixel[1]) / z
+        slope, emerges = rays.out_of_medium(behind, turn, chief, n)
+        return slope, rays.evenness(slope, behind, chief, n), mi.Bool(emerges)
 
     def _turn(self, offset: Pair, f2: Any) -> Pair:
         """Return the change of the direction cosines of rays at offsets from the centres of lenses."""

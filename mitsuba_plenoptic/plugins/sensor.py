@@ -270,7 +270,7 @@ def make_class() -> type:
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
-            return ray, dr.select(open_, weight * tried, 0)
+            return ray, dr.select(open_, weight * (tried * self._rays.evenness((px, py), passage, light)), 0)
 
         def _towards(self, traced: Traced, time: Any, wavelengths: Any) -> Any:
             """Return traced rays in the world frame."""

@@ -122,12 +122,23 @@ class RayPupil:
 
         The centres lie by a height nearer to the main lens than `detector_distance` before the detector.
         """
-        z, n = detector_distance + height, self.system.camera.mla_medium
-        slopes = tuple((c - p) / z for c, p in zip(centre, detector, strict=True))
-        if n != 1:
-            slopes = rays.refracted(slopes, n)
+        offset = tuple(c - p for c, p in zip(centre, detector, strict=True))
+        slopes, _ = self._slopes(offset, detector_distance + height)
         lens = self.system.lens
         return tuple(lens.pupil_point(c, slope, height) for c, slope in zip(centre, slopes, strict=True))
+
+    def evenness(self, detector: Pair, distance: Any) -> Any:
+        """Return the weights by which rays from everywhere on the detector are even over the pupil; see `optics.rays`.
+
+        The detector points are relative to the lenses' centres, and the lenses at a distance before them.
+        """
+        before, behind = self._slopes(tuple(-p for p in detector), distance)
+        return rays.evenness(before, behind, None, self.system.camera.mla_medium)
+
+    def _slopes(self, offset: Pair, distance: Any) -> tuple[Pair, Pair]:
+        """Return the slopes before the array, and in the medium behind it, of rays through the centres of lenses."""
+        behind, n = tuple(value / distance for value in offset), self.system.camera.mla_medium
+        return (behind if n == 1 else rays.refracted(behind, n)), behind
 
     def trace(self, place: Pair, pupil: Pair, height: Any) -> tuple[tuple[Any, Any, Any], Pair]:
         """Return start points and slopes in the scene of rays from positions on the array through points of the pupil.

@@ -218,14 +218,14 @@ class PlaneWaveResponses:
         """Return the position of a lens."""
         return [float(c) for c in lens_centre(self.camera, x, y)]
 
-    def _chief(self, x: float, y: float) -> list[float]:
+    def chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines of the light from the pupil's centre at a lens."""
         slope = [-float(self.system.lens.slope_to(0.0, place)) for place in self._place(x, y)]
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
     def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which pairs of direction cosines `along` the axes, from the chief ray's, pass the pupil to a lens."""
-        chief, place = self._chief(x, y), self._place(x, y)
+        chief, place = self.chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
@@ -252,7 +252,7 @@ class PlaneWaveResponses:
             ((nodes + 1) / 2 + number - self.count / 2) * pixel + s
             for number, s in ((row, shift[1]), (column, shift[0]))
         )
-        sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self._chief(x, y))
+        sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self.chief(x, y))
         waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
         kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
         fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)

@@ -179,7 +179,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
                 # The light from beyond the near window is folded into it.
                 close -= fold @ wide @ fold.T - own @ wide @ own.T
                 near[number, ..., diode], far[number, ..., diode] = close, wide
-                means[number, diode] = whole @ pupil.mass[used] / pupil.mass.sum()
+                means[number, diode] = whole @ pupil.light[used] / pupil.light.sum()
         return ResponseTable(index, near, far, means)
 
     def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
@@ -282,8 +282,10 @@ class _Pupil:
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
     hats: scipy.sparse.csr_matrix
-    # Part of the pupil around each node (n, n).
+    # Part of the direction cosines of the pupil around each node (n, n).
     mass: NDArray[np.float64]
+    # Part of the area of the pupil, over which rays are even, around each node (n, n).
+    light: NDArray[np.float64]
 
     @classmethod
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
@@ -303,7 +305,12 @@ class _Pupil:
             node = (sides[0] + dy + plan.across) * n + sides[1] + dx + plan.across
             value = np.abs(1 - dy - parts[0]) * np.abs(1 - dx - parts[1])
             hats += scipy.sparse.csr_matrix((value, (count, node)), hats.shape)
-        return cls(is_open, step, rows, columns, hats, np.asarray(hats.sum(0)).reshape(n, n))
+        chief = plan.chief(x, y)
+        square = sum((c + plan.step * along[each]) ** 2 for c, each in zip(chief, (columns, rows), strict=True))
+        # Areas of the pupil per area of direction cosines.
+        even = (1 - square) ** -2
+        mass, light = ((hats.T @ part).reshape(n, n) for part in (np.ones(len(rows)), even))
+        return cls(is_open, step, rows, columns, hats, mass, light)
 
     @cached_property
     def _solve(self) -> scipy.sparse.linalg.SuperLU:

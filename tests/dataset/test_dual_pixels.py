@@ -64,7 +64,7 @@ def test_what_is_sharp_is_the_sum_in_focus():
     }
     scene = mi.load_dict(scene)
     truth = truth_of_lenses(scene, 256, 0)
-    total = dual_pixel(render_capture(scene, spp=256)).sum(("v", "u")).values
+    total = dual_pixel(render_capture(scene, spp=1024)).sum(("v", "u")).values
     assert truth["lens_depth"] == pytest.approx(1000, rel=1e-4)
     assert np.abs(truth["blur_radius"]).max() < 1e-3
     assert truth["sharp"].mean() == pytest.approx(total.mean(), rel=0.01)

@@ -22,7 +22,7 @@ from mitsuba_plenoptic import (
     render_capture,
 )
 from mitsuba_plenoptic.design import design_warnings
-from tools.bench.cases import dual_pixels
+from tools.bench.cases import dual_pixels, dual_snell
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,
@@ -182,7 +182,46 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
     assert design_warnings(camera) == []
     corner = (0.48 * camera.detector_width, 0.48 * camera.detector_height)
     bank = psf_bank(camera, [0.7 * camera.focus_distance], [(0.0, 0.0), corner], layout=(2, 2))
-    assert bank.sum(("t", "s")).values == pytest.approx(0.25, abs=0.01)
+    quarters = bank.sum(("t", "s")).values[0]
+    for axis in (1, 2):
+        assert quarters.sum(axis) == pytest.approx(0.5, abs=0.01)
+    # Snell's law compresses the pupil's image along the radius, so that quarters are sectors of an ellipse.
+    slope = np.array([float(bank[axis][1]) for axis in ("x", "y")]) / camera.mla_distance
+    square, gain = slope @ slope, 1 - camera.mla_medium**-2
+    stretch = np.eye(2) + gain * np.outer(slope, slope)
+    x, y = (side / np.linalg.norm(side) for side in stretch)
+    assert square > 0.1
+    alike = math.acos(x @ y) / (2 * math.pi)
+    assert quarters == pytest.approx(
+        np.array([[[0.25] * 2] * 2, [[alike, 0.5 - alike], [0.5 - alike, alike]]]), abs=0.01
+    )
+
+
+@pytest.mark.parametrize("angle", [8, 20, 30, 35])
+def test_lenses_aligned_by_snells_law_halve_the_light(angle):
+    """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
+    mi.set_variant("llvm_ad_mono")
+    camera, field = dual_snell.window(angle)
+    left, light = dual_snell.left_of_even(camera, "ray", 8192)
+    assert left == pytest.approx(0.5, abs=0.01)
+    assert light == pytest.approx(1, abs=0.01)
+    assert dual_snell.left_of_point(camera, field, "ray") == pytest.approx(0.5, abs=0.01)
+    camera, field = dual_snell.window(angle, lens_model="parabolic")
+    left, light = dual_snell.left_of_even(camera, "ray", 8192)
+    assert left == pytest.approx(dual_snell.left_by_cosines(camera, field), abs=0.006)
+    assert light == pytest.approx(1, abs=0.01)
+
+
+def test_halves_by_waves_are_sums_of_plane_waves():
+    mi.set_variant("llvm_ad_mono")
+    camera, field = dual_snell.window(30)
+    left, light = dual_snell.left_of_even(camera, "wave", 64)
+    assert left == pytest.approx(dual_snell.left_by_waves(camera, field, 2**8), abs=0.005)
+    # A little is turned into evanescent waves.
+    assert light == pytest.approx(0.998, abs=0.004)
+    assert dual_snell.left_of_point(camera, field, "wave") == pytest.approx(
+        dual_snell.left_of_star(camera, field, 2**11), abs=0.005
+    )
 
 
 def test_crosstalk_adds_each_half_to_the_other():

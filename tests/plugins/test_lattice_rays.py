@@ -127,7 +127,10 @@ def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, apertu
     ids=str,
 )
 def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
-    """The power behind a lens is the integral of the areas on the detector that light from the pupil maps to."""
+    """The power behind a lens is the integral of the areas on the detector that light from the pupil maps to.
+
+    Rays are even over the detector. In a medium their weights make them even over the pupil.
+    """
     crop = {"crop_offset": (corner, corner), "crop_size": (80, 80)}
     camera = PlenopticCamera.preset("lytro").replace(lens_model="parabolic", **crop, **more)
     # A warning of missed light fails the test.
@@ -142,7 +145,8 @@ def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
     slope = (P - (corner + 40 - 1640) * camera.pixel_size - d) / camera.mla_distance
     sine = slope / np.sqrt(1 + (slope**2).sum(0)) / camera.mla_medium + d / camera.mla_focal_length
     areas = (1 + (slope**2).sum(0)) ** -2 * (1 - (sine**2).sum(0)) ** -2
-    assert mean == pytest.approx(design.white_mean(camera) * areas.mean(), rel=0.012)
+    lit = areas.mean() if camera.mla_medium == 1 else 1.0
+    assert mean == pytest.approx(design.white_mean(camera) * lit, rel=0.012)
 
 
 def test_cameras_with_slow_lenses_try_no_more_of_them(camera_dict):

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import functools
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, CaptureOperator, Detector, InputError, PlenopticCamera, expose, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    expose,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.lattice import turn
 from mitsuba_plenoptic.lightfield.white import white_image
@@ -93,6 +103,25 @@ def test_white_planes_by_rays_are_white_captures(distance):
     # Edges of micro-images are interpolated; what is beside them is right.
     assert image.sum() == pytest.approx(expected.sum(), rel=1e-3)
     assert np.linalg.norm(image - expected) <= 0.05 * np.linalg.norm(expected)
+
+
+def test_white_planes_by_rays_follow_snells_law():
+    """Against a ray capture at 35 degrees, where rays of slopes that the index divides land ten pixels away."""
+    camera = PlenopticCamera(
+        focal_length=20.0, aperture_radius=1.2, mla_distance=24.0, mla_focal_length=0.768, mla_medium=1.5,
+        detector_width=38.4, resolution=(9600, 9600), crop_offset=(9000, 4752), crop_size=(96, 96),
+    )  # fmt: skip
+    response = response_of(camera, 120.0, 1, wavelength=None)
+    image = response.forward([np.ones(response.planes[0].shape, np.float32)])
+    mi.set_variant("llvm_ad_mono")
+    scene = mi.load_dict({
+        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
+        "camera": camera.to_sensor(),
+    })  # fmt: skip
+    expected = render_capture(scene, spp=512).image
+    # Micro-images of a zone are evenly spaced.
+    assert np.linalg.norm(image - expected) <= 0.12 * np.linalg.norm(expected)
+    assert image.sum() == pytest.approx(expected.sum(), rel=0.02)
 
 
 def test_volume_is_the_sum_of_its_planes():

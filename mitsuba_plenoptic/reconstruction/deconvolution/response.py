@@ -25,7 +25,7 @@ from ...operator.patch_factors import Fields
 from ...operator.recorder import Recorder
 from ...operator.tile import Copies, Scatter
 from ...operator.units import radiance_weight
-from ...optics.rays import cosines_to_slopes
+from ...optics.rays import cosines_to_slopes, into_medium
 from ...runtime.backend import backend
 from ...runtime.batches import Box, Part
 from ...runtime.jobs import Job
@@ -164,7 +164,7 @@ def _trace(batch: RayBatch) -> Part:
     """Trace the rays of a bin, and distribute each to the four samples around it."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
     lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
-    pairs, b, z = _pairs(), camera.mla_distance, camera.reduced_distance
+    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
@@ -176,12 +176,14 @@ def _trace(batch: RayBatch) -> Part:
         slopes = cosines_to_slopes(*light.cosines(pupil, point))
         m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
     index = lattice.cell(*m)
-    offset = [position - centre for position, centre in zip(m, lattice.centre(*index), strict=True)]
+    centre = lattice.centre(*index)
+    offset = [position - c for position, c in zip(m, centre, strict=True)]
     passes = lattice.in_aperture(*offset)
     types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
     f2 = np.array(camera.reduced_focal_lengths)[types]
-    # the inverse of `optics.rays.microlens_slope`
-    landed = np.stack([x - z * ((P - x) / b + dx / f2) for x, P, dx in zip(m, pupil, offset, strict=True)], axis=-1)
+    before, chief = ((P[0] / b, P[1] / b) for P in (np.subtract(pupil, m), np.negative(centre)))
+    behind = into_medium(before, (-offset[0] / f2, -offset[1] / f2), chief, camera.mla_medium)
+    landed = np.stack([x - z * t for x, t in zip(m, behind, strict=True)], axis=-1)
     position = ((landed - grid.origin) / grid.pitch)[passes]
     below = np.floor(position).astype(np.int64)
     low = below.min(0)
@@ -348,8 +350,9 @@ class Response(StoredResponse):
 
 
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
-    """Return whether points one lens apart have equal spreads: with an objective, or without aberrations for rays."""
-    by_rays = wavelength is None and camera.lens_model == "ideal" and not any(camera.wavefront)
+    """Return whether spreads a lens apart are equal: with an objective, or for rays in air without aberrations."""
+    without = camera.mla_medium == 1 and not any(camera.wavefront)
+    by_rays = wavelength is None and camera.lens_model == "ideal" and without
     return by_rays or not camera.lens_data.converges
 
 

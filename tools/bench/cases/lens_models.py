@@ -2,9 +2,9 @@
 
 Behind an ideal lens rays and waves differ by diffraction and by microlenses, which are thin phases in waves. A textured
 wall is captured by both and refocused by rays. Their difference, after one factor for all bins, is held against what
-two transfer functions predict (Goodman, "Introduction to Fourier Optics", section 6.3): that of a microlens, by which
-the ray capture is filtered, and that of the pupil, by which the refocused image is. The factor is stated: thin phases
-enlarge micro-images, and dim them.
+two apertures predict (Goodman, "Introduction to Fourier Optics", section 6.3): the spots of a microlens, aberrated as
+those of a thin phase are, spread the ray capture, and the pupil's transfer function filters the refocused image. The
+factor is stated, too: thin phases enlarge micro-images, and dim them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+import scipy.fft
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.lens_data import conjugate_distance
@@ -29,6 +30,8 @@ MODELS = ("ideal", "parabolic")
 _FREQUENCY, _MODES, _CONTRAST = 0.25, 60, 0.35
 _MARGIN = 3
 _LENS_SAMPLES = 400
+_FINEST, _ZONE = 32, 4
+"""Least count of pixels across a micro-image for predictions, and pixels that one direction of light stands for."""
 
 
 def camera_of(
@@ -150,8 +153,7 @@ def walls(
             rays = [taken(scene, "ray", spp, seed) for seed in range(seeds)]
             image, noise = mean_of_seeds(lambda seed, rays=rays, seen=seen: seen(rays[seed]), seeds)
             mean = np.mean(rays, 0)
-            expected = pupil_filtered(refocused(camera, lens_filtered(mean, camera), distance), camera)
-            predicted, _ = _scaled(inner(expected), image)
+            predicted = _predicted(camera, distance, spp * seeds)
             for model in MODELS:
                 scene = scene_of(made[model], distance)
                 waves = [taken(scene, "wave", spp, seed) for seed in range(seeds)]
@@ -168,6 +170,21 @@ def walls(
                 write_comparison(
                     output / f"f{number:g}_{blur:g}_{model}_waves_rays_times_10.png", other, image, gain=10
                 )
+
+
+def _predicted(camera: PlenopticCamera, distance: float, spp: int) -> float:
+    """Return how refocused images of waves and rays differ by the diffraction of pupil and lenses.
+
+    Lenses spread the light of finer pixels, whose edges are those of the rays' micro-images.
+    """
+    parts = math.ceil(_FINEST * camera.pixel_size / camera.micro_image_pitch)
+    fine = camera.replace(resolution=(parts * camera.resolution[0],) * 2)
+    image = taken(scene_of(fine, distance), "ray", math.ceil(spp / parts**2), 0)
+    before, after = (
+        refocused(camera, each.reshape(camera.resolution[1], parts, camera.resolution[0], parts).mean((1, 3)), distance)
+        for each in (image, lens_filtered(image, fine))
+    )
+    return _scaled(inner(pupil_filtered(after, camera)), inner(before))[0]
 
 
 def _scaled(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
@@ -261,19 +278,48 @@ def refocused(camera: PlenopticCamera, image: np.ndarray, distance: float) -> np
 
 
 def lens_filtered(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Convolve a capture with the spot of collimated light behind one square microlens, a thin parabolic phase."""
+    """Spread the light of a capture as one square microlens, a thin parabolic phase, does at each place of its image.
+
+    Light of one place in the image of the lens on the axis meets the lens in one direction, and its spot has the coma
+    and the astigmatism of that direction.
+    """
+    reach = round(camera.micro_image_pitch / camera.pixel_size)
+    places = (np.arange(len(image)) + 0.5 - len(image) / 2) * camera.pixel_size / camera.micro_image_pitch
+    count = round(reach / _ZONE)
+    zones = np.minimum((places % 1 * count).astype(int), count - 1)
+    shape = (len(image) + 2 * reach,) * 2
+    total: np.ndarray | float = 0.0
+    for row in range(count):
+        for column in range(count):
+            lit = np.where((zones[:, None] == row) & (zones == column), image, 0)
+            slopes = [
+                ((zone + 0.5) / count - 0.5) * camera.micro_image_pitch / camera.detector_distance
+                for zone in (column, row)
+            ]
+            total = total + np.fft.rfft2(lit, shape) * np.fft.rfft2(_spot(camera, slopes, reach), shape)
+    return np.fft.irfft2(total, shape)[reach:-reach, reach:-reach]
+
+
+def _spot(camera: PlenopticCamera, slopes: list[float], reach: int) -> np.ndarray:
+    """Return the part of the light of a pixel, lit in one direction, that pixels up to some beside it receive."""
     wavelength, step, count = WAVELENGTH * 1e-6, camera.mla_pitch / _LENS_SAMPLES, 4 * _LENS_SAMPLES
     place = (np.arange(count) - count // 2 + 0.5) * step
-    lens = np.exp(-1j * np.pi * place**2 / (wavelength * camera.mla_focal_length)) * (abs(place) < camera.mla_pitch / 2)
-    cosine = np.fft.fftfreq(count, step) * wavelength
-    square = cosine**2 + cosine[:, None] ** 2
-    spectrum = np.fft.fft(lens) * np.fft.fft(lens)[:, None] * (square < 1)
+    length = math.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+    frequency = np.fft.fftfreq(count, step)
+    along = []
+    for slope in slopes:
+        phase = 2 * slope / length * place - place**2 / camera.mla_focal_length
+        lens = np.exp(1j * np.pi / wavelength * phase) * (abs(place) < camera.mla_pitch / 2)
+        # The spot is moved to the middle.
+        along.append(np.fft.fft(lens) * np.exp(2j * np.pi * frequency * slope * camera.detector_distance))
+    square = (wavelength * frequency) ** 2 + (wavelength * frequency[:, None]) ** 2
+    spectrum = along[0] * along[1][:, None] * (square < 1)
     spectrum *= np.exp(2j * np.pi * camera.detector_distance / wavelength * np.sqrt(np.maximum(1 - square, 0)))
-    spot = np.abs(np.fft.ifft2(spectrum)) ** 2
-    size = 2 * image.shape[0]
-    waves = np.exp(-2j * np.pi * np.outer(np.fft.fftfreq(size, camera.pixel_size), place))
-    transfer = (waves @ spot @ waves.T) / spot.sum()
-    return np.fft.ifft2(np.fft.fft2(image, (size, size)) * transfer).real[: image.shape[0], : image.shape[1]]
+    spot = np.abs(scipy.fft.ifft2(spectrum)) ** 2
+    # Light is even over its pixel.
+    aside = np.arange(-reach, reach + 1)[:, None] - place / camera.pixel_size
+    overlap = np.maximum(1 - abs(aside), 0)
+    return overlap @ spot @ overlap.T / spot.sum()
 
 
 def pupil_filtered(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:

@@ -27,7 +27,7 @@ from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radia
 from mitsuba_plenoptic.runtime.jobs import SumTask
 from mitsuba_plenoptic.system.array_kernels import REACH
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from mitsuba_plenoptic.system.phase_space import PhaseSpace, plan_of
+from mitsuba_plenoptic.system.phase_space import PhaseSpace, parts_of, plan_of
 
 from .. import Pivot, Row, at_most, case, pick
 from ..measures import relative, without_noise, write_comparison
@@ -94,6 +94,9 @@ FINER, MOST = 0.7, 0.025
 SMALL = 0.035
 """Limit for walls of few lenses, which are nearly all edge."""
 
+_CUT, _RAMP = 0.5, 0.06
+"""Frequency, in those of a wall's points, at which its spectrum is cut, and half the width of the cut, as a part."""
+
 BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
 
 
@@ -101,7 +104,8 @@ BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
     "phase-space",
     "Signed rays against exact sums of point spreads of a wall, relative L2 over the detector without the rays' noise",
     {
-        "camera": "{camera}", "coefficients": "{coefficients}", "MiB": "{memory:.0f}", "planning (s)": "{planning:.0f}",
+        "camera": "{camera}", "points a lens": "{points}", "cells a pixel": "{cells}",
+        "coefficients": "{coefficients}", "MiB": "{memory:.0f}", "planning (s)": "{planning:.0f}",
         "blur (lenses)": "{blur:g}", "signed rays": "{difference:.2%}", "their noise": "{noise:.2%}",
         "energy": "{energy:.4f}", "reference's energy": "{exact_energy:.4f}", "limit": "{limit:.1%}",
         "s": "{seconds:.0f}",
@@ -118,32 +122,43 @@ def walls(
     blurs: tuple[float, ...] = BLURS,
     finer: bool = False,
     lenses: int = 3,
-    points: int = 16,
+    points: int = 0,
     samples: int = 1024,
-    parts: int = 1,
+    parts: int = 0,
     margin: int = 4,
     off_axis: float = 0.0,
 ) -> Iterator[Row]:
-    """Compare walls of some lenses, with points across a lens and rays from each cell of a grid of parts of pixels.
+    """Compare walls of some lenses, with points across a lens and samples of each pixel.
 
-    Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y.
+    Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y. As
+    many points and cells across a pixel (``parts``) as a camera needs are taken where none are given.
     """
     for name, camera in pick(CAMERAS, cameras).items():
-        plan, planning, _ = once(lambda c=camera: planned(c, finer, parts))
+        per_lens, cells = points or points_of(camera), parts or parts_of(camera, WAVELENGTH, finer)
+        plan, planning, _ = once(lambda c=camera, n=cells: planned(c, finer, n))
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
         limit = SMALL if lenses < 3 else own * FINER if finer else own
         for blur in blurs:
             (image, exact, noise, whole), seconds, _ = once(
-                lambda p=plan, c=camera, b=blur: pair(p, c, b, lenses, points, samples, parts, margin, off_axis)
+                lambda p=plan, c=camera, b=blur, n=per_lens, k=cells: pair(
+                    p, c, b, lenses, n, samples, k, margin, off_axis
+                )
             )
             yield {
-                "camera": name, "coefficients": plan.functions.count, "memory": memory, "planning": planning,
+                "camera": name, "points": per_lens, "cells": cells, "coefficients": plan.functions.count,
+                "memory": memory, "planning": planning,
                 "blur": blur, "difference": without_noise(relative(image, exact), noise), "noise": noise,
                 "energy": float(image.sum() / whole), "exact_energy": float(exact.sum() / whole), "limit": limit,
                 "seconds": seconds,
             }  # fmt: skip
             write_comparison(output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", image, exact, gain=10)
+
+
+def points_of(camera: PlenopticCamera) -> int:
+    """Return how many points across a lens look as an even wall: a `Wall`'s spectrum is cut beyond the pupil's."""
+    cut = 2 * camera.pupil_radius / (WAVELENGTH * 1e-6 * camera.pupil_distance)
+    return math.ceil(camera.mla_pitch * cut / (_CUT * (1 - _RAMP)))
 
 
 def planned(camera: PlenopticCamera, finer: bool, parts: int) -> PhaseSpace:
@@ -204,8 +219,8 @@ class Wall:
         # The points' spectrum, cut half-way between what the pupil passes and its first repetition.
         self._fine, count = self.step / 16, 1 << 16
         frequency = np.fft.rfftfreq(count, self._fine)
-        cut = 0.5 / self.step
-        ramp = np.clip((frequency - 0.94 * cut) / (0.12 * cut), 0, 1)
+        cut = _CUT / self.step
+        ramp = np.clip((frequency / cut - 1 + _RAMP) / (2 * _RAMP), 0, 1)
         spectrum = np.exp(-2j * np.pi * np.outer(frequency, self.axis)).sum(1) * (0.5 + 0.5 * np.cos(np.pi * ramp))
         line = np.fft.irfft(spectrum, count) * self.step / self._fine
         self._line, self._count = mi.Float(np.roll(line, count // 2)), count
