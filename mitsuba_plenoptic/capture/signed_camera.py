@@ -194,8 +194,8 @@ class CameraTangents(_CameraSum):
         parts, bent = values[:-2], values[-2:]
         images = super()._combined(kernels, parts, cosines, number)
         own = np.split(parts, self._sets)[-1]
-        turned = np.einsum("atpx,apx->tpx", self._nodes[number].plan.oblique.slopes(cosines), bent)
-        images[: len(kernels[0].kernels)] += kernels[0].combined(own, turned)
+        turned = np.einsum("atx,ax->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
+        images[: len(kernels[0].kernels)] += kernels[0].turned(own, turned)
         return images
 
 
@@ -230,7 +230,7 @@ class CameraAdjoint(_CameraSum):
         kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
         own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
         slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))
-        return [[drjit_array(mi.Float, part) for part in kernels.adjoint(own, along)] for along in slopes]
+        return [[drjit_array(mi.Float, part) for part in kernels.turned_adjoint(own, along)] for along in slopes]
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""

@@ -219,13 +219,6 @@ class Draws:
         """The width of a cell in millimetres."""
         return self._camera.pixel_size / self._parts
 
-    def cells(self, pixels: Pixels) -> Cells:
-        """Return all cells of pixels, first those at the first place of each pixel."""
-        count = dr.width(pixels.index)
-        lane, every = dr.arange(mi.UInt32, count * self._parts**2), dr.opaque(mi.UInt32, count)
-        place = lane // every
-        return Cells(pixels.take(lane - place * every), place)
-
     def aims(self, pixels: Pixels) -> Aims:
         """Return the centres of pixels and of the lenses through which they are lit."""
         camera, lattice = self._camera, self._camera.lattice
@@ -280,9 +273,9 @@ class Draws:
             larger = dr.opaque(mi.Float, self.enlargements[0])
         return tuple(value / larger for value in offset)
 
-    def cosines(self, cells: Cells) -> Pair:
-        """Return the direction cosines, in the lattice's frame, with which the light of cells meets the array."""
-        camera, aims = self._camera, self._aims_of(cells)
+    def cosines(self, pixels: Pixels) -> Pair:
+        """Return the direction cosines, in the lattice's frame, with which the light of pixels meets the array."""
+        camera, aims = self._camera, self.aims(pixels)
         u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
         # In the medium behind the lenses the sine is smaller by its index.
         scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)

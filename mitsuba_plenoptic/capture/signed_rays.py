@@ -63,7 +63,7 @@ class Brought(NamedTuple):
 
     # For each node and image the mean values of cells, first those at the first place of each pixel.
     values: list[list[list[Any]]]
-    # Direction cosines of the light of cells.
+    # Direction cosines of the light of pixels.
     cosines: Pair
 
 
@@ -199,7 +199,7 @@ class SignedRaySum:
     def _add(self, lot: Lot, brought: Brought, every: int, sums: list[Any]) -> None:
         """Add the light of a lot's rays to the images of `every` pixels."""
         images, shape = iter(sums), (-1, self._parts**2, dr.width(lot.some))
-        cosines = np.reshape([value.numpy() for value in brought.cosines], shape)
+        cosines = np.array([value.numpy() for value in brought.cosines])
         for number, node in enumerate(brought.values):
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
             for parts in node:
@@ -221,7 +221,7 @@ class SignedRaySum:
     ) -> NDArray[np.float32]:
         """Return the images (n, pixels) of a node's values (values, places, pixels) of cells, for all sets.
 
-        `cosines` (2, places, pixels) are those of the light of the cells.
+        `cosines` (2, pixels) are those of the light of the pixels.
         """
         terms, parts = self._nodes[number].plan.oblique.terms(cosines), np.split(values, len(kernels))
         return np.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
@@ -278,9 +278,8 @@ class SignedRaySum:
         ]
 
     def _cosines(self, lot: Lot, some: Any) -> NDArray[np.float32]:
-        """Return the direction cosines (2, places, pixels) of the light of the cells of pixels of a lot."""
-        cosines = self._draws.cosines(self._draws.cells(lot.pixels.take(some)))
-        return np.reshape([value.numpy() for value in cosines], (2, self._parts**2, -1))
+        """Return the direction cosines (2, pixels) of the light of pixels of a lot."""
+        return np.array([value.numpy() for value in self._draws.cosines(lot.pixels.take(some))])
 
     def probe(self) -> NDArray[np.float32]:
         """Return the light of some pixels, which identifies a scene and its camera."""
@@ -327,7 +326,7 @@ class SignedRaySum:
 
     def _collect(self, lot: Lot) -> Brought:
         """Trace the rays of a lot; return the sums over the rays of its cells, which are about to be computed."""
-        count, cells = dr.width(lot.some), self._draws.cells(lot.pixels)
+        count = dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
         sums: list[list[list[Any]]] = []
@@ -342,7 +341,7 @@ class SignedRaySum:
             known, lit = known_means(radiance, counted, count, self._together)
             for number in nodes:
                 sums.append(self._bring(lot, drawn, radiance, known, lit, number, lanes))
-        cosines = self._draws.cosines(cells)
+        cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
         return Brought(sums, cosines)
 
@@ -356,7 +355,7 @@ class SignedRaySum:
         return self._draws.draw(cells, sample, key), own
 
     def _cell_of(self, own: Any, sample: Any, pixels: int) -> Any:
-        """Return the position of the cell of rays among the cells of some pixels: see `Draws.cells`."""
+        """Return the position of the cell of rays among the cells of some pixels, first those at their first place."""
         return sample // dr.opaque(mi.UInt32, self._spp) * dr.opaque(mi.UInt32, pixels) + own
 
     def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:

@@ -46,6 +46,12 @@ _HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
 
+_FUNCTIONS = 0.75
+"""The tolerance for want of functions over that for want of oblique kernels. Coarse pixels need 6 to 9 functions."""
+
+_MOST_OBLIQUE = 2
+"""Largest number of oblique kernels over that of functions: more are only needed for lenses faster than f/2."""
+
 _COARSER = 2
 """Factor by which lags and points of oblique kernels are farther apart, which are small changes of the others."""
 
@@ -73,7 +79,7 @@ class ArrayKernels(LensWaves):
     degree: int = 4
     # Shortest wavelength of the plans with which it is used, whose rays must land alike. Default: its own wavelength.
     shortest: float | None = None
-    # Part of images of random light that is allowed to be missing for want of further oblique kernels.
+    # Part of images of random light that is allowed to be missing for want of further functions and oblique kernels.
     tolerance: float = 0.005
 
     @property
@@ -103,7 +109,12 @@ class ArrayKernels(LensWaves):
             ],
             axis=1,
         )
-        return polynomials.best((self.degree + 1) * (self.degree + 2) // 2, (u[inside], v[inside]), images)
+        return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
+
+    @property
+    def _most_functions(self) -> int:
+        """The largest number of functions over a lens: as many as polynomials of the degree."""
+        return (self.degree + 1) * (self.degree + 2) // 2
 
     @cached_property
     @single_threaded_blas()
@@ -123,7 +134,8 @@ class ArrayKernels(LensWaves):
             for a, b in DIRECTIONS * largest
         ]
         light = functions.light(u[inside], v[inside])
-        return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance)
+        most = _MOST_OBLIQUE * self._most_functions
+        return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance, most)
 
     def _samples_of(self, count: int) -> int:
         """Return the samples across a pitch of which a count is across an aperture."""

@@ -67,8 +67,12 @@ class LensFunctions:
         """Coefficients (monomials, functions) of the functions."""
         return np.asarray(self.triangle @ self.functions)
 
-    def best(self, count: int, points: tuple[NDArray[np.float64], ...], images: NDArray[np.float64]) -> LensFunctions:
-        """Return at most `count` combinations of polynomials that approximate the images of edges best.
+    def best(
+        self, count: int, tolerance: float, points: tuple[NDArray[np.float64], ...], images: NDArray[np.float64]
+    ) -> LensFunctions:
+        """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
+
+        There are at most `count`.
 
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
@@ -87,9 +91,13 @@ class LensFunctions:
                 whole[own] = function / np.linalg.norm(function)
                 found.append((float(error), parity, whole))
         found.sort(key=lambda each: -each[0])
-        most = min(count - 1, len(found))
-        while 0 < most < len(found) and found[most - 1][0] < found[most][0] * (1 + _TIED):
-            most -= 1
+        errors = np.array([error for error, _, _ in found])
+        left = np.append(np.cumsum(errors[::-1])[::-1], 0)
+        apart = np.append(errors[:-1] >= errors[1:] * (1 + _TIED), True)
+        allowed = np.append(0, 1 + np.flatnonzero(apart))
+        allowed = allowed[allowed < count]
+        enough = allowed[left[allowed] <= tolerance**2 * 2 * np.pi * (_covariance(expected) * products).sum()]
+        most = int(enough[0] if len(enough) else allowed[-1])
         first = np.eye(len(odd))[:, :1]
         functions = np.column_stack([first, *(whole for _, _, whole in found[:most])])
         others = functions[:, 1:]
@@ -102,10 +110,7 @@ class LensFunctions:
 
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
-        # An edge is between two points with a probability in proportion to their distance.
-        expected = self._expected(u, v) / (2 * np.pi)
-        expected[0, 0] += _MEAN_SQUARE
-        return np.asarray(self.duals.T @ expected @ self.duals)
+        return np.asarray(self.duals.T @ _covariance(self._expected(u, v)) @ self.duals)
 
     def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance of the polynomials' coefficients of light with random edges, without its mean."""
@@ -113,6 +118,14 @@ class LensFunctions:
         values -= values.mean(0)
         apart = np.hypot(u[:, None] - u, v[:, None] - v)
         return np.asarray(-(values.T @ apart @ values) / (self.scale * len(u) ** 2))
+
+
+def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance of the polynomials' coefficients of light that has, on average, one edge on a lens."""
+    # An edge is between two points with a probability in proportion to their distance.
+    whole = expected / (2 * np.pi)
+    whole[0, 0] += _MEAN_SQUARE
+    return np.asarray(whole)
 
 
 def _monomials(

@@ -38,9 +38,6 @@ DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5*
 _ODD = [(True, False), (False, True), (False, False), (True, True), (False, False)]
 """Whether each of the terms is odd in s_u, and in s_v."""
 
-_MOST = 2
-"""Largest number of combinations over that of the functions: more are only needed for lenses faster than f/2."""
-
 _LEAST = 1e-9
 """Part of the mean variance that is added to all variances, so that their matrices can be inverted."""
 
@@ -98,10 +95,11 @@ class Oblique:
         light: NDArray[np.float64],
         odd: Sequence[tuple[bool, bool]],
         tolerance: float,
+        most: int,
     ) -> Oblique:
         """Return the fewest combinations that leave at most a part `tolerance` of images of random light.
 
-        There are at most `_MOST` times as many as functions.
+        There are at most `most`.
 
         `cosines` (rays, 2) are those of rays over the largest ones. `images` (directions, n, values) are the functions'
         kernels for each of `DIRECTIONS`, in an orthonormal basis of the detector; `light` (n, n) is the covariance of
@@ -129,7 +127,7 @@ class Oblique:
                 found.append((float(value) ** 2, pair))
         found.sort(key=lambda each: -each[0])
         rest = np.cumsum([value for value, _ in found][::-1])[::-1]
-        count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), _MOST * len(light))
+        count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), most)
         used = np.array([pair for _, pair in found[:count]]).reshape(count, 2, *shape)
         return cls(largest, used[:, 0], used[:, 1])
 
@@ -139,18 +137,17 @@ class Oblique:
         return len(self.factors)
 
     def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return 1 and the terms (1 + terms, ...) of direction cosines (2, ...); without combinations 1 alone."""
+        """Return the terms (terms, ...) of direction cosines (2, ...), none without combinations."""
         u, v = cosines / np.float32(self.largest)
-        return np.stack([np.ones_like(u), *(terms(u, v) if self.count else [])])
+        return np.reshape(np.array(terms(u, v) if self.count else [], np.float32), (-1, *u.shape))
 
     def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the derivatives (2, 1 + terms, ...) of `terms` by either cosine."""
+        """Return the derivatives (2, terms, ...) of `terms` by either cosine."""
         scale = np.float32(1 / self.largest)
         u, v = cosines * scale
         none, one = np.zeros_like(u), np.full_like(u, scale)
-        return np.stack(
-            [[none, *(_changes_of_terms(u, v, *change) if self.count else [])] for change in ((one, none), (none, one))]
-        )
+        parts = [_changes_of_terms(u, v, *change) if self.count else [] for change in ((one, none), (none, one))]
+        return np.reshape(np.array(parts, np.float32), (2, -1, *u.shape))
 
 
 def changes() -> NDArray[np.float64]:

@@ -1,12 +1,12 @@
 r"""Kernels on the grid of pixels, and the images of pixels that the coefficients of rays in cells make for them.
 
 Rays are collected in cells, p across a pixel. The coefficients of each place of a cell in its pixel have a kernel on
-the grid of pixels, the sum of the cells' kernel over a pixel, and so have their products with the terms by which
-kernels change with the direction of light (`oblique`). These kernels resemble each other, because a pixel does not
-distinguish where light lands in it. Responses of pixels are therefore projected onto a few patterns, the principal
-components in random light (Jolliffe, "Principal component analysis", section 3.5), and there is one image for each
-pattern. The first pattern is the response to even light, which is exact; what the others lack of the light of a
-response is added to it, so that all light is kept.
+the grid of pixels, the sum of the cells' kernel over a pixel. So have the products of a pixel's coefficients with the
+terms by which kernels change with the direction of light (`oblique`), which are small and the same at all places. These
+kernels resemble each other, because a pixel does not distinguish where light lands in it. Responses of pixels are
+therefore projected onto a few patterns, the principal components in random light (Jolliffe, "Principal component
+analysis", section 3.5), and there is one image for each pattern. The first pattern is the response to even light, which
+is exact; what the others lack of the light of a response is added to it, so that all light is kept.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _TAIL = 8
 """Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
 
 _TOGETHER = 2**18
-"""Count of products of coefficients and terms that are combined at a time, which the processor's caches hold."""
+"""Count of coefficients that are combined at a time, which the processor's caches hold."""
 
 
 class PixelKernels:
@@ -54,42 +54,48 @@ class PixelKernels:
         functions = len(kernels) - oblique.count
         factors = factors.reshape(*own.shape[:2], -1)
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
-        products = np.einsum("rnt,rpk->tnpk", oblique.factors, factors[functions:])
-        every = np.concatenate([factors[None, :functions], products]) if oblique.count else factors[None]
-        # Factors (images, terms * functions * places), the first term being 1.
-        self._factors = np.ascontiguousarray(every.reshape(-1, len(self.kernels)).T, np.float32)
-        self._shape = every.shape[:3]
+        products = np.einsum("rnt,rpk->ktn", oblique.factors, factors[functions:]) / own.shape[1]
+        # Factors (images, functions * places) and (images, terms * functions).
+        self._factors = np.array(np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1), np.float32)
+        self._of_terms = products.reshape(len(self.kernels), -1).astype(np.float32)
+        self._shape = functions, own.shape[1]
 
     @single_threaded_blas()
     def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the images (n, pixels) of coefficients (functions, places, pixels).
+        """Return the images (n, pixels) of coefficients (functions, places, pixels) of light from some directions.
 
-        `terms` (1 + terms, places, pixels) are 1 and the terms of the direction in which light meets the lenses.
+        `terms` (terms, pixels) are those of the direction in which light meets the lenses.
         """
-        terms, pixels = terms[: self._shape[0]], values.shape[2]
-        images = np.empty((len(self.kernels), pixels), np.float32)
-        for part in self._parts(pixels):
-            products = terms[:, None, :, part] * values[:, :, part]
-            np.matmul(self._factors, products.reshape(self._factors.shape[1], -1), out=images[:, part])
+        images = self.turned(values, terms)
+        for part in self._parts(values.shape[2]):
+            images[:, part] += self._factors @ values[:, :, part].reshape(self._factors.shape[1], -1)
         return images
 
     @single_threaded_blas()
-    def by_terms(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Apply the adjoint of `combined` for the products (1 + terms, functions, places, pixels)."""
-        return (self._factors.T @ images).reshape(*self._shape, -1)
+    def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the part of images that is proportional to terms; see `combined`."""
+        images = np.zeros((len(self.kernels), values.shape[2]), np.float32)
+        for part in self._parts(values.shape[2]) if len(terms) else []:
+            products = terms[:, None, part] * values[:, :, part].sum(1)
+            np.matmul(self._of_terms, products.reshape(self._of_terms.shape[1], -1), out=images[:, part])
+        return images
 
+    @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the adjoint of `combined` for the coefficients."""
-        values = np.empty((*self._shape[1:], images.shape[1]), np.float32)
-        for part in self._parts(images.shape[1]):
-            values[..., part] = np.einsum(
-                "tpx,tnpx->npx", terms[: self._shape[0], :, part], self.by_terms(images[:, part])
-            )
-        return values
+        direct = (self._factors.T @ images).reshape(*self._shape, -1)
+        return np.asarray(direct + self.turned_adjoint(images, terms))
+
+    @single_threaded_blas()
+    def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Apply the adjoint of `turned` for the coefficients."""
+        products = (self._of_terms.T @ images).reshape(-1, self._shape[0], images.shape[1])
+        sums = np.einsum("tx,tnx->nx", terms, products[: len(terms)])
+        return np.repeat(sums[:, None], self._shape[1], 1)
 
     def _parts(self, pixels: int) -> list[slice]:
         """Divide a count of pixels."""
-        size = max(1, _TOGETHER // self._factors.shape[1])
+        size = max(1, _TOGETHER // max(self._factors.shape[1], self._of_terms.shape[1]))
         return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
 
 

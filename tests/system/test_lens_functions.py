@@ -56,7 +56,7 @@ def test_images_of_edges_are_better_than_by_as_many_polynomials():
     exact = np.einsum("ap,bq->abpq", line, line).reshape(count * count, -1)
     polynomials = LensFunctions.polynomials(u, v, 8, 0.5)
     values = polynomials.values(u, v)
-    best = polynomials.best(15, (u, v), values.T @ exact / len(u))
+    best = polynomials.best(15, 0.0, (u, v), values.T @ exact / len(u))
     few = LensFunctions.polynomials(u, v, 4, 0.5)
     generator = np.random.default_rng(1)
     turns, places = generator.uniform(0, 2 * np.pi, 200), generator.uniform(-0.6, 0.6, 200)

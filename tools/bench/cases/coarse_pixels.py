@@ -14,7 +14,7 @@ import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.capture import signed_capture
-from mitsuba_plenoptic.system import phase_space
+from mitsuba_plenoptic.system import array_kernels, phase_space
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, relative, without_noise
@@ -110,9 +110,17 @@ def accuracy(
             scene = scene_of(camera, distance_of(camera, blur))
             with mock.patch.object(phase_space, "_MOST_CELLS", (10**6, 10**6)):
                 every = phase_space.parts_of(camera, WAVELENGTH, False)
-            reference, noise = _taken(scene, every, spp)
-            for cells, limit in zip(phase_space._MOST_CELLS, (0.01, 0.005), strict=True):
-                image, own = _taken(scene, cells, spp)
+            # Of a finer plan, without tolerance for missing functions.
+            with (
+                mock.patch.object(array_kernels, "_FUNCTIONS", 0.0),
+                mock.patch.object(signed_capture, "parts_of", lambda *_, every=every: every),
+            ):
+                phase_space.plan_of.cache_clear()
+                reference, noise = _taken(scene, spp, True)
+            phase_space.plan_of.cache_clear()
+            for finer, limit in ((False, 0.01), (True, 0.005)):
+                cells = phase_space.parts_of(camera, WAVELENGTH, finer)
+                image, own = _taken(scene, spp, finer)
                 yield {
                     "f_number": number, "blur": blur, "cells": cells, "every": every, "noise": max(noise, own),
                     "difference": without_noise(relative(image, reference), noise, own),
@@ -120,9 +128,9 @@ def accuracy(
                 }  # fmt: skip
 
 
-def _taken(scene: mi.Scene, cells: int, spp: int) -> tuple[np.ndarray, float]:
-    """Capture a scene with some cells across a pixel."""
-    with mock.patch.object(signed_capture, "parts_of", lambda *_: cells):
-        return mean_of_seeds(
-            lambda seed: render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=WAVELENGTH).image, 2
-        )
+def _taken(scene: mi.Scene, spp: int, finer: bool) -> tuple[np.ndarray, float]:
+    """Return the mean of two captures of a scene, usual or finer ones, and its noise."""
+    options = {"accuracy": 0.8 * phase_space.FINE} if finer else {}
+    return mean_of_seeds(
+        lambda seed: render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=WAVELENGTH, **options).image, 2
+    )
