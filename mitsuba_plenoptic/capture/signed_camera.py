@@ -41,7 +41,7 @@ from ..system.pixel_kernels import PixelKernels
 from .control_variate import known_means
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Drawn, Lot
+from .signed_draws import Drawn, Lot, chances_of
 from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -139,6 +139,7 @@ class CameraTangents(_CameraSum):
         The changes of the direction cosines of the cells' light follow.
         """
         (first, start), kept = self._first(lot.pixels), drawn.kept
+        pixel, key = self._spread(lot.pixels.index), lot.key
         node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
         used, weights = node.mixture(lanes)
         radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
@@ -166,7 +167,7 @@ class CameraTangents(_CameraSum):
             du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
             means = [dr.select(ray.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
             lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
-            nodes = ray.point, ray.inner, ray.chance, ray.open
+            nodes = ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), ray.open
             values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
             result = []
             for row, before in zip(weights, brought, strict=True):

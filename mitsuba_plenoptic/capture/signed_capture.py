@@ -106,7 +106,8 @@ class SignedCapture:
         sums = self.sums(spp, seed, runs, SignedRaySum)
         first = sums[0]()
         found, items = first.probe(), int(first.items.sum())
-        del first
+        if runs == 1:
+            sums = [lambda: first]
         tasks = [SumTask(items, plan, partial(_part, runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task) for task in tasks]

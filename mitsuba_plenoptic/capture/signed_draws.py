@@ -23,7 +23,7 @@ from ..camera import PlenopticCamera
 from ..lenses.base import Pair
 from ..lenses.common import chief_points
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array
+from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box
 from ..system.lens_kinds import MOST_DEVIATIONS, LensKinds, chief_ray_shift
 from ..system.optical_system import RayPupil
@@ -71,27 +71,23 @@ class Drawn(NamedTuple):
     @property
     def kept(self) -> Kept:
         """What the coefficients of the rays depend on."""
-        return Kept(self.point, self.inner, self.weight, self.chance, self.open)
+        return Kept(self.point, self.inner, self.weight, self.open)
 
 
 class Kept(NamedTuple):
-    """What the coefficients of rays depend on: see `Drawn`."""
+    """What the coefficients of rays depend on, in addition to random numbers that are drawn again: see `Drawn`."""
 
     point: Pair
     inner: Pair
     weight: Any
-    chance: tuple[Any, Any, Any, Any]
     open: Any
 
     def at(self, lane: Any) -> Kept:
         """Return that of some of the rays, which has been computed."""
-        point, inner, chance = (
-            tuple(dr.gather(mi.Float, value, lane) for value in values)
-            for values in (self.point, self.inner, self.chance)
+        point, inner = (
+            tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
         )
-        return Kept(
-            *(point, inner, dr.gather(mi.Float, self.weight, lane), chance), open=dr.gather(mi.Bool, self.open, lane)
-        )
+        return Kept(point, inner, dr.gather(mi.Float, self.weight, lane), dr.gather(mi.Bool, self.open, lane))
 
 
 @dataclass(frozen=True)
@@ -108,16 +104,6 @@ class Pixels:
     def take(self, which: Any) -> Pixels:
         """Return some of the pixels."""
         return replace(self, index=dr.gather(mi.UInt32, self.index, which))
-
-
-@dataclass(frozen=True)
-class Cells:
-    """Cells of the detector's grid, into which pixels are divided."""
-
-    # The pixel of each cell.
-    pixels: Pixels
-    # The place of each cell in its pixel, row by row.
-    place: Any
 
 
 class Lot(NamedTuple):
@@ -148,6 +134,13 @@ class Aims(NamedTuple):
     # Distance by which the lenses are nearer to the main lens than the lens on the axis.
     height: Any
     kind: Any
+
+    def at(self, own: Any) -> Aims:
+        """Return those of some of the cells or pixels, which are computed once for all of their rays."""
+        dr.eval(*self)
+        middle, centre = ([dr.gather(mi.Float, value, own) for value in pair] for pair in (self.middle, self.centre))
+        height, kind = dr.gather(mi.Float, mi.Float(self.height), own), dr.gather(mi.UInt32, mi.UInt32(self.kind), own)
+        return Aims(middle, centre, height, kind)
 
 
 class Draws:
@@ -225,7 +218,7 @@ class Draws:
         # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, pixels.box.columns)
         left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
-        row = pixels.index // columns
+        row = quotient(pixels.index, pixels.box.columns)
         x, y = (
             (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
             for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
@@ -237,16 +230,12 @@ class Draws:
         centre, height = self.kinds.place(i, j)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
-    def _aims_of(self, cells: Cells) -> Aims:
-        """Return the centres of cells and of the lenses of their pixels."""
-        aims = self.aims(cells.pixels)
-        if self._parts == 1:
-            return aims
-        parts = dr.opaque(mi.UInt32, self._parts)
-        row = cells.place // parts
+    def _cells(self, aims: Aims, place: Any) -> Aims:
+        """Return the aims of the cells at some places of pixels, which are numbered row by row, from the pixels' aims."""
+        row = quotient(place, self._parts)
         x, y = (
             p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
-            for p, index in zip(aims.middle, (cells.place - row * parts, row), strict=True)
+            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
         )
         return aims._replace(middle=(x, y))
 
@@ -281,9 +270,14 @@ class Draws:
         scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)
         return u * scale, v * scale
 
-    def draw(self, cells: Cells, sample: Any, seed: Any) -> Drawn:
-        """Return the rays of the given numbers in their pixels; those of even and of odd numbers are independent."""
-        aims, lattice, pixel = self._aims_of(cells), self._camera.lattice, cells.pixels.index
+    def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
+        """Return rays of pixels; those of even and of odd numbers are independent.
+
+        For each ray, `own` is the position of its pixel among the pixels, `sample` its number in the pixel, and `place`
+        that of its cell.
+        """
+        aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
+        pixel = dr.gather(mi.UInt32, pixels.index, own)
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         chance = chances_of(pixel, seed ^ (sample << 4))

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.base import Pair
 from ..optics.rays import angular_response, transmittance
-from ..runtime.backend import drjit_array
+from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..system.array_kernels import REACH
@@ -40,7 +40,7 @@ from ..system.pixel_kernels import PixelKernels
 from .control_variate import known_means
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Cells, Drawn, Draws, Lot, Pixels
+from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels, chances_of
 
 _BLOCK_BYTES = 2**29
 """Bytes of the images of one block of the detector."""
@@ -87,7 +87,8 @@ class SignedRaySum:
         *,
         # Count of grid cells across a pixel.
         parts: int,
-        # Rays per pixel, divided among the lenses that light it; each of its cells gets one from each, and two in all.
+        # Most rays per pixel, divided among the lenses that light it. Each of its cells gets at least one through each
+        # lens, and each pixel two.
         spp: int,
         seed: int,
     ) -> None:
@@ -347,16 +348,14 @@ class SignedRaySum:
 
     def _drawn_rays(self, pixels: Pixels, key: Any) -> tuple[Drawn, Any]:
         """Return all rays of pixels, one per lane, and for each ray the position of its pixel among these."""
-        together = dr.opaque(mi.UInt32, self._together)
         lane = dr.arange(mi.UInt32, dr.width(pixels.index) * self._together)
-        own = lane // together
-        sample = lane - own * together
-        cells = Cells(pixels.take(own), sample // dr.opaque(mi.UInt32, self._spp))
-        return self._draws.draw(cells, sample, key), own
+        own = quotient(lane, self._together)
+        sample = lane - own * dr.opaque(mi.UInt32, self._together)
+        return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
 
     def _cell_of(self, own: Any, sample: Any, pixels: int) -> Any:
         """Return the position of the cell of rays among the cells of some pixels, first those at their first place."""
-        return sample // dr.opaque(mi.UInt32, self._spp) * dr.opaque(mi.UInt32, pixels) + own
+        return quotient(sample, self._spp) * dr.opaque(mi.UInt32, pixels) + own
 
     def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
         """Return the arguments of the light: see `SceneLight`."""
@@ -388,6 +387,7 @@ class SignedRaySum:
     ) -> list[list[Any]]:
         """Return, for each image of a node, the mean coefficients of the rays of each cell."""
         (first, start), kept = self._first(lot.pixels), drawn.kept
+        pixel, key = self._spread(lot.pixels.index), lot.key
         # Computed before the recorded loop, so as not to become a part of it.
         node, coefficients = self._nodes[number], self._coefficients[number]
         used, weights = node.mixture(lanes)
@@ -402,7 +402,7 @@ class SignedRaySum:
                 dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
             ]
             active = ray.open & dr.any([change != 0 for change in changes], axis=0)
-            values = coefficients(ray.point, ray.inner, ray.chance, active)
+            values = coefficients(ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), active)
             result = []
             for row, before in zip(weights, brought, strict=True):
                 change = ray.weight * mixed(row, changes)
@@ -417,7 +417,7 @@ class SignedRaySum:
         """Return the number of the first ray of all cells of pixels: among the rays of all, and of each pixel."""
         places, count = self._parts**2, dr.width(pixels.index)
         lane, every = dr.arange(mi.UInt32, count * places), dr.opaque(mi.UInt32, count)
-        place = lane // every
+        place = quotient(lane, count)
         start = place * dr.opaque(mi.UInt32, self._spp)
         return (lane - place * every) * dr.opaque(mi.UInt32, self._together) + start, start
 

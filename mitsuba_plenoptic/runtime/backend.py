@@ -267,6 +267,11 @@ def rsqrt(value: Any) -> Any:
     return float(1 / np.sqrt(value)) if isinstance(value, float) else 1 / np.sqrt(value)
 
 
+def quotient(value: Any, divisor: int) -> Any:
+    """Return the whole quotients of Dr.Jit's indices below 2^32, for which processors divide integers one by one."""
+    return mi.UInt32((mi.Float64(value) + 0.5) * dr.opaque(mi.Float64, 1 / divisor))
+
+
 def is_zero(value: Any) -> bool:
     """Whether a number is plain and zero, so that what it multiplies can be left out."""
     return isinstance(value, (int, float)) and value == 0

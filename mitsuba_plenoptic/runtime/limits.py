@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from ..errors import InputError, refusing, require_number
 
@@ -115,5 +115,14 @@ def software() -> dict[str, str]:
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
     """Keep the linear algebra of NumPy and SciPy on the calling thread; a context, or a decorator when called."""
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _libraries().limit(limits=1, user_api="blas"):
         yield
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries of linear algebra, which take longer to find than many a product takes."""
+    # SciPy may have a library of its own, which is found once it is loaded.
+    import scipy.linalg  # noqa: F401
+
+    return ThreadpoolController()

@@ -2,7 +2,7 @@ r"""Kernels on the grid of pixels, and the images of pixels that the coefficient
 
 Rays are collected in cells, p across a pixel. The coefficients of each place of a cell in its pixel have a kernel on
 the grid of pixels, the sum of the cells' kernel over a pixel. So have the products of a pixel's coefficients with the
-terms by which kernels change with the direction of light (`oblique`), which are small and the same at all places. These
+terms by which kernels change with the direction of light (`oblique`), which is that of the pixel's centre. These
 kernels resemble each other, because a pixel does not distinguish where light lands in it. Responses of pixels are
 therefore projected onto a few patterns, the principal components in random light (Jolliffe, "Principal component
 analysis", section 3.5), and there is one image for each pattern. The first pattern is the response to even light, which
@@ -54,8 +54,9 @@ class PixelKernels:
         functions = len(kernels) - oblique.count
         factors = factors.reshape(*own.shape[:2], -1)
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
-        products = np.einsum("rnt,rpk->ktn", oblique.factors, factors[functions:]) / own.shape[1]
-        # Factors (images, functions * places) and (images, terms * functions).
+        self._moments = _moments(parts)
+        products = np.einsum("rnt,rpk,mp->ktnm", oblique.factors, factors[functions:], self._moments, optimize=True)
+        # Factors (images, functions * places) and (images, terms * functions * moments).
         self._factors = np.array(np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1), np.float32)
         self._of_terms = products.reshape(len(self.kernels), -1).astype(np.float32)
         self._shape = functions, own.shape[1]
@@ -76,7 +77,7 @@ class PixelKernels:
         """Return the part of images that is proportional to terms; see `combined`."""
         images = np.zeros((len(self.kernels), values.shape[2]), np.float32)
         for part in self._parts(values.shape[2]) if len(terms) else []:
-            products = terms[:, None, part] * values[:, :, part].sum(1)
+            products = terms[:, None, None, part] * np.matmul(self._moments, values[:, :, part])
             np.matmul(self._of_terms, products.reshape(self._of_terms.shape[1], -1), out=images[:, part])
         return images
 
@@ -89,14 +90,21 @@ class PixelKernels:
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the adjoint of `turned` for the coefficients."""
-        products = (self._of_terms.T @ images).reshape(-1, self._shape[0], images.shape[1])
-        sums = np.einsum("tx,tnx->nx", terms, products[: len(terms)])
-        return np.repeat(sums[:, None], self._shape[1], 1)
+        products = (self._of_terms.T @ images).reshape(-1, self._shape[0], len(self._moments), images.shape[1])
+        return np.matmul(self._moments.T, np.einsum("tx,tnmx->nmx", terms, products[: len(terms)]))
 
     def _parts(self, pixels: int) -> list[slice]:
         """Divide a count of pixels."""
         size = max(1, _TOGETHER // max(self._factors.shape[1], self._of_terms.shape[1]))
         return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
+
+
+def _moments(parts: int) -> NDArray[np.float32]:
+    """Return orthonormal functions (n, places) of a cell's place in its pixel: constant, and linear along x and y."""
+    along = np.arange(parts) - (parts - 1) / 2
+    y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
+    found = np.stack([np.ones_like(x), *([x, y] if parts > 1 else [])])
+    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None], np.float32)
 
 
 def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
