@@ -270,6 +270,14 @@ class Draws:
         scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)
         return u * scale, v * scale
 
+    def turns(self, kind: int) -> NDArray[np.float64]:
+        """Return the changes (places, 2) of `cosines` from a pixel to its cells, near the middle of a lens."""
+        camera = self._camera
+        along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
+        y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
+        scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
+        return np.column_stack(camera.lattice.to_frame(x, y)) * scale
+
     def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
         """Return rays of pixels; those of even and of odd numbers are independent.
 

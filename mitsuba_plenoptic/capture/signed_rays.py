@@ -142,7 +142,8 @@ class SignedRaySum:
                     PixelKernels(
                         # A pixel is the mean of its cells. Larger micro-images are darker.
                         kernels / (self._parts * larger) ** 2,
-                        *(plan.oblique, self._parts, order, plan.covariance, plan.tolerance),
+                        *(plan.oblique, self._parts, self._draws.turns(kind) / plan.oblique.largest, order),
+                        *(plan.covariance, plan.tolerance),
                     )
                     for kernels in self._kernels_of(plan, kind)
                 ]

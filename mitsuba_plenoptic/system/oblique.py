@@ -152,8 +152,17 @@ class Oblique:
 
 def changes() -> NDArray[np.float64]:
     """Return the matrix (terms, directions) from kernels for `DIRECTIONS` to their changes by the terms."""
-    values = np.column_stack([np.ones(len(DIRECTIONS)), *terms(*DIRECTIONS.T)])
-    return np.asarray(np.linalg.inv(values)[1:])
+    return np.asarray(np.linalg.inv(_values(DIRECTIONS))[1:])
+
+
+def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix (1 + terms, 1 + terms) from 1 and the terms of cosines to those of cosines a step (2,) aside."""
+    return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
+
+
+def _values(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 1 and the terms (n, 1 + terms) of some cosines (n, 2)."""
+    return np.column_stack([np.ones(len(cosines)), *terms(*cosines.T)])
 
 
 class ObliqueImages:

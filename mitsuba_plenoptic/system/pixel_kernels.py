@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..runtime.limits import single_threaded_blas
-from .oblique import Oblique
+from .oblique import Oblique, moved
 
 _TAIL = 8
 """Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
@@ -36,6 +36,8 @@ class PixelKernels:
         oblique: Oblique,
         # Count of cells across a pixel.
         parts: int,
+        # Changes (places, 2) of the direction cosines, over the largest, from a pixel's centre to those of its cells.
+        steps: NDArray[np.float64],
         # Order of the B-splines over cells by which rays are collected in addition to pixels; 0 for none.
         order: int,
         # Covariance of the values in random light, and the part of images of such light that may be missing.
@@ -54,11 +56,14 @@ class PixelKernels:
         functions = len(kernels) - oblique.count
         factors = factors.reshape(*own.shape[:2], -1)
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
+        at_places = np.array([moved(step)[1:] for step in steps])
+        products = np.einsum("rnt,rpk,pts->sknp", oblique.factors, factors[functions:], at_places, optimize=True)
         self._moments = _moments(parts)
-        products = np.einsum("rnt,rpk,mp->ktnm", oblique.factors, factors[functions:], self._moments, optimize=True)
         # Factors (images, functions * places) and (images, terms * functions * moments).
-        self._factors = np.array(np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1), np.float32)
-        self._of_terms = products.reshape(len(self.kernels), -1).astype(np.float32)
+        self._factors = (np.moveaxis(factors[:functions], 2, 0) + products[0]).reshape(len(self.kernels), -1)
+        self._factors = self._factors.astype(np.float32)
+        self._of_terms = np.einsum("sknp,mp->ksnm", products[1:], self._moments).reshape(len(self.kernels), -1)
+        self._of_terms = self._of_terms.astype(np.float32)
         self._shape = functions, own.shape[1]
 
     @single_threaded_blas()
