@@ -58,7 +58,7 @@ _UNIT = 3.8
 """Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
 the Airy pattern."""
 
-_MOST_CELLS = (3, 5)
+_MOST_CELLS = (3, 4)
 """Most cells of the grid across a pixel, which integrates over what more resolve: 0.2 and 0.1 % of a capture."""
 
 _SPREADS = 2.0

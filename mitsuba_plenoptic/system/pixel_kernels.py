@@ -105,11 +105,11 @@ class PixelKernels:
 
 
 def _moments(parts: int) -> NDArray[np.float32]:
-    """Return orthonormal functions (n, places) of a cell's place in its pixel: constant, and linear along x and y."""
+    """Return orthonormal polynomials (n, places) of a cell's place in its pixel, of a degree of at most two."""
     along = np.arange(parts) - (parts - 1) / 2
     y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
-    found = np.stack([np.ones_like(x), *([x, y] if parts > 1 else [])])
-    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None], np.float32)
+    powers = [(i, j) for i, j in np.ndindex(3, 3) if i + j <= 2 and max(i, j) < parts]
+    return np.asarray(np.linalg.qr(np.stack([x**i * y**j for i, j in powers], axis=1))[0].T, np.float32)
 
 
 def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
