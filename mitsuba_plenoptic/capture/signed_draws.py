@@ -138,7 +138,9 @@ class Aims(NamedTuple):
     def at(self, own: Any) -> Aims:
         """Return those of some of the cells or pixels, which are computed once for all of their rays."""
         dr.eval(*self)
-        middle, centre = ([dr.gather(mi.Float, value, own) for value in pair] for pair in (self.middle, self.centre))
+        middle, centre = (
+            tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
+        )
         height, kind = dr.gather(mi.Float, mi.Float(self.height), own), dr.gather(mi.UInt32, mi.UInt32(self.kind), own)
         return Aims(middle, centre, height, kind)
 
@@ -231,7 +233,7 @@ class Draws:
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
     def _cells(self, aims: Aims, place: Any) -> Aims:
-        """Return the aims of the cells at some places of pixels, which are numbered row by row, from the pixels' aims."""
+        """Return the aims of the cells at some places of pixels, numbered row by row, from those of the pixels."""
         row = quotient(place, self._parts)
         x, y = (
             p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step

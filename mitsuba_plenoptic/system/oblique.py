@@ -156,7 +156,7 @@ def changes() -> NDArray[np.float64]:
 
 
 def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix (1 + terms, 1 + terms) from 1 and the terms of cosines to those of cosines a step (2,) aside."""
+    """Return the matrix (1 + terms, 1 + terms) from 1 and the terms of cosines to those a step (2,) aside."""
     return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
 
 

@@ -58,8 +58,8 @@ _UNIT = 3.8
 """Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
 the Airy pattern."""
 
-_MOST_CELLS = (3, 4)
-"""Most cells of the grid across a pixel, which integrates over what more resolve: 0.2 and 0.1 % of a capture."""
+_MOST_CELLS = 3
+"""Most cells of the grid across a pixel, which integrates over what more resolve: 0.1 to 0.4 % of a capture."""
 
 _SPREADS = 2.0
 """Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
@@ -310,7 +310,7 @@ def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
     """Return the count of cells of the grid across a pixel, for usual or finer plans."""
     extent = in_millimetres(wavelength) * camera.reduced_distance
     highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
-    return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS[fine])
+    return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
 
 
 def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:

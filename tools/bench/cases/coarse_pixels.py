@@ -1,6 +1,6 @@
 """Wave captures by cameras whose pixels are large beside the spots of their microlenses: price, noise and accuracy.
 
-Cells of the detector's grid are at most a third of a pixel wide (a quarter in finer captures), however small spots are.
+Cells of the detector's grid are at least a third of a pixel wide, however small spots are.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def cost(
 
 @case(
     "coarse-pixels.accuracy",
-    "Wave captures with at most three or four cells across a pixel against those with all cells that resolve the spots",
+    "Wave captures with at most three cells across a pixel against those with all cells that resolve the spots",
     {
         "f-number": "{f_number:g}", "blur (lenses)": "{blur:g}", "cells": "{cells}", "all cells": "{every}",
         "difference": "{difference:.2%}", "light": "{light:.4f}", "noise": "{noise:.2%}",
@@ -108,7 +108,7 @@ def accuracy(
         for blur in blurs:
             camera = camera_of(number, lenses=lenses)
             scene = scene_of(camera, distance_of(camera, blur))
-            with mock.patch.object(phase_space, "_MOST_CELLS", (10**6, 10**6)):
+            with mock.patch.object(phase_space, "_MOST_CELLS", 10**6):
                 every = phase_space.parts_of(camera, WAVELENGTH, False)
             # Of a finer plan, without tolerance for missing functions.
             with (
