@@ -323,7 +323,8 @@ class SignedRaySum:
         lanes: list[Lanes | None] = [
             self._drawn.draw(chance, span([self._nodes[number] for number in group])) for _, group in self._groups
         ]
-        dr.eval(lanes)
+        # Dr.Jit does not look into named tuples.
+        dr.eval([tuple(each) for each in lanes if each])
         return lanes
 
     def _collect(self, lot: Lot) -> Brought:
@@ -335,8 +336,7 @@ class SignedRaySum:
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
-            dr.eval(radiance, counted, *drawn.kept)
-            require_finite(radiance, counted)
+            require_finite(radiance, counted, *drawn.kept)
             # Any function may be the light; derivatives and band-limited light may be negative.
             if getattr(self._light, "is_radiance", False):
                 require_light(radiance)

@@ -307,7 +307,7 @@ class BankRays:
         sample = self._of_kind(self._landing.scales, lanes.i, lanes.j) * (self._step / self._samples)
         start = self._chances(lanes)
         turns = [dr.opaque(mi.UInt32, turn) for turn in _TURNS[2]]
-        dr.eval(lanes, centre, area, sample, start)
+        dr.eval(*lanes, centre, area, sample, start)
 
         def add(k: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
             within = tuple((mi.Float(n) + 0.5) / mi.Float(across) - 0.5 for n in (k % across, k // across))
