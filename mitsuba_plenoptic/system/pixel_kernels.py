@@ -21,6 +21,10 @@ from .oblique import Oblique, moved
 _TAIL = 8
 """Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
 
+_PRODUCTS = 2.0
+"""Part of images of random light, over the tolerance, that products of terms and coefficients may lack: as terms are below 1,
+much less is missing."""
+
 _TOGETHER = 2**18
 """Count of coefficients that are combined at a time, which the processor's caches hold."""
 
@@ -59,12 +63,20 @@ class PixelKernels:
         at_places = np.array([moved(step)[1:] for step in steps])
         products = np.einsum("rnt,rpk,pts->sknp", oblique.factors, factors[functions:], at_places, optimize=True)
         self._moments = _moments(parts)
-        # Factors (images, functions * places) and (images, terms * functions * moments).
+        # Factors (images, functions * places).
         self._factors = (np.moveaxis(factors[:functions], 2, 0) + products[0]).reshape(len(self.kernels), -1)
         self._factors = self._factors.astype(np.float32)
-        self._of_terms = np.einsum("sknp,mp->ksnm", products[1:], self._moments).reshape(len(self.kernels), -1)
-        self._of_terms = self._of_terms.astype(np.float32)
         self._shape = functions, own.shape[1]
+        # Factors (images, products) of those products of a term and a moment of a function that matter.
+        of_terms = np.einsum("sknp,mp->ksnm", products[1:], self._moments)
+        light = covariance[:functions, :functions]
+        whole = np.einsum("nm,npk,mpk->", light, factors[:functions], factors[:functions])
+        square = (np.square(of_terms).sum(0) * light.diagonal()[:, None]).ravel()
+        order = np.argsort(square)
+        missing = np.cumsum(square[order]) <= (_PRODUCTS * tolerance) ** 2 * whole
+        used = np.sort(order[~missing])
+        self._term, self._moment = np.divmod(used, functions * len(self._moments))
+        self._of_terms = of_terms.reshape(len(self.kernels), -1)[:, used].astype(np.float32)
 
     @single_threaded_blas()
     def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -81,9 +93,9 @@ class PixelKernels:
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of images that is proportional to terms; see `combined`."""
         images = np.zeros((len(self.kernels), values.shape[2]), np.float32)
-        for part in self._parts(values.shape[2]) if len(terms) else []:
-            products = terms[:, None, None, part] * np.matmul(self._moments, values[:, :, part])
-            np.matmul(self._of_terms, products.reshape(self._of_terms.shape[1], -1), out=images[:, part])
+        for part in self._parts(values.shape[2]) if len(self._term) else []:
+            moments = np.matmul(self._moments, values[:, :, part]).reshape(-1, part.stop - part.start)
+            np.matmul(self._of_terms, terms[self._term, part] * moments[self._moment], out=images[:, part])
         return images
 
     @single_threaded_blas()
@@ -95,8 +107,10 @@ class PixelKernels:
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the adjoint of `turned` for the coefficients."""
-        products = (self._of_terms.T @ images).reshape(-1, self._shape[0], len(self._moments), images.shape[1])
-        return np.matmul(self._moments.T, np.einsum("tx,tnmx->nmx", terms, products[: len(terms)]))
+        moments = np.zeros((self._shape[0] * len(self._moments), images.shape[1]), np.float32)
+        for factors, term, moment in zip(self._of_terms.T, self._term, self._moment, strict=True):
+            moments[moment] += terms[term] * (factors @ images)
+        return np.matmul(self._moments.T, moments.reshape(self._shape[0], len(self._moments), -1))
 
     def _parts(self, pixels: int) -> list[slice]:
         """Divide a count of pixels."""
