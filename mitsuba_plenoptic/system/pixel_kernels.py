@@ -22,8 +22,8 @@ _TAIL = 8
 """Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
 
 _PRODUCTS = 2.0
-"""Part of images of random light, over the tolerance, that products of terms and coefficients may lack: as terms are below 1,
-much less is missing."""
+"""Part of images of random light, over the tolerance, that products of terms and coefficients may lack. Much less is
+missing, because terms are below 1."""
 
 _TOGETHER = 2**18
 """Count of coefficients that are combined at a time, which the processor's caches hold."""
@@ -72,9 +72,9 @@ class PixelKernels:
         light = covariance[:functions, :functions]
         whole = np.einsum("nm,npk,mpk->", light, factors[:functions], factors[:functions])
         square = (np.square(of_terms).sum(0) * light.diagonal()[:, None]).ravel()
-        order = np.argsort(square)
-        missing = np.cumsum(square[order]) <= (_PRODUCTS * tolerance) ** 2 * whole
-        used = np.sort(order[~missing])
+        least = np.argsort(square)
+        missing = np.cumsum(square[least]) <= (_PRODUCTS * tolerance) ** 2 * whole
+        used = np.sort(least[~missing])
         self._term, self._moment = np.divmod(used, functions * len(self._moments))
         self._of_terms = of_terms.reshape(len(self.kernels), -1)[:, used].astype(np.float32)
 
@@ -108,8 +108,8 @@ class PixelKernels:
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply the adjoint of `turned` for the coefficients."""
         moments = np.zeros((self._shape[0] * len(self._moments), images.shape[1]), np.float32)
-        for factors, term, moment in zip(self._of_terms.T, self._term, self._moment, strict=True):
-            moments[moment] += terms[term] * (factors @ images)
+        for row, term, moment in zip(self._of_terms.T, self._term, self._moment, strict=True):
+            moments[moment] += terms[term] * (row @ images)
         return np.matmul(self._moments.T, moments.reshape(self._shape[0], len(self._moments), -1))
 
     def _parts(self, pixels: int) -> list[slice]:
