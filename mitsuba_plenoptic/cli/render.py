@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ..capture.render import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+from ..capture.render import estimate_capture, is_wave_capture, plenoptic_sensor, refuse_by_rays, render_capture
 from ..detector import ALL_MOSAICS, MOSAICS, Detector, mosaic_of
 from ..detector import expose as record
 from ..errors import InputError, refuse_if
@@ -19,7 +20,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_apart, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..io.lytro_file import nearest_white
-from ..runtime.progress import progress_bar
+from ..runtime.progress import Forecast, progress_bar
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -41,6 +42,8 @@ from .inputs import (
     require_linear,
 )
 from .stopping import existing_checkpoint, stopped_by_hand
+
+_log = logging.getLogger(__name__)
 
 
 def render(
@@ -179,6 +182,10 @@ def render(
     if not by_waves:
         refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)
     with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
+
+        def tell(minutes: float) -> None:
+            _log.info("%s", _forecast(minutes, loaded, sensor, spp, method))
+
         with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
             start = time.perf_counter()
             capture = render_capture(
@@ -187,7 +194,7 @@ def render(
                 model=model,
                 spp=spp,
                 seed=seed,
-                progress=progress,
+                progress=Forecast(progress, tell),
                 checkpoint=saved if by_waves else None,
                 batch_map=batch_map,
                 noise=noise,
@@ -351,3 +358,13 @@ def demosaic(
     found = interpolate(recorded, mosaic=mosaic, white=reference)
     write_capture(output, found)
     typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")
+
+
+def _forecast(minutes: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
+    """Return how long a capture takes, and what is the cheapest to change about that."""
+    if (method or getattr(scene.integrator(), "method", "")) == "points":
+        cause = "each point of the scene is propagated; --method signed_rays takes minutes at most"
+    else:
+        count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
+        cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
+    return f"the capture takes about {minutes:.0f} minutes: {cause}"

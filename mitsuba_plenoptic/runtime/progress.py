@@ -23,6 +23,9 @@ from rich.progress import (
 FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 0.3, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
+SETTLED, MINUTE = 5.0, 60.0
+"""Seconds of work after which its speed is known, and seconds from which on the whole is forecast."""
+
 
 class ProgressBar:
     """Takes progress as every long computation of this package reports it, and shows it."""
@@ -36,6 +39,29 @@ class ProgressBar:
         self.fraction = done / max(total, 1)
         if self._show:
             self._show(done, total)
+
+
+class Forecast:
+    """Passes progress on, and tells once, as soon as it is known, the minutes of work that takes more than one."""
+
+    def __init__(self, progress: ProgressBar, tell: Callable[[float], None]) -> None:
+        self._progress, self._tell = progress, tell
+        self._first: tuple[float, float] | None = None
+        self._known = False
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show the fraction of the total that is done; see `ProgressBar`."""
+        self._progress(done, total)
+        now, fraction = time.monotonic(), self._progress.fraction
+        if self._first is None:
+            # Before, scenes are loaded and kernels compiled.
+            self._first = now, fraction
+        elapsed, part = now - self._first[0], fraction - self._first[1]
+        if not self._known and elapsed >= SETTLED and part > 0:
+            self._known = True
+            left = (1 - fraction) * elapsed / part
+            if elapsed + left > MINUTE:
+                self._tell((elapsed + left) / MINUTE)
 
 
 @contextlib.contextmanager

@@ -119,3 +119,25 @@ def test_a_command_loads_no_other(python):
     print(status, "xarray" in sys.modules, "mitsuba_plenoptic.cli.light_field" in sys.modules)
     """
     assert python(code).stdout == "2 False False\n"
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(50.0, []), (400.0, [pytest.approx(400 / 60)])])
+def test_work_of_more_than_a_minute_is_forecast_once(monkeypatch, seconds, told):
+    now = iter(seconds * part / 100 for part in range(101))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
+    found, shown = [], progress.ProgressBar("work")
+    forecast = progress.Forecast(shown, found.append)
+    for part in range(101):
+        forecast(part, 100)
+    assert found == told
+    assert shown.fraction == 1
+
+
+def test_the_first_kernels_do_not_count_in_a_forecast(monkeypatch):
+    now = iter([100.0, 110.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
+    found = []
+    forecast = progress.Forecast(progress.ProgressBar("work"), found.append)
+    forecast(0, 100)
+    forecast(50, 100)
+    assert found == []

@@ -89,7 +89,8 @@ def cost(
     "coarse-pixels.accuracy",
     "Wave captures with at most three cells across a pixel against those with all cells that resolve the spots",
     {
-        "f-number": "{f_number:g}", "blur (lenses)": "{blur:g}", "cells": "{cells}", "all cells": "{every}",
+        "f-number": "{f_number:g}", "blur (lenses)": "{blur:g}", "capture": "{kind}", "cells": "{cells}",
+        "all cells": "{every}",
         "difference": "{difference:.2%}", "light": "{light:.4f}", "noise": "{noise:.2%}",
     },
     (at_most("difference", "limit"),),
@@ -98,10 +99,10 @@ def cost(
 )  # fmt: skip
 def accuracy(
     *,
-    f_numbers: tuple[float, ...] = (1.8, 2.8, 5.6),
+    f_numbers: tuple[float, ...] = (1.8, 2.8, 5.6, 10.0),
     blurs: tuple[float, ...] = (0.0, 2.0),
-    lenses: int = 8,
-    spp: int = 4096,
+    lenses: int = 6,
+    spp: int = 2048,
 ) -> Iterator[Row]:
     """Compare captures of a textured wall with ten pixels a lens, usual ones and finer ones."""
     for number in f_numbers:
@@ -122,7 +123,7 @@ def accuracy(
                 cells = phase_space.parts_of(camera, WAVELENGTH, finer)
                 image, own = _taken(scene, spp, finer)
                 yield {
-                    "f_number": number, "blur": blur, "cells": cells, "every": every, "noise": max(noise, own),
+                    "f_number": number, "blur": blur, "kind": "finer" if finer else "usual", "cells": cells, "every": every, "noise": max(noise, own),
                     "difference": without_noise(relative(image, reference), noise, own),
                     "light": float(image.mean() / reference.mean()), "limit": limit,
                 }  # fmt: skip
