@@ -39,7 +39,7 @@ def _camera(f_number: float, pixels: int, film: int, lattice: str) -> PlenopticC
         "f-number": "{f_number:g}", "pixels a lens": "{pixels}", "film": "{film}", "lattice": "{lattice}",
         "colours": "{colours}", "blur (lenses)": "{blur:g}", "samples": "{spp}", "rays (s)": "{rays:.2f}",
         "waves (s)": "{waves:.2f}", "waves over rays": "{ratio:.2f}", "noise of rays": "{ray_noise:.2%}",
-        "noise of waves": "{noise:.2%}",
+        "noise of waves": "{noise:.2%}", "waves over rays, at equal noise": "{equal:.2f}",
     },
     (at_most("ratio", "limit"),),
     page="docs/numbers.md",
@@ -81,7 +81,7 @@ def cost(
                 yield {
                     "f_number": number, "pixels": count, "film": film, "lattice": lattice, "colours": colour,
                     "blur": blur, "spp": spp, "rays": rays, "waves": waves, "ratio": waves / rays,
-                    "ray_noise": ray_noise, "noise": noise, "limit": _MOST.get(spp),
+                    "ray_noise": ray_noise, "noise": noise, "equal": waves / rays * (noise / ray_noise) ** 2, "limit": _MOST.get(spp),
                 }  # fmt: skip
 
 
@@ -123,7 +123,8 @@ def accuracy(
                 cells = phase_space.parts_of(camera, WAVELENGTH, finer)
                 image, own = _taken(scene, spp, finer)
                 yield {
-                    "f_number": number, "blur": blur, "kind": "finer" if finer else "usual", "cells": cells, "every": every, "noise": max(noise, own),
+                    "f_number": number, "blur": blur, "kind": "finer" if finer else "usual", "cells": cells,
+                    "every": every, "noise": max(noise, own),
                     "difference": without_noise(relative(image, reference), noise, own),
                     "light": float(image.mean() / reference.mean()), "limit": limit,
                 }  # fmt: skip
