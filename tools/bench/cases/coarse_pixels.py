@@ -81,7 +81,8 @@ def cost(
                 yield {
                     "f_number": number, "pixels": count, "film": film, "lattice": lattice, "colours": colour,
                     "blur": blur, "spp": spp, "rays": rays, "waves": waves, "ratio": waves / rays,
-                    "ray_noise": ray_noise, "noise": noise, "equal": waves / rays * (noise / ray_noise) ** 2, "limit": _MOST.get(spp),
+                    "ray_noise": ray_noise, "noise": noise, "limit": _MOST.get(spp),
+                    "equal": waves / rays * (noise / ray_noise) ** 2,
                 }  # fmt: skip
 
 
