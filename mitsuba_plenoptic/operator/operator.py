@@ -427,6 +427,6 @@ def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: f
     """Refuse a system of another camera or wavelength."""
     bound = system.wavelength
     refuse_if(
-        bound != wavelength or regular_array(system.camera) != camera.at_wavelength(bound),
+        bound != wavelength or system.camera != camera.at_wavelength(bound),
         f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}",
     )
