@@ -127,8 +127,11 @@ def walls(
     parts: int = 0,
     margin: int = 4,
     off_axis: float = 0.0,
+    full: int = 0,
 ) -> Iterator[Row]:
     """Compare walls of some lenses, with points across a lens and samples of each pixel.
+
+    What patches lack is taken from ``full`` points across a lens, by full fields, which is the same for all points.
 
     Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y. As
     many points and cells across a pixel (``parts``) as a camera needs are taken where none are given.
@@ -142,7 +145,7 @@ def walls(
         for blur in blurs:
             (image, exact, noise, whole), seconds, _ = once(
                 lambda p=plan, c=camera, b=blur, n=per_lens, k=cells: pair(
-                    p, c, b, lenses, n, samples, k, margin, off_axis
+                    p, c, b, lenses, n, samples, k, margin, off_axis, full
                 )
             )
             yield {
@@ -178,12 +181,17 @@ def pair(
     parts: int,
     margin: int,
     off_axis: float,
+    full: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return both captures of a wall, the relative noise of the one by signed rays, and the wall's light."""
     wall = Wall(camera, blur, lenses, points, off_axis)
     view = around(camera, wall, margin)
     one, other = (capture(plan, view, wall, samples, parts, seed) for seed in (1, 2))
-    return (one + other) / 2, reference(view, wall), relative(one, other) / 2, float(wall.weight.sum())
+    exact = reference(view, wall)
+    if full:
+        few = Wall(camera, blur, lenses, full, off_axis)
+        exact += reference(view, few, method="full_field") - reference(view, few)
+    return (one + other) / 2, exact, relative(one, other) / 2, float(wall.weight.sum())
 
 
 class Wall:
@@ -286,9 +294,10 @@ def around(camera: PlenopticCamera, wall: Wall, margin: int) -> PlenopticCamera:
     )
 
 
-def reference(camera: PlenopticCamera, wall: Wall) -> np.ndarray:
+def reference(camera: PlenopticCamera, wall: Wall, method: str = "patch") -> np.ndarray:
     """Add the point spreads."""
-    operator = CaptureOperator(camera, wall.points, wavelength=WAVELENGTH, accuracy=0.0)
+    accuracy = 0.0 if method == "patch" else None
+    operator = CaptureOperator(camera, wall.points, wavelength=WAVELENGTH, method=method, accuracy=accuracy)
     return np.asarray(operator.forward(wall.weight), dtype=float)
 
 
