@@ -21,6 +21,7 @@ from .errors import refuse_if, require_known
 from .operator.derivatives import DIFFERENTIABLE, WAVELENGTH
 from .operator.operator import CaptureOperator
 from .reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+from .system.lens_kinds import regular_array
 
 Array = NDArray[Any]
 Shape = tuple[int, ...]
@@ -173,7 +174,7 @@ class CameraCapture:
         self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
     ) -> None:
         require_known("parameters: ", names, [name for name in DIFFERENTIABLE if name != WAVELENGTH])
-        self._make, self._camera, self._names = make, camera, tuple(names)
+        self._make, self._camera, self._names = make, regular_array(camera), tuple(names)
 
     @cached_property
     def _points(self) -> LinearFunction:

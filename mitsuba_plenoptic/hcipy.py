@@ -21,6 +21,7 @@ from .optics import guards
 from .optics.waves import band_edge_fraction
 from .phase_screen import PhaseScreen
 from .runtime.backend import one_at_a_time
+from .system.lens_kinds import regular_array
 from .system.optical_system import OpticalSystem
 
 try:
@@ -56,7 +57,8 @@ class CameraOptics(hcipy.OpticalElement):
     """
 
     def __init__(self, camera: PlenopticCamera) -> None:
-        require_ideal(require_camera(camera), in_full=True)
+        camera = regular_array(require_camera(camera))
+        require_ideal(camera, in_full=True)
         refuse_if(
             not (camera.main_lens is None or isinstance(camera.main_lens, Collimator)),
             f"main_lens = {camera.lens_data.label}: wavefronts are taken by thin main lenses and collimators only",

@@ -103,7 +103,7 @@ def test_screens_of_atmospheres_and_wavefronts_behind_them_agree(preset):
 @pytest.mark.parametrize("model", ["ideal", "parabolic"])
 @pytest.mark.parametrize("slope", [0.0, 0.04])
 def test_a_tilted_wavefront_is_a_star_off_the_axis(slope, model):
-    """An ideal lens of f/4 images it as sharply as one on the axis; microlenses refract slopes, not cosines: 4 %."""
+    """An ideal lens of f/4 images it as sharply as one on the axis; microlenses take its slopes for cosines: 4 %."""
     camera = PlenopticCamera(
         focal_length=4, mla_distance=4, aperture_radius=0.5, mla_pitch=0.02, mla_focal_length=0.084,
         detector_width=0.64, resolution=(320, 320), lens_model=model,

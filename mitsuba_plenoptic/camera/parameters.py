@@ -377,8 +377,8 @@ class CameraParameters:
             "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
             "the last beyond. A lens at this height is shifted towards the axis as far as its chief ray moves on the "
             "way to the detector, be that a fraction of a pitch or several. If the tangent of the angle is "
-            "proportional to the height, a smaller `mla_pitch` describes the same array. Decoding and refocusing "
-            "assume the regular array."
+            "proportional to the height, a smaller `mla_pitch` describes the same array. Captures of points, fits, "
+            "decoding and refocusing take the nearest regular array."
         ),
         form=Form.NUMBERS,
         otherwise="no shift",

@@ -26,6 +26,7 @@ from ..errors import (
 from ..io.captures import MODELS
 from ..io.checkpoints import Checkpoint, digest
 from ..operator.pupil_weights import PupilWeights
+from ..system.lens_kinds import regular_array
 from .light import PixelNoise, Pixels, View, by_model, check_views
 from .model import RayModel, RayModels, WaveModel, check_numbers, vector_of
 from .result import Fit, doubts, steps_along, summary
@@ -107,6 +108,7 @@ def fit(
 
     if not camera.lens_data.converges:
         camera.require_thin("cameras are fitted", "fit one behind a prescription")
+    camera = regular_array(camera)
     given = [views] if isinstance(views, View) else list(views)
     default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
     refuse_if(

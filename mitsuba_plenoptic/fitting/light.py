@@ -20,6 +20,7 @@ from ..io.captures import Capture, as_array, require_pixels, response_of
 from ..operator.units import brightness_at
 from ..plugins.other_camera import with_camera
 from ..runtime.backend import one_at_a_time
+from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 
@@ -295,6 +296,7 @@ def known_view(
     InputError
         If an input has a wrong value, the scene shows no light, or it has a surface that is not matte.
     """
+    camera = regular_array(camera)
     seen = with_camera(scene, camera)
     sensor = plenoptic_sensor(seen)
     child = chosen_integrator(seen, "ray", {})

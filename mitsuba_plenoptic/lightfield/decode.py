@@ -15,6 +15,7 @@ from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.ground_truth import COORDINATES, GroundTruth, channel_planes
 from ..runtime.limits import require_memory
+from ..system.lens_kinds import regular_array
 from .fourier_views import decode_views
 from .geometry import DIMS, light_field
 from .grid import LensGrid, bin_grid, lens_grid
@@ -129,7 +130,7 @@ def _checked(
         capture = capture.image
     image = _image("capture", capture)
     if camera is not None:
-        require_camera(camera)
+        camera = regular_array(require_camera(camera))
     refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
     refuse_if(
         camera is None and grid is None,
@@ -168,7 +169,7 @@ def _coordinates(
     """Return ground truth as coordinates of the light field of its camera."""
     planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
-        not are_alike(truth.camera, camera) or any(plane.shape != shape for plane in planes.values()),
+        not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
         "truth: it is of another camera than the light field",
     )
     whole = {"shape_index": np.int32}

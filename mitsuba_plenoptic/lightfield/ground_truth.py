@@ -16,6 +16,7 @@ from ..errors import refuse_if, suggest_keywords
 from ..io.ground_truth import QUANTITIES, GroundTruth, require_quantities
 from ..runtime.backend import drjit_array, one_at_a_time
 from ..runtime.limits import require_memory
+from ..system.lens_kinds import regular_array
 from .decode import view_window
 from .geometry import lens_places, pupil_places
 from .grid import bin_grid, lens_grid
@@ -163,8 +164,9 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     names = require_quantities([names] if isinstance(names, str) else names)
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
-    bins = bin_grid(camera)
-    half, _ = view_window(camera, lens_grid(camera))
+    regular = regular_array(camera)
+    bins = bin_grid(regular)
+    half, _ = view_window(regular, lens_grid(regular))
     sizes = (2 * half + 1, 2 * half + 1, *bins.shape)
     rows, columns = camera.shape
     values = sum(len(QUANTITIES[name]) for name in names)
@@ -180,7 +182,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
         return chosen.chief_ray(position)
 
     pupil = drjit_array(mi.Float, pupil_places(camera, sizes[0]))
-    across, down = (drjit_array(mi.Float, lens_places(camera, bins, axis)) for axis in (0, 1))
+    across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))
 
     def of_views(index: Any) -> tuple[Any, Any]:
         found = []

@@ -13,6 +13,7 @@ from ..errors import refuse_if
 from ..optics import rays
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
+from ..system.lens_kinds import regular_array
 from .grid import LensGrid, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
@@ -135,6 +136,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
     """
     camera.require_thin("white images are computed")
+    camera = regular_array(camera)
     fractions = _Fractions(camera)
     half = fractions.half
     rows, columns = camera.shape

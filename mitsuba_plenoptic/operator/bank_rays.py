@@ -235,6 +235,8 @@ class BankRays:
         parts = [[np.zeros(0, kind) for kind in (np.uint32, np.float32, np.float32, np.int32, np.int32)]]
         for number, side in enumerate(sides):
             own = dr.compress(lit & (window == number))
+            if not dr.width(own):
+                continue
             steps = self._steps(side, 1.5 * change)
             pair = dr.arange(mi.UInt32, dr.width(own) * len(steps))
             source, which = dr.gather(mi.UInt32, own, pair // len(steps)), pair % len(steps)

@@ -83,12 +83,13 @@ def full_field(
     `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
     `grids` may be those of a camera that hardly differs, so that differences are free of the grids'. `incident` is a
     field on the pupil of a thin lens or a collimator that replaces a far point's light, with its own aperture. It may
-    be the light of many far points, to which an ideal thin lens is a parabola in paraxial propagation.
+    be the light of many far points, to which an ideal thin lens is a parabola in paraxial propagation to the array.
     """
     grids = grids or field_grids(system, position, refinement, growth)
     paraxial = incident is not None and is_paraxial(system.camera)
     _, mla = _arrival(system, position, grids, pupil_weights, incident, paraxial)
-    spectrum = detector_spectrum(system, grids, mla.samples, microlenses, paraxial)
+    # Microlenses are thin phases of direction cosines, whatever the main lens is.
+    spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
     return backend().to_host(pixel_integrals(system.camera, spectrum, grids))
@@ -123,9 +124,7 @@ def _arrival(
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
 
 
-def detector_spectrum(
-    system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool, paraxial: bool = False
-) -> Field:
+def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
     if microlenses:
         before = _passed_power(system, grids, samples)
@@ -136,7 +135,7 @@ def detector_spectrum(
     with resting_drjit():
         spectrum = fft2(samples)
     wavelength = camera.medium_wavelength(system.wavelength)
-    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength, paraxial=paraxial)
+    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:

@@ -18,6 +18,7 @@ from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
 from ..runtime.jobs import Job, LongSum, SumTask
+from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from .accuracy import chosen_accuracy
@@ -112,6 +113,7 @@ class CaptureOperator(CoherentPoints):
     ) -> None:
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
+        camera = regular_array(camera)
         require_ideal(camera, in_full=method == "full_field")
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")

@@ -13,6 +13,7 @@ from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Threads
 from ..runtime.jobs import Job
+from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 from . import full_field
@@ -70,7 +71,8 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)
-        return full_field.point_fields(OpticalSystem(camera.at_wavelength(wavelength), wavelength), point)
+        camera = regular_array(camera).at_wavelength(wavelength)
+        return full_field.point_fields(OpticalSystem(camera, wavelength), point)
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:

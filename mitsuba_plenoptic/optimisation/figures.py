@@ -14,6 +14,7 @@ from ..errors import InputError, did_you_mean, refuse_if, require_count, require
 from ..operator.accuracy import chosen_accuracy
 from ..operator.operator import CaptureOperator
 from ..reconstruction import RayRefocus
+from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
 from ..system.sampling import check_positions
 
@@ -52,6 +53,7 @@ class Spreads:
         return total
 
     def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
+        camera = regular_array(camera)
         if self._system is None or self._system.camera != camera:
             self._system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
         # A step from a point far away may lead across infinity.

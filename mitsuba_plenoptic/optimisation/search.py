@@ -13,6 +13,7 @@ from ..camera import PlenopticCamera
 from ..camera.vector import CameraVector
 from ..errors import InputError, refuse_if, require_count, short_repr
 from ..fitting.model import vector_of
+from ..system.lens_kinds import regular_array
 from .figures import Gradient
 
 _TOLERANCE = 1e-6
@@ -90,6 +91,7 @@ def maximise(
     """
     from scipy.optimize import minimize
 
+    camera = regular_array(camera)
     vector = _vector(camera, bounds)
     low, high = vector.limits(bounds)
     best: list[Any] = [-np.inf, camera]

@@ -27,6 +27,7 @@ from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
+from ..system.lens_kinds import regular_array
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
 
 
@@ -309,7 +310,7 @@ def make_class() -> type:
             return SignedCapture(camera, light, colours, self.accuracy)
 
         def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:
-            camera = PlenopticCamera.from_sensor(sensor)
+            camera = regular_array(PlenopticCamera.from_sensor(sensor))
             require_ideal(camera)
             spectrum = self.spectrum_of(scene, sensor)
             if mi.is_spectral:

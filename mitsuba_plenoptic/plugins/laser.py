@@ -22,6 +22,7 @@ from ..operator.patch_plan import Cost
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
+from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
 from .properties import DEFAULT_WAVELENGTH, put, read_plain
 
@@ -191,7 +192,7 @@ def make_class() -> type:
         def _require(self, scene: Any, sensor: Any) -> list[Any]:
             """Return the lasers; refuse scenes and cameras for which the model does not hold."""
             with naming(NAME):
-                camera = PlenopticCamera.from_sensor(sensor)
+                camera = regular_array(PlenopticCamera.from_sensor(sensor))
                 require_ideal(camera, in_full=True)
                 require_coherent(camera)
             refuse_if(not sensor.film().rfilter().is_box_filter(), f'{NAME}: the film needs <rfilter type="box"/>')
@@ -205,7 +206,7 @@ def make_class() -> type:
 
         def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> NDArray[np.float32]:
             """Return the light of the lasers, (rows, columns, 1)."""
-            camera = PlenopticCamera.from_sensor(sensor)
+            camera = regular_array(PlenopticCamera.from_sensor(sensor))
             (wavelength,) = self.wavelengths
             system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
             points = LaserScene(scene, sensor, lasers, system).points(self.points_per_spot, seed)

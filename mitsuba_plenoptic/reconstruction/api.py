@@ -30,6 +30,7 @@ from ..lightfield.white import scaled_white
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
+from ..system.lens_kinds import regular_array
 from .deconvolution.variation import MOST as _MOST
 from .methods import (
     FOOTPRINTS,
@@ -269,7 +270,8 @@ def reconstruct(
     """
     recorded = capture
     capture = as_capture(capture, camera)
-    camera = capture.camera
+    camera = regular_array(capture.camera)
+    capture = dataclasses.replace(capture, camera=camera)
     chosen = METHODS[require_choice("method", method, METHODS)]
     if not camera.lens_data.converges and not chosen.as_it_is:
         methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is)

@@ -16,6 +16,7 @@ from ..lens_data import image_distance
 from ..optics import guards
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
+from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields
@@ -54,6 +55,7 @@ class RayRefocus:
     def __init__(
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
+        camera = regular_array(camera)
         self.camera, self._distance = camera, require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, self._distance)
         require_choice("footprint", footprint, FOOTPRINTS)
@@ -172,6 +174,7 @@ class CoherentRefocus:
         self, camera: PlenopticCamera, distance: float, wavelength: float, *, interleave: int = 1, oversample: int = 1
     ) -> None:
         camera.require_thin("captures are reconstructed")
+        camera = regular_array(camera)
         require_ideal(camera)
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()

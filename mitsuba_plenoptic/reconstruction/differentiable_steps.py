@@ -23,6 +23,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_count, require_number, require_wavelength
 from ..io.captures import as_array, require_pixels
 from ..runtime.backend import one_at_a_time
+from ..system.lens_kinds import regular_array
 from ..system.sampling import check_memory
 from .deconvolution.solver import RichardsonLucyStep, Values
 from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
@@ -63,6 +64,7 @@ class DeconvolvedRefocus:
         iterations: int = DEFAULT_ITERATIONS,
         oversample: int = 1,
     ) -> None:
+        camera = regular_array(camera)
         self.camera, self.iterations = camera, require_count("iterations", iterations)
         distance, oversample = (
             require_number("distance", distance, finite=False),

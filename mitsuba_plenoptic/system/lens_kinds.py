@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.entry import one_if_equal
 from ..errors import InputError
 from ..lenses.base import Pair
 from ..optics.waves import in_millimetres
@@ -53,6 +54,31 @@ def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: 
     sine = module.sin(angle) / camera.mla_medium
     scale = -z * sine / module.sqrt(1 - sine * sine) / module.maximum(height, 1e-9)
     return scale * x, scale * y
+
+
+_PLACES = 33
+"""Places across a crop at which shifts to chief rays are fitted."""
+
+
+def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted ones above the recorded pixels.
+
+    What knows regular arrays alone, as point spreads and reconstructions do, takes this one. Its `mla_pitch` and
+    `mla_offset` have the smallest mean square of the distance from the lenses.
+    """
+    if not camera.mla_cra:
+        return camera
+    edges = (camera.pixel_coordinates(axis)[[0, -1]] + 0.5 * camera.pixel_size * np.array([-1, 1]) for axis in (0, 1))
+    place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
+    shift = np.stack(chief_ray_shift(camera, *place))
+    middle, moved = place.mean((1, 2)), shift.mean((1, 2))
+    about = place - middle[:, None, None]
+    stretch = 1 + (about * shift).sum() / (about**2).sum()
+    return camera.replace(
+        mla_cra=(),
+        mla_pitch=one_if_equal(tuple((stretch * np.array(camera.mla_pitches)).tolist())),
+        mla_offset=tuple((stretch * (np.array(camera.mla_offset) - middle) + middle + moved).tolist()),
+    )
 
 
 def _words(index: Any) -> Any:

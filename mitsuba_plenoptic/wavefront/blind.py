@@ -216,7 +216,7 @@ class _ZoneSum:
             stored = StoredOperator(
                 camera, zone.points, wavelength=search.wavelength, accuracy=search.accuracy, dtype="float32"
             )
-            system = OpticalSystem(camera.at_wavelength(search.wavelength), search.wavelength)
+            system = OpticalSystem(stored.camera.at_wavelength(search.wavelength), search.wavelength)
             matrix = stored.to_dense() * brightness_at(system, zone.points).astype(np.float32)
             refuse_if(not matrix.any(), f"zones: the detector records no light of zone {len(self._matrices)}")
             self._matrices.append(matrix)

@@ -91,7 +91,8 @@ class InteractionMatrix:
         if not isinstance(zone, Zone):
             raise InputError(f"zone of type {type(zone).__name__}: it must be a Zone")
         operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=require_accuracy(accuracy))
-        weights = zone.weights * brightness_at(OpticalSystem(camera.at_wavelength(wavelength), wavelength), zone.points)
+        system = OpticalSystem(operator.camera.at_wavelength(wavelength), wavelength)
+        weights = zone.weights * brightness_at(system, zone.points)
         image = np.asarray(operator.forward(weights), np.float64)
         refuse_if(not image.sum() > 0, "zone: the detector records no light of it")
         directions = [{"wavefront": term} for term in np.eye(count)[1:]]

@@ -215,9 +215,10 @@ class Search:
 
     def expected(self, camera: PlenopticCamera, zone: Zone) -> Array:
         """Return the capture of a zone whose points have a total weight of 1, as for `View`."""
-        system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
+        operator = self.operator(camera, zone.points)
+        system = OpticalSystem(operator.camera.at_wavelength(self.wavelength), self.wavelength)
         weights = brightness_at(system, zone.points) * zone.weights
-        return np.asarray(self.operator(camera, zone.points).forward(weights), np.float64)
+        return np.asarray(operator.forward(weights), np.float64)
 
     def deviations(self, expected: Array) -> Array:
         """Return the standard deviation of each pixel where some values are expected."""

@@ -29,6 +29,10 @@ PIXELS = 192
 MODELS = {
     model: PlenopticCamera(detector_width=6 * 0.064, resolution=(PIXELS, PIXELS), lens_model=model)
     for model in ("ideal", "parabolic")
+} | {
+    "medium": PlenopticCamera(
+        detector_width=6 * 0.064, resolution=(PIXELS, PIXELS), mla_medium=1.5, mla_focal_length=0.768
+    )
 }
 STEPS = {
     "focal_length": 0.01,

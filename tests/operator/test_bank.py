@@ -195,3 +195,13 @@ def test_the_stops_image_stored_spreads_and_derivatives_are_refused():
         operator.derivative([1.0], {"focal_length": 1.0})
     with pytest.raises(InputError, match="method = bank: it has no single point spreads to store"):
         StoredOperator(SMALL, point, wavelength=WAVELENGTH, method="bank")
+
+
+def test_a_point_in_focus_before_few_coarse_pixels():
+    """So few of its rays reach cells that some windows of the kernels have none."""
+    camera = PlenopticCamera(
+        focal_length=10, aperture_radius=1.8, focus_distance=64, mla_pitch=0.04, mla_focal_length=0.132,
+        detector_width=0.4, resolution=(100, 100),
+    )  # fmt: skip
+    image = CaptureOperator(camera, [(0.05, 0.05, 64.0)], wavelength=WAVELENGTH, method="bank").forward([1.0])
+    assert image.sum() == pytest.approx(1, abs=0.01)

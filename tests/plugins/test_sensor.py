@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scene_cases import disk
+from scipy.ndimage import binary_erosion
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture
 from mitsuba_plenoptic.lightfield import white_image
@@ -299,3 +300,35 @@ def test_gradients_agree_with_finite_differences(camera_dict, parameter, integra
         gradient, difference = gradient[inside], difference[inside]
     assert np.linalg.norm(difference) > 0
     assert np.linalg.norm(gradient - difference) <= 0.02 * np.linalg.norm(difference)
+
+
+@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
+@pytest.mark.parametrize("parameter", ["mla_distance", "detector_distance"])
+def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
+    """By Snell's law, 30 mm off the axis, where it moves light by many pixels."""
+    camera = PlenopticCamera(
+        detector_width=30064 * 0.002, resolution=(30064, 64), crop_offset=(30000, 0), crop_size=(64, 64),
+        mla_medium=1.5, mla_focal_length=0.768, lens_model=lens_model,
+    )  # fmt: skip
+    wall = picture_wall(smooth_texture(128), 210.0, 1.2)
+    wall["to_world"] = mi.ScalarTransform4f().translate([-30.0 * 210 / 120, 0, 0]) @ wall["to_world"]
+    scene = scene_of(camera.to_sensor(), "path", wall=wall)
+    parameters = mi.traverse(scene)
+    key, start = f"camera.{parameter}", getattr(camera, parameter)
+
+    def image(value):
+        parameters[key] = value
+        parameters.update()
+        return mi.render(scene, parameters, spp=256, seed=1)
+
+    value = mi.Float(start)
+    dr.enable_grad(value)
+    rendered = image(value)
+    dr.set_grad(value, 1.0)
+    gradient = np.array(dr.forward_to(rendered))[..., 0]
+    higher, lower = (np.array(image(mi.Float(start * (1 + side))))[..., 0] for side in (1e-4, -1e-4))
+    difference = (higher - lower) / (2e-4 * start)
+    # Away from the pupil's moving edge, which white images have where light goes without Snell's law.
+    inside = binary_erosion(white_image(camera.replace(aperture_radius=4.0)) > 0.999, iterations=2)
+    assert inside.sum() > 300
+    assert np.linalg.norm(gradient[inside] - difference[inside]) <= 0.03 * np.linalg.norm(difference[inside])

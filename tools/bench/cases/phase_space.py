@@ -49,6 +49,9 @@ def _scaled(f_number: float, lens_model: str) -> PlenopticCamera:
     )  # fmt: skip
 
 
+SCALED = {f"ideal f{number:g}": _scaled(number, "ideal") for number in (2.0, 2.8, 5.6, 10.0)}
+"""Cameras before which full fields correct the sums."""
+
 CAMERAS = {
     "square": PlenopticCamera(),
     "turned": PlenopticCamera(mla_rotation=7.0),
@@ -74,7 +77,7 @@ CAMERAS = {
     "microlenses f2": PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=12.0),
     "medium": PlenopticCamera(mla_medium=1.5, mla_focal_length=0.768, detector_distance=0.768),
     **{f"parabolic f{number:g}": _scaled(number, "parabolic") for number in (2.0, 2.8, 5.6, 10.0)},
-    **{f"ideal f{number:g}": _scaled(number, "ideal") for number in (2.0, 2.8, 5.6, 10.0)},
+    **SCALED,
     "second": PlenopticCamera(
         focal_length=50.0, aperture_radius=4.0, mla_distance=70.0, mla_focal_length=0.4, mla_pitch=0.05
     ),
@@ -90,6 +93,12 @@ LIMITS = {
 
 FINER, MOST = 0.7, 0.025
 """Part of these limits for finer plans; limit of other cameras."""
+
+EXACT, EXACT_FINER = 0.01, 0.005
+"""Limits of `SCALED` by usual and by finer plans, of walls of two lenses and more, by sums that full fields correct."""
+
+ENERGY, ENERGY_OF_PATCHES = 0.005, 0.03
+"""Limits of the difference in energy from these sums, and from sums of patches, which lose light."""
 
 SMALL = 0.035
 """Limit for walls of few lenses, which are nearly all edge."""
@@ -110,7 +119,7 @@ BLURS = (0.0, 0.5, -1.0, 2.0, -4.5)
         "energy": "{energy:.4f}", "reference's energy": "{exact_energy:.4f}", "limit": "{limit:.1%}",
         "s": "{seconds:.0f}",
     },
-    (at_most("difference", "limit"),),
+    (at_most("difference", "limit"), at_most("missing", "energy_limit")),
     page="docs/theory/phase_space.md",
     pivot=Pivot("{camera}", "blur of {blur:g} lenses", "{difference:.2%}"),
     quick={"blurs": (0.0,), "lenses": 1, "points": 12, "samples": 512},
@@ -127,8 +136,11 @@ def walls(
     parts: int = 0,
     margin: int = 4,
     off_axis: float = 0.0,
+    full: int = 0,
 ) -> Iterator[Row]:
     """Compare walls of some lenses, with points across a lens and samples of each pixel.
+
+    What patches lack is taken from ``full`` points across a lens, by full fields, which is the same for all points.
 
     Blurs are radii in lenses, of either sign; ``off_axis`` is where the wall's centre is, in lenses along x and y. As
     many points and cells across a pixel (``parts``) as a camera needs are taken where none are given.
@@ -139,10 +151,12 @@ def walls(
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
         limit = SMALL if lenses < 3 else own * FINER if finer else own
+        if name in SCALED and lenses > 1:
+            limit = EXACT_FINER if finer else EXACT
         for blur in blurs:
             (image, exact, noise, whole), seconds, _ = once(
                 lambda p=plan, c=camera, b=blur, n=per_lens, k=cells: pair(
-                    p, c, b, lenses, n, samples, k, margin, off_axis
+                    p, c, b, lenses, n, samples, k, margin, off_axis, full
                 )
             )
             yield {
@@ -150,6 +164,8 @@ def walls(
                 "memory": memory, "planning": planning,
                 "blur": blur, "difference": without_noise(relative(image, exact), noise), "noise": noise,
                 "energy": float(image.sum() / whole), "exact_energy": float(exact.sum() / whole), "limit": limit,
+                "missing": abs(float(image.sum() / exact.sum()) - 1),
+                "energy_limit": ENERGY if full else ENERGY_OF_PATCHES,
                 "seconds": seconds,
             }  # fmt: skip
             write_comparison(output / f"{name}_{blur:g}_signed_exact_difference_times_10.png", image, exact, gain=10)
@@ -178,12 +194,17 @@ def pair(
     parts: int,
     margin: int,
     off_axis: float,
+    full: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Return both captures of a wall, the relative noise of the one by signed rays, and the wall's light."""
     wall = Wall(camera, blur, lenses, points, off_axis)
     view = around(camera, wall, margin)
     one, other = (capture(plan, view, wall, samples, parts, seed) for seed in (1, 2))
-    return (one + other) / 2, reference(view, wall), relative(one, other) / 2, float(wall.weight.sum())
+    exact = reference(view, wall)
+    if full:
+        few = Wall(camera, blur, lenses, full, off_axis)
+        exact += reference(view, few, method="full_field") - reference(view, few)
+    return (one + other) / 2, exact, relative(one, other) / 2, float(wall.weight.sum())
 
 
 class Wall:
@@ -286,9 +307,10 @@ def around(camera: PlenopticCamera, wall: Wall, margin: int) -> PlenopticCamera:
     )
 
 
-def reference(camera: PlenopticCamera, wall: Wall) -> np.ndarray:
+def reference(camera: PlenopticCamera, wall: Wall, method: str = "patch") -> np.ndarray:
     """Add the point spreads."""
-    operator = CaptureOperator(camera, wall.points, wavelength=WAVELENGTH, accuracy=0.0)
+    accuracy = 0.0 if method == "patch" else None
+    operator = CaptureOperator(camera, wall.points, wavelength=WAVELENGTH, method=method, accuracy=accuracy)
     return np.asarray(operator.forward(wall.weight), dtype=float)
 
 
