@@ -289,6 +289,23 @@ def test_weights_and_camera_together():
     np.testing.assert_allclose(weights.grad, operator.adjoint(given).T, rtol=1e-5)
 
 
+def test_steps_of_a_loop_keep_nothing():
+    operators = []
+
+    def make(camera):
+        made = CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0)
+        operators.append(weakref.ref(made))
+        return made
+
+    for step in range(4):
+        distance = torch.tensor(CAMERA.mla_distance + 1e-4 * step, dtype=torch.float64, requires_grad=True)
+        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, torch.ones(3, dtype=torch.float64))
+        (image**2).sum().backward()
+    del image
+    gc.collect()
+    assert not any(each() for each in operators)
+
+
 def test_cameras_in_forward_mode():
     felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
     start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
