@@ -90,11 +90,18 @@ class Latest:
 
     def at(self, given: Sequence[Any]) -> Value:
         """Return the value at some arrays."""
-        if self._value is None or not all(map(self._equal, given, self._given)):
+        # Another thread may have this function forget its value meanwhile.
+        known, value = self._given, self._value
+        if value is None or len(known) != len(given) or not all(map(self._equal, given, known)):
             # Their owners may use the memory of the arrays for others.
-            self._given = [self._copied(each) for each in given]
-            self._value = self._function.at(*map(self.taken, self._given))
-        return self._value
+            known = [self._copied(each) for each in given]
+            value = self._function.at(*map(self.taken, known))
+            self._given, self._value = known, value
+        return value
+
+    def forget(self) -> None:
+        """Free the latest value; whoever asks for it again has it computed again."""
+        self._given, self._value = [], None
 
 
 def _batch(name: str, given: Shape, last: Shape) -> Shape:
@@ -177,9 +184,9 @@ class CameraCapture:
         self._make, self._camera, self._names = make, regular_array(camera), tuple(names)
 
     @cached_property
-    def _points(self) -> LinearFunction:
-        """The captures by the camera as it is."""
-        return points(self._make(self._camera))
+    def _last_axes(self) -> tuple[Shape, Shape]:
+        """The last axes of weights and of images: not the operator that has them, which may be large."""
+        return _axes(self._make(self._camera))
 
     def at(self, *given: Array) -> CameraValue:
         """Capture points with weights by a camera with some values."""
@@ -190,7 +197,8 @@ class CameraCapture:
 
     def shape(self, given: Shape) -> Shape:
         """Return the shape of images from that of weights."""
-        return self._points.shape(given)
+        before, after = self._last_axes
+        return *_batch("weights", given, before), *after
 
 
 class CameraValue:

@@ -7,6 +7,7 @@ and differentiated in reverse and in forward mode.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -202,25 +203,38 @@ def _required(name: str, value: Any) -> Any:
     return array
 
 
+_VALUES = 16
+"""Functions made last that keep their values: captures that one loss may hold without computing any of them twice."""
+
+_latest_made: deque[Latest] = deque(maxlen=_VALUES)
+
+
 def _latest(function: SmoothFunction) -> Latest:
-    """Return a function that remembers its latest value."""
-    return Latest(function, np.copy, np.array_equal, np.asarray)
+    """Return a function that remembers its latest value, until many others are made."""
+    made = Latest(function, np.copy, np.array_equal, np.asarray)
+    # JAX's caches keep thousands of functions that were called once, which must be empty then.
+    if len(_latest_made) == _VALUES:
+        _latest_made[0].forget()
+    _latest_made.append(made)
+    return made
 
 
 # -- primitives of JAX -------------------------------------------------------------------------------
 # Each calls NumPy on the host. The transposes of linear maps and of changes make them differentiable in both modes.
 
 
-def _on_host(function: Callable[..., Any], like: Any, *given: Any) -> Any:
-    """Apply a function of lists of NumPy's arrays; `like` has the shapes and types of its results."""
+def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
+    """Return a function of NumPy's arrays from one of a list of them; `like` has the shapes and types of its results.
 
-    # JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    """
+
     @one_at_a_time
     def called(*arrays: Any) -> Any:
         made = function([working_array(np.asarray(each)) for each in arrays])
         return jax.tree.map(lambda one, each: np.asarray(each, one.dtype).reshape(one.shape), like, made)
 
-    return jax.pure_callback(called, like, *given)
+    return called
 
 
 def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
@@ -234,14 +248,22 @@ def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], s
     made.multiple_results = several
 
     def evaluate(*given: Any, **options: Any) -> Any:
-        return _on_host(partial(apply, **options), like(*given, **options), *given)
+        # Not as a callback, for which JAX compiles a program per function and keeps thousands with what they hold. The
+        # arrays are waited for first: what computes them may need its turn on the host.
+        arrays = [np.asarray(each) for each in given]
+        called = _on_host(partial(apply, **options), like(*given, **options))
+        return jax.tree.map(jax.numpy.asarray, called(*arrays))
+
+    def compiled(*given: Any, **options: Any) -> Any:
+        wanted = like(*given, **options)
+        return jax.pure_callback(_on_host(partial(apply, **options), wanted), wanted, *given)
 
     def abstract(*given: Any, **options: Any) -> Any:
         return jax.tree.map(lambda one: jax.core.ShapedArray(one.shape, one.dtype), like(*given, **options))
 
     made.def_impl(evaluate)
     made.def_abstract_eval(abstract)
-    mlir.register_lowering(made, mlir.lower_fun(evaluate, multiple_results=several))
+    mlir.register_lowering(made, mlir.lower_fun(compiled, multiple_results=several))
     return made
 
 

@@ -1,8 +1,10 @@
 """Captures and reconstructions as functions of PyTorch's tensors, by gradcheck and by differences."""
 
+import gc
 import importlib
 import re
 import sys
+import weakref
 
 import drjit as dr
 import mitsuba as mi
@@ -287,6 +289,23 @@ def test_weights_and_camera_together():
     assert float(pitch.grad) == pytest.approx(float(expected["mla_pitch"].sum()), rel=1e-5)
     np.testing.assert_allclose(offset.grad, expected["mla_offset"], rtol=1e-5)
     np.testing.assert_allclose(weights.grad, operator.adjoint(given).T, rtol=1e-5)
+
+
+def test_steps_of_a_loop_keep_nothing():
+    operators = []
+
+    def make(camera):
+        made = CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0)
+        operators.append(weakref.ref(made))
+        return made
+
+    for step in range(4):
+        distance = torch.tensor(CAMERA.mla_distance + 1e-4 * step, dtype=torch.float64, requires_grad=True)
+        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, torch.ones(3, dtype=torch.float64))
+        (image**2).sum().backward()
+    del image
+    gc.collect()
+    assert not any(each() for each in operators)
 
 
 def test_cameras_in_forward_mode():
