@@ -363,7 +363,7 @@ def demosaic(
 def _forecast(minutes: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
     """Return how long a capture takes, and what is the cheapest to change about that."""
     if (method or getattr(scene.integrator(), "method", "")) == "points":
-        cause = "each point of the scene is propagated; --method signed_rays takes minutes at most"
+        cause = "each point is propagated; --method signed_rays takes one to some ray captures"
     else:
         count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
         cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
