@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from .phase_screen import PhaseScreen, frozen_flow
     from .plugins.other_camera import with_camera
     from .prescription import Prescription
-    from .reconstruction import Reconstruction, reconstruct
+    from .reconstruction import Reconstruction, estimate_reconstruction, reconstruct
     from .report.viewer import Viewer, view
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
@@ -94,7 +94,7 @@ _MODULES = {
     "phase_screen": ("PhaseScreen", "frozen_flow"),
     "plugins.other_camera": ("with_camera",),
     "prescription": ("Prescription",),
-    "reconstruction": ("Reconstruction", "reconstruct"),
+    "reconstruction": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
     "report.viewer": ("Viewer", "view"),
     "runtime.batches": ("Cluster",),
     "runtime.jobs": ("Job",),
@@ -128,6 +128,7 @@ __all__ = [
     "demosaic",
     "dual_pixel",
     "estimate_capture",
+    "estimate_reconstruction",
     "example",
     "example_truth",
     "expose",

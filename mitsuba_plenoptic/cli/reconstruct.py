@@ -43,11 +43,11 @@ from .stopping import existing_checkpoint, stopped_by_hand
 def reconstruct(
     capture: CaptureFile,
     output: Annotated[
-        Path,
+        Path | None,
         output_option(
             "FILE",
-            "File to write: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png. With "
-            "several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into "
+            "File to write, not needed with --estimate: float32 OpenEXR if it ends in .exr, an 8-bit picture if in "
+            ".png. With several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into "
             "one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif (ImageJ), "
             ".ome.tif (OME) or .zarr.",
         ),
@@ -152,6 +152,9 @@ def reconstruct(
         str | None,
         typer.Option(metavar="ADDRESS", help="For deconvolved: compute them on the workers of this Dask scheduler."),
     ] = None,
+    estimate: Annotated[
+        bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
+    ] = False,
     exposure: Exposure = None,
     percentile: Percentile = None,
     scale: Scale = None,
@@ -174,6 +177,8 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
 
+      mitsuba-plenoptic reconstruct raw.exr --method deconvolved --distance 280 --estimate
+
       mitsuba-plenoptic reconstruct raw.exr -o far.png --distance inf --white white.exr
 
       mitsuba-plenoptic reconstruct raw.exr -o fine.exr --method deconvolved --oversample 4 --distance 280
@@ -188,6 +193,26 @@ def reconstruct(
             value is not None and not chosen.long,
             f"--{option}: method {method} does not take it; methods that do: deconvolved",
         )
+    options: dict[str, Any] = {
+        "method": method,
+        "wavelength": wavelength,
+        "interleave": _period(interleave),
+        "footprint": footprint,
+        "relay": relay,
+        "oversample": oversample,
+        "response": response,
+        "iterations": iterations,
+        "accelerate": accelerate,
+        "photons": photons,
+        "volume": volume or None,
+        "variation": variation,
+    }
+    if estimate:
+        _print_estimate(capture, known=named_camera(camera), linear=linear, white=white, variant=variant,
+                        distance=distance, options=options)
+        return
+    if output is None:
+        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     whole = output.suffix.lower() in SUFFIXES
     drawing = drawing_of(exposure, percentile, scale, figure, output, overview)
     paths = [] if whole else reconstruction_paths(output, distance, drawing)
@@ -210,22 +235,11 @@ def reconstruct(
             results = reconstruction.reconstruct(
                 recorded,
                 distance,
-                method=method,
-                wavelength=wavelength,
-                interleave=_period(interleave),
-                footprint=footprint,
-                relay=relay,
-                oversample=oversample,
                 white=reference,
-                response=response,
-                iterations=iterations,
-                accelerate=accelerate,
-                photons=photons,
-                volume=volume or None,
-                variation=variation,
                 progress=progress,
                 checkpoint=saved,
                 batch_map=batch_map,
+                **options,
             )
         if not whole:
             write_reconstructions(paths, results, recorded.metadata, drawing)

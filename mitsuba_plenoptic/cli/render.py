@@ -20,7 +20,7 @@ from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import remove_leftovers, require_apart, require_different, require_writable
 from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
 from ..io.lytro_file import nearest_white
-from ..runtime.progress import Forecast, progress_bar
+from ..runtime.progress import MINUTE, Forecast, in_words, progress_bar
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -183,8 +183,9 @@ def render(
         refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)
     with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
 
-        def tell(minutes: float) -> None:
-            _log.info("%s", _forecast(minutes, loaded, sensor, spp, method))
+        def tell(seconds: float) -> None:
+            if seconds > MINUTE:
+                _log.info("%s", _forecast(seconds, loaded, sensor, spp, method))
 
         with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
             start = time.perf_counter()
@@ -194,7 +195,7 @@ def render(
                 model=model,
                 spp=spp,
                 seed=seed,
-                progress=Forecast(progress, tell),
+                progress=Forecast(tell, progress),
                 checkpoint=saved if by_waves else None,
                 batch_map=batch_map,
                 noise=noise,
@@ -360,11 +361,11 @@ def demosaic(
     typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")
 
 
-def _forecast(minutes: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
+def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
     """Return how long a capture takes, and what is the cheapest to change about that."""
     if (method or getattr(scene.integrator(), "method", "")) == "points":
         cause = "each point is propagated; --method signed_rays takes one to some ray captures"
     else:
         count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
         cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
-    return f"the capture takes about {minutes:.0f} minutes: {cause}"
+    return f"the capture takes about {in_words(seconds)}: {cause}"

@@ -6,6 +6,7 @@ A new method is a new module with a function that `methods.method` registers, im
 # in the order in which help and messages name them
 from . import ray, waves, incoherent, deconvolved  # noqa: F401, I001
 from .api import reconstruct
+from .estimates import estimate_reconstruction
 from .methods import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
@@ -22,6 +23,7 @@ __all__ = [
     "RayRefocus",
     "Reconstruction",
     "Volume",
+    "estimate_reconstruction",
     "read_reconstruction",
     "reconstruct",
     "write_reconstruction",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, overload
@@ -30,6 +31,8 @@ from ..lightfield.white import scaled_white
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
+from ..runtime.limits import GIB, memory_asked
+from ..runtime.progress import Forecast, in_words
 from ..system.lens_kinds import regular_array
 from .deconvolution.variation import MOST as _MOST
 from .methods import (
@@ -38,6 +41,7 @@ from .methods import (
     Found,
     Task,
     as_capture,
+    portion,
     require_distances,
     require_image_memory,
     require_interleave,
@@ -45,6 +49,7 @@ from .methods import (
     require_taken,
     require_upright,
     require_wavelengths,
+    work_of,
 )
 from .partitions import require_partition
 from .radiance import is_known
@@ -84,7 +89,12 @@ def _require_same_light(white: Capture, capture: Capture, channels: int) -> None
     )
 
 
-_PROGRESS_STEPS = 100
+_log = logging.getLogger(__name__)
+
+_PROGRESS_STEPS = 1000
+
+_LONG = 30.0
+"""Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
 
 
 @overload
@@ -330,12 +340,21 @@ def reconstruct(
     reference = None if white is None else reference_white(white, capture, recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
+    def tell(seconds: float) -> None:
+        if seconds > _LONG:
+            needed = f"{in_words(seconds)} and {max(sizes) / GIB:.2g} GiB"
+            _log.info("method %s takes about %s; method ray takes a small part of that", method, needed)
+
+    forecast, reported = Forecast(tell, progress), -1
+
     def report(done: float) -> None:
-        if progress:
-            progress(round(done * _PROGRESS_STEPS), _PROGRESS_STEPS)
+        nonlocal reported
+        if (step := round(done * _PROGRESS_STEPS)) != reported:
+            reported = step
+            forecast(step, _PROGRESS_STEPS)
 
     report(0)
-    with guards.watch() as found:
+    with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,
             camera=camera,
@@ -375,9 +394,11 @@ def _by_wavelength(task: Task) -> list[Task]:
     """Return the work on each channel with the camera of its wavelength; all at once where that is the same."""
     if task.camera.glass is None and task.camera.mla_glass is None:
         return [task]
+    works = work_of(task.wavelengths)
     return [
         dataclasses.replace(
             task,
+            progress=portion(task.progress, channel, works),
             image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
             camera=task.camera.at_wavelength(wavelength),
             wavelengths=[wavelength],

@@ -17,16 +17,13 @@ from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
 from .deconvolution.solver import Solved, SolverCheckpoint, richardson_lucy
 from .deconvolution.variation import Noise
-from .methods import Found, Progress, Task, method, portion
+from .methods import Found, Progress, Task, method, portion, work_of
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 """Steps where nothing is known of the noise, and at most where it is."""
 
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
-
-_PLANNING = 0.3
-"""Fraction of the progress that counts for the point spreads."""
 
 _OPTIONS = ("response", "iterations", "accelerate", "photons", "volume", "variation")
 
@@ -52,9 +49,10 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     checkpoint = SolverCheckpoint(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
     work, done = channels * planes, len(checkpoint.solved)
     refuse_if(done > work or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {work}")
+    works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
     for index in range(done // len(groups[0]), channels * len(groups)):
         channel, group = divmod(index, len(groups))
-        report = portion(task.progress, index, channels * len(groups))
+        report = portion(task.progress, index, works)
         checkpoint.solved += list(_solve(task, groups[group], channel, options, noise, checkpoint, report))
     found = [[checkpoint.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
@@ -75,25 +73,26 @@ def _solve(
     """Yield the result of each plane for one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
+    most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
     with response_of(task.camera)(
         task.camera,
         distances,
         wavelength=None if options["response"] == "ray" else task.wavelengths[channel],
         oversample=task.oversample,
-        job=Job(progress=lambda done, total: report(_PLANNING * done / total), batch_map=task.batch_map),
+        job=Job(progress=lambda done, total: report(done / total), batch_map=task.batch_map),
+        steps=most,
     ) as made:
-        known = iterations is None and noise is not None
         solution = richardson_lucy(
             made,
             image,
-            iterations=iterations or (MOST_ITERATIONS if known else DEFAULT_ITERATIONS),
+            iterations=most,
             accelerate=options["accelerate"],
-            misfit=noise.misfit if known and noise else None,
+            misfit=noise.misfit if noise and iterations is None else None,
             shift=noise.shift if noise else 0.0,
             penalty=(made.variation(), variation) if variation else None,
             state=checkpoint.state(made.shapes),
             keep=checkpoint.keep,
-            progress=lambda done: report(_PLANNING + (1 - _PLANNING) * done),
+            progress=lambda done: report(made.prepared + (1 - made.prepared) * done),
         )
     for plane, parts in enumerate(zip(solution.values, solution.seen, strict=True)):
         radiance, light = (made.to_image(part, plane) for part in parts)

@@ -83,7 +83,7 @@ def reconstruct_subsets(
     passed = 0.0
     for number in range(count):
         part = image if labels is None else np.where(labels == number, image, np.float32(0))
-        options = interleave, relay, oversample, portion(progress, number, count)
+        options = interleave, relay, oversample, portion(progress, number, [1] * count)
         passed += _add_power(totals, part, camera, distances, wavelength, conjugates, *options)
         # Also where a subset is dark.
         progress((number + 1) / count)
@@ -114,21 +114,24 @@ def _add_power(
         return 0.0
     grids = plan(camera, wavelength, distances, lit, oversample)
     require_feasible(grids)
-    fields = BackwardFields(camera, wavelength, grids, interleave=interleave, relay=relay)
+    zones = [list(conjugates.zones(distance)) for distance in distances]
+    to_planes = [step for step, parts in zip(grids.to_objects, zones, strict=True) for _ in parts]
+    fields = BackwardFields(
+        camera, wavelength, grids, interleave=interleave, relay=relay, to_planes=to_planes, progress=progress
+    )
     sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
     inside = tuple(
         slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
     )
     passed = 0.0
     with resting_drjit():
-        for done, field in enumerate(fields.at_pupil(np.sqrt(image[inside[::-1]]))):
+        for field in fields.at_pupil(np.sqrt(image[inside[::-1]])):
             passed += fields.power(field)
-            for total, distance, step, bins in zip(totals, distances, grids.to_objects, sums, strict=True):
-                for zone in conjugates.zones(distance):
+            for total, parts, step, bins in zip(totals, zones, grids.to_objects, sums, strict=True):
+                for zone in parts:
                     found = backend().to_host(bins.forward(fields.to_object(field, zone, step)))
                     part = zone.part(found.shape)
                     total[part] += found[part]
-            progress((done + 1) / interleave**2)
     return passed
 
 
@@ -148,7 +151,8 @@ class BackwardFields:
     """From the amplitudes of the pixels that a plan was made for to the fields of subsets of lenses, and the vjp.
 
     A subset is every `interleave`-th lens along both indices of the lattice. Without `relay` the microlenses do not act
-    in the MLA plane, and there is no vjp.
+    in the MLA plane, and there is no vjp. The work of which `progress` is reported is that of all subsets, to the main
+    lens and by the steps `to_planes` from there.
     """
 
     def __init__(
@@ -160,6 +164,8 @@ class BackwardFields:
         interleave: int,
         relay: bool = True,
         with_vjp: bool = False,
+        to_planes: Sequence[Step] = (),
+        progress: Progress = lambda done: None,
     ) -> None:
         self._camera, self._wavelength, self._grids = camera, wavelength, grids
         self._interleave, self._relay = interleave, relay
@@ -177,11 +183,20 @@ class BackwardFields:
             )
             memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
             require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
-        self._workspace = FieldWorkspace(steps)
         self._pupil = _Pupil(grids.pupil, camera.aperture_radius)
         # The light of all lenses on the array serves every subset, where it fits into memory.
         self._holds = interleave > 1 and relay and len(grids.strips) == 1
         self._holds &= grids.memory + on_array <= field_memory()
+        if self._holds:
+            require_memory(grids.memory + on_array, "a wave reconstruction by subsets", limit=field_memory())
+        once = [strip.to_mla for strip in grids.strips] if self._holds else []
+        each = [step for strip in grids.strips for step in strip.steps if step not in once] + list(to_planes)
+        # To write what is held, to memory never used before, takes as long as the transforms of that.
+        held = sum(step.transformed for step in once)
+        work = 2 * held + interleave**2 * sum(step.transformed for step in each)
+        self._workspace = FieldWorkspace(
+            steps, lambda transformed: progress((transformed + min(transformed, held)) / work)
+        )
 
     @property
     def _subsets(self) -> list[tuple[int, int]]:

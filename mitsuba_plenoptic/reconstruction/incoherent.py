@@ -25,7 +25,7 @@ import numpy as np
 from ..runtime.jobs import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
-from .methods import Progress, Task, method, portion
+from .methods import Progress, Task, method, portion, work_of
 from .radiance import captures, to_radiance
 from .ray import white_pixels, white_sums
 
@@ -34,7 +34,7 @@ from .ray import white_pixels, white_sums
 def refocus(task: Task) -> list[np.ndarray]:
     """Weigh the capture with that of every bin by itself."""
     count = len(task.distances)
-    parts = (portion(task.progress, index, count) for index in range(count))
+    parts = (portion(task.progress, index, [1] * count) for index in range(count))
     return [
         _plane(dataclasses.replace(task, distances=[distance], progress=progress))
         for distance, progress in zip(task.distances, parts, strict=True)
@@ -52,12 +52,19 @@ def _plane(task: Task) -> np.ndarray:
     # For each channel the bins of the captures and of white.
     bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
     for index, wavelength in enumerate(lights):
-        job = Job(progress=_fraction(portion(task.progress, index, len(lights))))
-        with response_type(camera, task.distances, wavelength=wavelength, oversample=task.oversample, job=job) as made:
+        channels = np.flatnonzero(np.equal(task.wavelengths, wavelength))
+        with response_type(
+            camera,
+            task.distances,
+            wavelength=wavelength,
+            oversample=task.oversample,
+            job=Job(progress=_fraction(portion(task.progress, index, work_of(lights)))),
+            steps=len(channels) * (len(given) + 1) / 2,
+        ) as made:
             by_waves = task.recorded is not None or not camera.lens_data.converges
             ones = [np.ones(shape, np.float32) for shape in made.shapes]
             white = made.forward(ones) if by_waves else white_pixels(camera)
-            for channel in np.flatnonzero(np.equal(task.wavelengths, wavelength)):
+            for channel in channels:
                 pixels = [*(image[..., channel] for image in given), white]
                 weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
                 bins[channel] = [made.to_image(each, 0) for each in weighed]

@@ -94,9 +94,15 @@ class Found:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def portion(progress: Progress, number: int, count: int) -> Progress:
-    """Return a progress callback for one of several parts of a computation."""
-    return lambda done: progress((number + done) / count)
+def portion(progress: Progress, number: int, works: Sequence[float]) -> Progress:
+    """Return a progress callback for one of several parts of a computation, by the amounts of their work."""
+    before, own, total = sum(works[:number]), works[number], sum(works)
+    return lambda done: progress((before + own * done) / total)
+
+
+def work_of(wavelengths: Sequence[float]) -> list[float]:
+    """Return the amounts of work for waves of some wavelengths, which their samples along both axes determine."""
+    return [wavelength**-2 for wavelength in wavelengths]
 
 
 Refocus = Callable[..., Sequence[np.ndarray | Found]]

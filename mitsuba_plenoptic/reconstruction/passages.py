@@ -113,22 +113,16 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
 class FieldWorkspace:
     """Memory that serves all of some steps: fresh pages would cost nearly as much as the transforms on them.
 
-    `transformed` counts the samples that Fourier transforms have gone through; `report` is called as it grows. With
-    `every`, the steps do only every so many of their blocks, to be timed: their fields are worth nothing then.
+    `report` is called with the samples that Fourier transforms have gone through.
     """
 
-    def __init__(self, steps: Iterable[Step], report: Callable[[int], None] | None = None, every: int = 1) -> None:
+    def __init__(self, steps: Iterable[Step], report: Callable[[int], None] = lambda transformed: None) -> None:
         self.libraries = backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
-        self.every, self.transformed, self._report = every, 0, report
+        self._transformed, self._report = 0, report
         columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
         self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
         self._buffers: dict[str, Field] = {}
-
-    @property
-    def memory(self) -> float:
-        """Bytes of what has been allocated."""
-        return float(self._columns.nbytes + sum(buffer.nbytes for buffer in self._buffers.values()))
 
     def columns(self, step: Step) -> Field:
         """Return the memory of a step's columns, which is that of the last step's, too."""
@@ -144,7 +138,7 @@ class FieldWorkspace:
     def runs(self, count: int, block: int | None = None) -> Iterator[slice]:
         """Yield the blocks of some rows that are worked on together."""
         block = block or self.block
-        for first in range(0, count, block * self.every):
+        for first in range(0, count, block):
             yield slice(first, min(first + block, count))
 
     def blocks(self, field: Field) -> Rows:
@@ -155,9 +149,8 @@ class FieldWorkspace:
     def fft(self, field: Field, *, inverse: bool = False) -> Field:
         """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
         found = fft(field, axis=1, inverse=inverse, norm="forward")
-        self.transformed += field.size
-        if self._report:
-            self._report(self.transformed)
+        self._transformed += field.size
+        self._report(self._transformed)
         return found
 
 
@@ -217,8 +210,6 @@ def to_directions(
     low, high = _lowest(x.padded, x.held)
     end = 0
     for rows, samples in source:
-        if workspace.every > 1:
-            end = rows.start
         for lit in element.lit(rows):
             columns[:, end : lit.start] = 0
             end = lit.stop
@@ -228,7 +219,7 @@ def to_directions(
             part = workspace.fft(part)
             columns[: low.stop, lit] = part[:, low].T
             columns[low.stop :, lit] = part[:, high].T
-    columns[:, end : y.count if workspace.every == 1 else end] = 0
+    columns[:, end : y.count] = 0
     block = workspace.array("rows", (workspace.block, y.padded))
     spectrum = workspace.array("spectrum", (workspace.block, y.held))
     low, high = _lowest(y.padded, y.held)

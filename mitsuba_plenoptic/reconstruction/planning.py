@@ -174,6 +174,11 @@ class Step:
             (y.wanted, x.new_padded, True),
         )
 
+    @property
+    def transformed(self) -> int:
+        """Samples that the Fourier transforms of the step go through."""
+        return sum(count * length for count, length, _ in self.transforms)
+
 
 @dataclass(frozen=True)
 class Directions(Step):
@@ -200,6 +205,11 @@ class Strip:
     to_mla: Step
     beyond_paraxial: Step
     to_main_lens: Directions
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps, in their order."""
+        return self.to_mla, self.beyond_paraxial, self.to_main_lens
 
 
 @dataclass(frozen=True)
@@ -230,13 +240,12 @@ class FieldPlan:
     @property
     def steps(self) -> tuple[Step, ...]:
         """All steps."""
-        on_array = (step for strip in self.strips for step in (strip.to_mla, strip.beyond_paraxial, strip.to_main_lens))
-        return (*on_array, *self.to_objects)
+        return (*(step for strip in self.strips for step in strip.steps), *self.to_objects)
 
     @property
     def transformed(self) -> int:
         """Samples that the Fourier transforms of all steps go through."""
-        return sum(count * length for step in self.steps for count, length, _ in step.transforms)
+        return sum(step.transformed for step in self.steps)
 
     @property
     def memory(self) -> float:

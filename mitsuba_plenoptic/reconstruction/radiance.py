@@ -252,13 +252,14 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
     """
     work = [(task.image, task.distances)] + ([] if task.white is None else [(task.white, task.distances)])
     tilted: Iterator[tuple[float, np.ndarray]] = iter(())
-    steps = len(work)
+    # The ways to the main lens and from there to a plane take about equally long.
+    works = [1 + len(distances) for _, distances in work]
     if task.white is not None and is_known(task.camera):
-        steps += 2 * len(task.distances)
+        works += [2] * (2 * len(task.distances))
         tilted = tilted_whites(task.white, task.camera, task.distances, task.recorded)
     made = itertools.chain(work, ((image, [distance]) for distance, image in tilted))
     for done, (image, distances) in enumerate(made):
-        yield image, distances, portion(task.progress, done, steps)
+        yield image, distances, portion(task.progress, done, works)
 
 
 def to_radiance(

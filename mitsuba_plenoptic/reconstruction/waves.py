@@ -70,7 +70,7 @@ from .lens_by_lens import (
     reconstruct_lens_by_lens,
 )
 from .lens_tiles import LensTile, fine_bins, tile_lenses
-from .methods import Found, Progress, Task, method, portion
+from .methods import Found, Progress, Task, method, portion, work_of
 from .partitions import Labels, LensArray
 from .planning import plan
 from .radiance import captures, lens_scale, once_a_camera, over_lenses, to_radiance
@@ -294,11 +294,15 @@ def _refocus(
     camera, oversample = task.camera, task.oversample
     sums = []
     for image, distances, progress in captures(task):
-        count, found = image.shape[2], []
-        for channel, wavelength in enumerate(task.wavelengths[:count]):
-            given = image[..., channel], task.system(wavelength), distances, interleave, labels, relay, oversample
-            found.append(_signed_power(*given, portion(progress, channel, count)))
-        sums.append([np.stack(planes, axis=-1) for planes in zip(*found, strict=True)])
+        # The shortest waves, which take the most memory, come first.
+        channels = np.argsort(task.wavelengths[: image.shape[2]]).tolist()
+        works, found = work_of([task.wavelengths[channel] for channel in channels]), {}
+        for index, channel in enumerate(channels):
+            system = task.system(task.wavelengths[channel])
+            given = image[..., channel], system, distances, interleave, labels, relay, oversample
+            found[channel] = _signed_power(*given, portion(progress, index, works))
+        of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
+        sums.append([np.stack(planes, axis=-1) for planes in of_planes])
     white = [
         np.stack([white_light(camera, w, g, oversample, relay) for w in task.wavelengths], axis=-1)
         for g in (task.distances if task.white is None else ())
@@ -341,7 +345,7 @@ def _signed_power(
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
         options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
-        options |= {"progress": portion(progress, index, len(parts)), "conjugates": real or ThinConjugates(system)}
+        options |= {"progress": portion(progress, index, [1] * len(parts)), "conjugates": real or ThinConjugates(system)}
         period = full_field_period(part, seen, planes, wavelength) if isinstance(interleave, str) else interleave
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)

@@ -48,6 +48,8 @@ def require_memory(
 ) -> None:
     """Refuse work that needs more memory than is allowed."""
     limit = memory_limit() if limit is None else limit
+    for sizes in _asked:
+        sizes.append(needed)
     # Written so that an estimate that is not a number is refused too.
     if needed <= limit:
         return
@@ -57,6 +59,20 @@ def require_memory(
         + (f"; {hint} would fit" if hint else "")
         + unit_hint(needed, limit)
     )
+
+
+_asked: list[list[float]] = []
+
+
+@contextmanager
+def memory_asked() -> Iterator[list[float]]:
+    """Gather the bytes of all work for which `require_memory` is asked."""
+    sizes: list[float] = []
+    _asked.append(sizes)
+    try:
+        yield sizes
+    finally:
+        _asked.remove(sizes)
 
 
 def unit_hint(needed: float, limit: float) -> str:

@@ -24,7 +24,7 @@ FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 0.3, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
 SETTLED, MINUTE = 5.0, 60.0
-"""Seconds of work after which its speed is known, and seconds from which on the whole is forecast."""
+"""Seconds of work after which its speed is known, and seconds in a minute."""
 
 
 class ProgressBar:
@@ -42,26 +42,33 @@ class ProgressBar:
 
 
 class Forecast:
-    """Passes progress on, and tells once, as soon as it is known, the minutes of work that takes more than one."""
+    """Passes progress on, and tells once, as soon as they are known, the seconds that all of the work takes."""
 
-    def __init__(self, progress: ProgressBar, tell: Callable[[float], None]) -> None:
+    def __init__(self, tell: Callable[[float], None], progress: Callable[[int, int], None] | None = None) -> None:
         self._progress, self._tell = progress, tell
+        self._start = time.monotonic()
         self._first: tuple[float, float] | None = None
         self._known = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Show the fraction of the total that is done; see `ProgressBar`."""
-        self._progress(done, total)
-        now, fraction = time.monotonic(), self._progress.fraction
+        """Take the fraction of the total that is done; see `ProgressBar`."""
+        if self._progress:
+            self._progress(done, total)
+        now, fraction = time.monotonic(), done / max(total, 1)
+        if self._known or fraction == 0:
+            return
         if self._first is None:
-            # Before, scenes are loaded and kernels compiled.
+            # Before, plans are made and kernels compiled.
             self._first = now, fraction
         elapsed, part = now - self._first[0], fraction - self._first[1]
-        if not self._known and elapsed >= SETTLED and part > 0:
+        if elapsed >= SETTLED and part > 0:
             self._known = True
-            left = (1 - fraction) * elapsed / part
-            if elapsed + left > MINUTE:
-                self._tell((elapsed + left) / MINUTE)
+            self._tell(now - self._start + (1 - fraction) * elapsed / part)
+
+
+def in_words(seconds: float) -> str:
+    """Return a time as people say it."""
+    return f"{seconds:.2g} s" if seconds < MINUTE else f"{seconds / MINUTE:.2g} minutes"
 
 
 @contextlib.contextmanager

@@ -39,12 +39,18 @@ _MEMORY = 2 * 2**30
 _DARK = 2
 """Lens pitches beyond the image of the stop where light of the outermost lenses still goes."""
 
+_SPREAD_TIME = 30.0
+"""Time of a sample of a point spread, over that of a sample of the transforms of an inversion's step."""
+
+_PROGRESS = 1000
+"""Parts of a point spread in which progress is counted."""
+
 
 class FourierResponse(StoredResponse):
     r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
 
     Bins fill the picture of one lens, with `PlenopticCamera.bin_count` times `oversample` bins. Everything outside is
-    taken to be dark: in a real microscope a field stop hides it.
+    taken to be dark: in a real microscope a field stop hides it. For `steps` and `prepared` see `Response`.
     """
 
     def __init__(
@@ -55,6 +61,7 @@ class FourierResponse(StoredResponse):
         wavelength: float | None,
         oversample: int,
         job: Job | None = None,
+        steps: float = 0.0,
     ) -> None:
         assert wavelength is not None
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
@@ -70,7 +77,10 @@ class FourierResponse(StoredResponse):
         one = np.ones(1, np.float32)
         batches = [plan.batch(plane, one) for plane in range(len(distances))]
         self._spectra: list[NDArray[np.complex64]] = []
-        for part in (job or Job()).each(batches, [1] * len(batches), 0, len(batches)):
+        spreads = _SPREAD_TIME * len(batches) * math.prod(fine.resolution)
+        self.prepared = spreads / (spreads + steps * len(batches) * oversample**2 * math.prod(self._size))
+        total = math.ceil(_PROGRESS * len(batches) / self.prepared)
+        for part in (job or Job()).each(batches, [_PROGRESS] * len(batches), 0, total):
             spectra = self._kernel_spectra(np.asarray(part.sums[0]), fine)
             self._spectra += self._stored([spectra], f"{len(self._spectra)}")
 
