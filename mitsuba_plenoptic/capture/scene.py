@@ -304,8 +304,10 @@ def load_scene(
         [text for root in roots for each in root.iter() for text in each.attrib.values()],
     )
     for name in parameters:
-        # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text.
-        if not any(f"${name}" in text for text in texts):
+        # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text, but for longer
+        # names.
+        longer = [each for each in defaults if each.startswith(name) and each != name]
+        if not any(f"${name}" in re.sub("|".join(rf"\${each}" for each in longer) or "$^", "", text) for text in texts):
             known = sorted(defaults)
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
             raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")

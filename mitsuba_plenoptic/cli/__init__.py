@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, at_shell
+from ..errors import InputError, at_shell, relation
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -186,7 +186,10 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
         return _with_options(str(error), options)
     if isinstance(error, OSError):
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-    return str(error.format_message()).rstrip(".") if _is_usage(error) else None  # type: ignore[attr-defined]
+    if not _is_usage(error):
+        return None
+    rule = relation(getattr(error, "option_name", "").strip("-").replace("-", "_"))
+    return str(error.format_message()).rstrip(".") + (f"; {rule}" if rule else "")  # type: ignore[attr-defined]
 
 
 def _is_usage(error: Exception) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import re
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -109,8 +110,10 @@ CameraFile = Annotated[
     str | None,
     typer.Option(
         "--camera",
-        metavar="PRESET|FILE.json|SCENE",
-        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, or a scene's.",
+        metavar="PRESET|FILE.json|SCENE|NAME=VALUE,...",
+        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON or YAML file, as 'calibrate' writes it, a "
+        "scene's, or parameters, such as f_number=2.8,lenses=100,pixels_per_lens=10,pixel_size=0.005,focal_length=50,"
+        "focus_distance=320.",
     ),
 ]
 
@@ -194,18 +197,20 @@ _log = logging.getLogger(__name__)
 
 
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name."""
+    """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
-    if preset or source.lower().endswith((".json", ".js")):
+    stated = re.match(r"\w+=", source) is not None and not Path(source).is_file()
+    if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
         from ..calibration import read_camera
 
         return read_camera(source)
     refuse_if(
-        source.lower().endswith(".exr"), f"{source}: it is an image; a camera is a preset, a JSON file or a scene"
+        source.lower().endswith(".exr"),
+        f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
     )
     if not Path(source).exists() and source not in scene_names():
         names = scene_names()
