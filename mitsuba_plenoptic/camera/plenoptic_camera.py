@@ -257,6 +257,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         lenses : int or (int, int)
             Lenses of a row across the detector, and rows down it; one number is both. The detector has as many pixels
             as they cover, rounded to whole ones; rows of a hexagonal lattice are closer than the lenses in a row.
+            As the corner of four lenses of a square lattice is on the axis, odd counts leave half a lens at each edge.
         pixels_per_lens : float
             Pixels, 1 at least, from one micro-image to the next of its row.
         pixel_size : float
