@@ -9,7 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..errors import InputError, refuse_if, require_count, require_length, require_number, require_pair, short_repr
+from ..errors import (
+    MOST_PIXELS,
+    InputError,
+    refuse_if,
+    require_count,
+    require_length,
+    require_number,
+    require_pair,
+    short_repr,
+)
 from ..lattice import LATTICES
 
 MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size")
@@ -52,13 +61,20 @@ def behind_pupil(
     medium: float,
 ) -> dict[str, Any]:
     """Return the parameters of microlenses and detector behind a pupil of a radius, at a distance before the array."""
-    pixels = require_number("pixels_per_lens", pixels_per_lens, minimum=1)
+    pixels = require_number("pixels_per_lens", pixels_per_lens, minimum=1, maximum=MOST_PIXELS)
     size = require_length("pixel_size", pixel_size)
     pair = lenses if hasattr(lenses, "__len__") else (lenses, lenses)
-    columns, rows = (require_count("lenses", count) for count in require_pair("lenses", pair, "(columns, rows)"))
+    columns, rows = (
+        require_count("lenses", count, maximum=MOST_PIXELS) for count in require_pair("lenses", pair, "(columns, rows)")
+    )
     pitch = pixels * size
     reduced = pitch * distance / (2 * radius)
     resolution = max(1, round(columns * pixels)), max(1, round(rows * pixels * LATTICES[lattice].row_ratio))
+    refuse_if(
+        max(resolution) > MOST_PIXELS,
+        f"lenses = {short_repr(lenses)}: with pixels_per_lens = {pixels:g} the detector has {max(resolution)} pixels "
+        f"along a side; at most {MOST_PIXELS}",
+    )
     return {
         "mla_pitch": pitch * distance / (distance + reduced),
         "mla_focal_length": medium * reduced,

@@ -17,7 +17,11 @@ from ..camera.parameters import PARAMETERS
 from ..errors import InputError
 from .focus import mla_object_distances
 
-Changes = dict[str, Any]
+Changes = dict[str, Any] | None
+"""Parameters by name; None where no parameters mend a design."""
+
+_FASTEST = 0.5
+"""F-number below which no lens in air images without aberrations."""
 
 
 @dataclass(frozen=True)
@@ -32,18 +36,26 @@ class Finding:
     def mended(self, camera: PlenopticCamera) -> Iterator[tuple[str, PlenopticCamera]]:
         """Yield the remedies of which a camera comes, in words with the values, and these cameras."""
         for words, changes in self.remedies:
-            try:
-                changed = camera.replace(**changes)
-            except InputError:
-                # The lens does not open so far, a shape sets the focal length, or the detector would be too large.
-                continue
-            values = ", ".join(f"{name} = {_written(value)}" for name, value in changes.items())
-            yield f"{words} ({values})", changed
+            changed = changed_camera(camera, changes)
+            if changes is not None and changed is not None and changed.f_number >= min(_FASTEST, camera.f_number):
+                values = ", ".join(f"{name} = {_written(value)}" for name, value in changes.items())
+                yield f"{words} ({values})", changed
 
     def sentence(self, camera: PlenopticCamera) -> str:
         """Return the sentence of a warning: what is poor, and what would mend it."""
         offers = [words for words, _ in self.mended(camera)] + [self.besides] * bool(self.besides)
         return self.text + ("; " + ", or ".join(offers) if offers else "")
+
+
+def changed_camera(camera: PlenopticCamera, changes: Changes) -> PlenopticCamera | None:
+    """Return the camera with the changes, None where it is none.
+
+    The lens may not open so far, a shape set the focal length, or the detector be too large.
+    """
+    try:
+        return None if changes is None else camera.replace(**changes)
+    except InputError:
+        return None
 
 
 def _written(value: Any) -> str:
@@ -57,7 +69,7 @@ def detector_at(camera: PlenopticCamera, reduced_distance: float) -> Changes:
     """Return the microlenses and their distance from the detector, in air, with which they see the same image."""
     powers = [1 / reduced_distance + 1 / a for a in mla_object_distances(camera)]
     if min(powers) <= 0:
-        return {"detector_distance": math.nan}
+        return None
     lengths = one_if_single(tuple(camera.mla_medium / power for power in powers))
     return {"detector_distance": camera.mla_medium * reduced_distance, "mla_focal_length": lengths}
 
@@ -65,7 +77,8 @@ def detector_at(camera: PlenopticCamera, reduced_distance: float) -> Changes:
 def larger_lenses(camera: PlenopticCamera, factor: float) -> Changes:
     """Return microlenses that are larger, and as much farther from the detector."""
     pitch = one_if_equal((factor * camera.mla_pitches[0], factor * camera.mla_pitches[1]))
-    return {"mla_pitch": pitch, **detector_at(camera, factor * camera.reduced_distance)}
+    behind = detector_at(camera, factor * camera.reduced_distance)
+    return behind and {"mla_pitch": pitch, **behind}
 
 
 def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
@@ -75,7 +88,7 @@ def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
     def several(pair: tuple[int, int]) -> tuple[int, int]:
         return count * pair[0], count * pair[1]
 
-    found: Changes = {"resolution": several(camera.resolution)}
+    found = {"resolution": several(camera.resolution)}
     if camera.is_cropped:
         found |= {"crop_offset": several(camera.crop_offset), "crop_size": several(camera.crop_size)}
     return found
@@ -96,9 +109,6 @@ def least_change(change: Callable[[float], Changes], camera: PlenopticCamera, go
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = (low + high) / 2
-        try:
-            low, high = (middle, high) if good(camera.replace(**change(middle))) else (low, middle)
-        except InputError:
-            high = middle
-    # Where no factor is found the changes are of no camera.
-    return change(low)
+        changed = changed_camera(camera, change(middle))
+        low, high = (middle, high) if changed is not None and good(changed) else (low, middle)
+    return change(low) if low else None

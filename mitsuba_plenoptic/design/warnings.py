@@ -12,7 +12,16 @@ from .aberration import parabolic_aberration
 from .focus import best_distances, best_images, focus_type, lenses_across, mla_object_distances
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 from .microscope import microscope_findings
-from .remedies import Finding, detector_at, finer_pixels, in_millimetres, larger_lenses, least_change
+from .remedies import (
+    Changes,
+    Finding,
+    changed_camera,
+    detector_at,
+    finer_pixels,
+    in_millimetres,
+    larger_lenses,
+    least_change,
+)
 
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
@@ -24,7 +33,7 @@ _DUAL = 0.01
 _RAYLEIGH = 0.25
 """Aberration in waves that is hardly seen, by Rayleigh's criterion."""
 
-_MOST_CAMERAS = 200
+_MOST_CAMERAS = 60
 """Cameras that are tried to mend one."""
 
 
@@ -98,8 +107,7 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
     # The stop for which the micro-images just touch, and the distance of the detector.
     touching = camera.aperture_diameter * pitch / diameter
     width, lens = 2 * camera.pupil_radius, camera.lattice.nearest_distance
-    distance = lens * camera.pupil_distance / (width - lens) if width > lens else math.nan
-    microlenses = detector_at(camera, distance)
+    microlenses = detector_at(camera, lens * camera.pupil_distance / (width - lens)) if width > lens else None
     stop = {"aperture_radius": touching / 2}
     if diameter > pitch * (1 + SINGLE):
         yield Finding(
@@ -150,31 +158,43 @@ def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
             f"within its focal length of {camera.focal_length:.4g} mm",
             (("lengthen mla_distance, here to focus at infinity", {"mla_distance": farther}),),
         )
+    for distance, across in _gaps(camera).items():
+        yield Finding(
+            f"gaps at {distance:.4g} mm, where the microlenses are sharpest: the light of a point spans only "
+            f"{across:.2g} of them",
+            (
+                ("open the main lens", {"aperture_radius": camera.aperture_radius / across} if across else None),
+                ("move the detector so that they see farther", _seeing_farther(camera)),
+            ),
+        )
+
+
+def _gaps(camera: PlenopticCamera) -> dict[float, float]:
+    """Return where focused microlenses are sharpest and yet see less than all, and the lenses that a point lights."""
     if focus_type(camera) == "unfocused":
-        return
-    for distance in best_distances(camera):
-        across = lenses_across(camera, distance) if camera.focal_length < distance < math.inf else 1
-        if across < 1 - SINGLE:
-            yield Finding(
-                f"gaps at {distance:.4g} mm, where the microlenses are sharpest: the light of a point spans only "
-                f"{across:.2g} of them",
-                (
-                    ("open the main lens", {"aperture_radius": camera.aperture_radius / across}),
-                    ("move the detector so that they see farther", _seeing_farther(camera)),
-                ),
-            )
+        return {}
+    cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}
+    return {distance: across for distance, across in cones.items() if across < 1 - SINGLE}
 
 
-def _seeing_farther(camera: PlenopticCamera) -> dict[str, float]:
-    """Return the distance of the detector at which microlenses of one type see an image that leaves no gaps."""
+def _seeing_farther(camera: PlenopticCamera) -> Changes:
+    """Return the distance of the detector, nearer to the focal length of microlenses, that leaves no gaps."""
     (a, *others), pitch = mla_object_distances(camera), max(camera.mla_pitches)
-    width = camera.aperture_diameter * (1 - SINGLE)
-    reach = pitch * camera.mla_distance / (width + math.copysign(pitch, a))
-    # Several types see images of their own.
-    if others or reach <= 0:
-        return {"detector_distance": math.nan}
-    power = 1 / camera.reduced_focal_lengths[0] - 1 / math.copysign(reach, a)
-    return {"detector_distance": camera.mla_medium / power if power > 0 else math.nan}
+    if others:
+        # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.
+        blurs = (sign * blur for blur in (1.5, 3, 6, 12) for sign in (1, -1))
+        shares = (1 + blur * camera.pixel_size / camera.lattice.aperture_width for blur in blurs)
+        found = [share * camera.detector_distance for share in shares if share > 0]
+    else:
+        width = camera.aperture_diameter * (1 - SINGLE)
+        reach = math.copysign(pitch * camera.mla_distance / (width + math.copysign(pitch, a)), a)
+        power = 1 / camera.reduced_focal_lengths[0] - 1 / reach
+        found = [camera.mla_medium / power] if power > 0 and reach * a > 0 else []
+    for distance in found:
+        changed = changed_camera(camera, {"detector_distance": distance})
+        if changed is not None and not _gaps(changed):
+            return {"detector_distance": distance}
+    return None
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding]:
@@ -183,7 +203,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding
     # Pixels of unfocused microlenses are to gather directions; those of others sample an image.
     if focus_type(camera) != "unfocused" and camera.pixel_size > 0.5 * spot * (1 + SINGLE):
         factor = 2 * camera.pixel_size / spot
-        stopped = {"aperture_radius": camera.aperture_radius / factor}
+        behind = detector_at(camera, factor * camera.reduced_distance)
         yield Finding(
             f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um "
             f"exceeds half the spot's radius of {1e3 * spot:.4g} um",
@@ -191,7 +211,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding
                 ("make pixels finer", finer_pixels(camera, factor)),
                 (
                     "stop the main lens down and take microlenses of longer focal length",
-                    stopped | detector_at(camera, factor * camera.reduced_distance),
+                    behind and {"aperture_radius": camera.aperture_radius / factor, **behind},
                 ),
             ),
         )

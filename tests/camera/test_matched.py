@@ -60,7 +60,10 @@ def test_micro_images_of_a_white_capture(lattice):
     camera = PlenopticCamera.matched(**numbers)
     load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": "8"})
     white = {"type": "scene", "sensor": camera.to_sensor(), "light": {"type": "constant", "radiance": 1.0}}
-    picture = render_capture(load_scene(white | {"integrator": {"type": "path"}}), spp=400).image
+    scene = load_scene(white | {"integrator": {"type": "path"}})
+    # Sensors have numbers of single precision.
+    assert design_warnings(PlenopticCamera.from_sensor(scene.sensors()[0])) == []
+    picture = render_capture(scene, spp=400).image
     x, y = np.meshgrid(*(camera.pixel_coordinates(axis) / camera.pixel_size for axis in (0, 1)))
     index = [(i, j) for i in range(-8, 8) for j in range(-6, 6)]
     places = centres(camera, *index)
@@ -112,6 +115,7 @@ def test_files_and_texts_state_the_same_camera(tmp_path):
         ({"f_number": "2.8"}, "^f_number = '2.8': it must be a number"),
         ({"f_number": -1}, "^f_number = -1: it must be at least"),
         ({"lenses": 2.5}, "^lenses = 2.5: it must be a whole number"),
+        ({"lenses": 200_000}, "^lenses = 200000: with pixels_per_lens = 10 the detector has 2000000 pixels"),
         ({"lenses": (1, 2, 3)}, r"^lenses = \(1, 2, 3\): it must be a pair"),
         ({"pixels_per_lens": 0.5}, "^pixels_per_lens = 0.5: it must be at least 1"),
         ({"main_lens": "double_gauss"}, "^f_number = 2.8: aperture_radius = .* opens to"),
@@ -163,6 +167,7 @@ POOR = {
     "no directions": {"resolution": (128, 128)},
     "rims": {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 6},
     "gaps": {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 2.4},
+    "a type not focused": {"mla_lattice": "hexagonal", "mla_focal_length": (0.512, 0.47, 0.55)},
     "many": {
         "mla_distance": 121.536,
         "mla_focal_length": 0.384,
