@@ -104,6 +104,10 @@ class SweepSettings:
         A scene file or a built-in name.
     parameters : mapping
         Values for the scene's ``$name`` parameters that do not vary.
+    camera : mapping, optional
+        Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
+    unit : str
+        Of the scene's lengths, as for `load_scene`.
     model, spp, seed
         As for `render_capture`; by model "wave" captures are made from signed rays.
     method : str
@@ -114,6 +118,8 @@ class SweepSettings:
 
     scene: str
     parameters: Mapping[str, str] = field(default_factory=dict)
+    camera: Mapping[str, Any] | None = None
+    unit: str = "mm"
     model: str | None = None
     spp: int | None = None
     seed: int = 0
@@ -155,7 +161,7 @@ class Points:
             parameters = self.parameters(point)
             if (key := tuple(parameters.items())) in sizes:
                 continue
-            scene = load_with_sensor(self.settings.scene, parameters)
+            scene = self._load(parameters)
             if not is_wave_capture(scene, self.settings.model):
                 refuse_by_rays(resume=self.store.resume or None, **for_waves)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
@@ -178,6 +184,9 @@ class Points:
             names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
             yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
 
+    def _load(self, parameters: dict[str, str]) -> Any:
+        return load_with_sensor(self.settings.scene, parameters, self.settings.camera, self.settings.unit)
+
     def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
         settings, parameters = self.settings, self.parameters(point)
         options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
@@ -185,10 +194,16 @@ class Points:
             options["wavelength"] = point[WAVELENGTH]
         if settings.model == "wave":
             options["method"] = "signed_rays"
-        inputs = {"scene": scene_fingerprint(settings.scene, parameters), "variant": settings.variant, **options}
+        inputs = {
+            "scene": scene_fingerprint(settings.scene, parameters),
+            "camera": settings.camera,
+            "unit": settings.unit,
+            "variant": settings.variant,
+            **options,
+        }
 
         def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
-            scene = load_with_sensor(settings.scene, parameters)
+            scene = self._load(parameters)
             keeper = checkpoint if is_wave_capture(scene, settings.model) else None
             return render_capture(scene, progress=progress, checkpoint=keeper, batch_map=batch_map, **options)
 
