@@ -218,7 +218,13 @@ KNOWN_PARAMETERS = {
         *("source_diameter", "source_distance", "bandwidth", "roughness"),
     ),
 }
-"""Parameters of this package's plugins, for suggestions in messages; Mitsuba itself detects unknown parameters."""
+"""Parameters of this package's plugins, for suggestions in messages."""
+
+
+def unknown_parameter(plugin: str, name: str) -> str:
+    """Return the message on a parameter that a plugin does not have, with the one that was probably meant."""
+    return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
+
 
 GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
 """Parameters of ``plenoptic_wave`` up to version 0.2, for the radiators that signed rays have replaced."""
@@ -412,8 +418,7 @@ def mitsuba_sentence(error: Exception) -> str:
     start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
     last = " ".join(lines[start:])
     if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
-        known = KNOWN_PARAMETERS.get(found[1], ())
-        return f"{found[1]}: {found[2]}: it has no such parameter{did_you_mean(found[2], known)}"
+        return unknown_parameter(found[1], found[2])
     if found := re.search(r'Plugin "(\w+)" not found', last):
         return f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
