@@ -19,7 +19,7 @@ FLOORS = (
     "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
     "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "wavefront", "optimisation",
-    "array_functions", "scene_functions", "torch", "jax", "hcipy", "report", "dataset",
+    "sharpness", "array_functions", "scene_functions", "torch", "jax", "hcipy", "report", "dataset",
     "benchmark", "cli", "__main__",
 )  # fmt: skip
 
