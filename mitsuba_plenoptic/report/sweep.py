@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import itertools
 import json
 import math
@@ -21,7 +20,7 @@ from ..capture.render import is_wave_capture, refuse_by_rays, render_capture
 from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number, require_wavelength
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..io.files import atomic_output, read_yaml, remove_leftovers, require_writable
+from ..io.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
 from ..lens_data import image_distance
 from ..reconstruction import METHODS
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
@@ -280,36 +279,6 @@ class SweepFile:
         for number, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
             self.variables["reconstruction"][(*at, number, ...)] = image
             self.variables["bin_size"][(*at, number)] = capture.camera.bin_size(distance)
-
-
-class Sink(io.FileIO):
-    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
-
-    error: OSError | None = None
-
-    def write(self, data: Any) -> int:
-        """Write all of it; after an error, drop it."""
-        view = memoryview(data).cast("B")
-        size = len(view)
-        try:
-            while len(view) and not self.error:
-                view = view[super().write(view) :]
-        except OSError as error:
-            self.error = error
-        return size
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the size; after an error, do not."""
-        try:
-            return self.tell() if self.error else super().truncate(size)
-        except OSError as error:
-            self.error = error
-            return self.tell()
-
-    def check(self, path: Path) -> None:
-        """Raise the error that a write met."""
-        if self.error:
-            raise InputError(f"{path}: it cannot be written: {self.error.strerror}")
 
 
 def sweep(
