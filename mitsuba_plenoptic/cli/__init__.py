@@ -28,6 +28,7 @@ COMMANDS = {
     "render": "render",
     **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
+    "mtf": "mtf",
     "dual": "dual",
     **dict.fromkeys(("expose", "demosaic"), "render"),
     "calibrate": "calibrate",
@@ -41,7 +42,7 @@ COMMANDS = {
     **dict.fromkeys(("info", "doctor"), "info"),
 }
 
-STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "info", "doctor"))
+STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf", "info", "doctor"))
 """Commands that write files, and can be steps of a run file."""
 
 # Options that are not called as the arguments of the library that they are for.
