@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
+    from .sharpness import EdgeSharpness, edge_sharpness
 
     __version__: str
 
@@ -99,6 +100,7 @@ _MODULES = {
     "runtime.batches": ("Cluster",),
     "runtime.jobs": ("Job",),
     "runtime.progress": ("progress_bar",),
+    "sharpness": ("EdgeSharpness", "edge_sharpness"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
@@ -108,6 +110,7 @@ __all__ = [
     "Checkpoint",
     "Cluster",
     "Detector",
+    "EdgeSharpness",
     "GroundTruth",
     "InputError",
     "Job",
@@ -127,6 +130,7 @@ __all__ = [
     "decode",
     "demosaic",
     "dual_pixel",
+    "edge_sharpness",
     "estimate_capture",
     "estimate_reconstruction",
     "example",

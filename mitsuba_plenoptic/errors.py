@@ -125,9 +125,38 @@ def argument(name: str) -> str:
     return advice(python=name, shell=(_options or {}).get(name, f"--{name.replace('_', '-')}"))
 
 
+_MATCHED = "PlenopticCamera.matched, --camera and camera files take {} with the rest of a data sheet"
+
+_RELATIONS = {
+    "f_number": ("aperture_radius", f"focal_length / (2 f_number); {_MATCHED}"),
+    "aperture": ("aperture_radius", "half the diameter of the main lens; mla_aperture is the shape of microlenses"),
+    "aperture_diameter": ("aperture_radius", "half of it"),
+    "lenses": ("detector_width", f"lenses * pixels_per_lens * pixel_size; {_MATCHED}"),
+    "lens_count": ("detector_width", "lens_count * mla_pitch"),
+    "pixels_per_lens": (
+        "mla_pitch",
+        f"pixels_per_lens * pixel_size / (1 + detector_distance / mla_distance); {_MATCHED}",
+    ),
+    "pixel_size": ("detector_width", f"pixel_size * columns of resolution; {_MATCHED}"),
+    "detector_size": ("detector_width", "its first number; the second follows from resolution, as pixels are square"),
+    "detector_height": ("detector_width", "detector_height * columns / rows of resolution, as pixels are square"),
+    "lattice": ("mla_lattice", "square or hexagonal"),
+    "pitch": ("mla_pitch", "the distance of neighbouring microlenses in millimetres"),
+}
+"""Names that a camera's parameters have elsewhere: the parameter, and how it follows."""
+
+
+def relation(name: str) -> str:
+    """Return what a camera has instead of a name that is common elsewhere; nothing for other names."""
+    parameter, rule = _RELATIONS.get(name.lower(), ("", ""))
+    return f"{parameter} is {rule.format(name)}" if parameter else ""
+
+
 def did_you_mean(name: Any, known: Iterable[Any]) -> str:
     """Return the end of a message on an unknown name: the known one that it resembles, or nothing if none does."""
     names = {str(one).lower(): str(one) for one in known}
+    if _RELATIONS.get(str(name).lower(), ("",))[0] in names:
+        return f"; {relation(str(name))}"
     found = difflib.get_close_matches(str(name).lower()[:_LONGEST_VALUE], names, n=1)
     return f"; did you mean {names[found[0]]}?" if found else ""
 

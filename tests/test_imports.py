@@ -19,7 +19,7 @@ FLOORS = (
     "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
     "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "wavefront", "optimisation",
-    "array_functions", "scene_functions", "torch", "jax", "hcipy", "report", "dataset",
+    "sharpness", "array_functions", "scene_functions", "torch", "jax", "hcipy", "report", "dataset",
     "benchmark", "cli", "__main__",
 )  # fmt: skip
 
@@ -100,3 +100,12 @@ def test_names_of_the_package_are_public_ones_and_modules():
         "__init__", "__main__"
     }  # fmt: skip
     assert {"__version__", "__doc__", "__all__"} <= shown
+
+
+def test_ipython_completes_public_names_and_modules_alone():
+    completer = pytest.importorskip("IPython.core.completer")
+    complete = completer.IPCompleter(namespace={"mp": mitsuba_plenoptic}, use_jedi=False).all_completions
+    found = {name.rpartition(".")[2] for name in complete("mp.")}
+    assert {"render_capture", "PlenopticCamera", "design"} <= found
+    assert found <= {name for name in dir(mitsuba_plenoptic) if not name.startswith("__")}
+    assert {name.rpartition(".")[2] for name in complete("mp.with_c")} == {"with_camera"}

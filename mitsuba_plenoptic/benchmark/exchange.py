@@ -14,11 +14,14 @@ import io
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
-from ..errors import require_choice
+from ..camera import PlenopticCamera
+from ..errors import refuse_if, require_choice
 from ..io.files import atomic_output, write_text
 from ..lightfield import decode, disparity
-from ..report.images import write_png
+from ..lightfield.geometry import camera_of
+from ..report.images import Brightness, write_png
 from .contents import CAPTURES, Benchmark, capture_of, central_truth
 
 
@@ -52,27 +55,53 @@ def export_hci(made: Benchmark, folder: str | Path, capture: str = "ray") -> lis
     for index in made.entries():
         sample = made[index]
         recorded = capture_of(sample, capture)
-        camera = recorded.camera
         lf = decode(recorded, white=made.white(index, recorded.model))
-        half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), lf.sizes["v"] // 2)
-        middle = lf.sizes["v"] // 2
-        lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-        place = Path(folder) / "_".join([*made.name(index), capture])
-        place.mkdir(parents=True, exist_ok=True)
-        for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:4])):
-            write_png(place / f"input_Cam{number:03d}.png", np.repeat(picture[..., None], 3, axis=2), peak=1.0)
         depth = central_truth(sample)["virtual_depth"]
-        shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
-        for name, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
-            _write_pfm(place / f"{name}.pfm", values)
-        _write_parameters(place / "parameters.cfg", made, index, (float(shift.min()), float(shift.max())), 2 * half + 1)
+        place = Path(folder) / "_".join([*made.name(index), capture])
+        version = str(made.manifest["recipe"]["benchmark"])
+        write_hci(place, lf, depth, name="_".join(made.name(index)), version=version, white=1.0)
         written.append(place)
     return written
 
 
-def _write_parameters(path: Path, made: Benchmark, index: int, shifts: tuple[float, float], views: int) -> None:
+def write_hci(
+    folder: Path,
+    lf: xr.DataArray,
+    depth: np.ndarray | None,
+    *,
+    name: str,
+    version: str = "",
+    white: float | None = None,
+) -> int:
+    """Write a light field to a folder of the 4D Light Field Benchmark, and return how many views stand in a row.
+
+    The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
+    pictures, by default that of any other picture.
+    """
+    camera = camera_of(lf)
+    refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
+    middle = lf.sizes["v"] // 2
+    half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
+    lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
+    white = Brightness().white([lf.values]) if white is None else white
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
+        colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+        write_png(folder / f"input_Cam{number:03d}.png", colours, peak=white)
+    shifts = (0.0, 0.0)
+    if depth is not None:
+        shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
+        for kind, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
+            _write_pfm(folder / f"{kind}.pfm", values)
+        shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
+    _write_parameters(folder / "parameters.cfg", camera, name, version, shifts, 2 * half + 1)
+    return 2 * half + 1
+
+
+def _write_parameters(
+    path: Path, camera: PlenopticCamera, name: str, version: str, shifts: tuple[float, float], views: int
+) -> None:
     """Write the geometry of the cameras, of which `views` stand in a row."""
-    camera = made[index].camera
     columns, rows = camera.bin_count
     low, high = shifts
     parser = configparser.ConfigParser()
@@ -88,13 +117,13 @@ def _write_parameters(path: Path, made: Benchmark, index: int, shifts: tuple[flo
         "num_cams_y": str(views),
         "baseline_mm": f"{camera.pupil_step:.9g}",
         "focus_distance_m": f"{camera.focus_distance / 1000:.9g}",
-        **{f"center_cam_{name}": "0" for name in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")},
+        **{f"center_cam_{axis}": "0" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")},
     }
     parser["meta"] = {
-        "scene": "_".join(made.name(index)),
+        "scene": name,
         "category": "plenoptic",
         "date": "",
-        "version": str(made.manifest["recipe"]["benchmark"]),
+        "version": version,
         "authors": "mitsuba_plenoptic",
         "contact": "",
         "disp_min": f"{low:.6g}",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
-from ..io.files import read_text, write_text
+from ..io.files import parse_yaml, read_text, read_yaml, write_text
 from ..lenses.distortion import undistort
 from ..presets import PRESETS
 from .model import NAMES, camera_of
@@ -73,12 +74,13 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Read a camera from a JSON file or a configuration of libpleno, or take a preset by its name.
+    """Read a camera from a JSON or YAML file or a configuration of libpleno, or take a preset or parameters as text.
 
     Parameters
     ----------
     source : str or path
-        A preset, a JSON file, or a configuration of libpleno and COMPOTE.
+        A preset, a JSON or YAML file of parameters or of arguments of `PlenopticCamera.matched`, these as text,
+        ``NAME=VALUE,NAME=VALUE``, or a configuration of libpleno and COMPOTE.
 
     Returns
     -------
@@ -94,13 +96,35 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     if str(source) in PRESETS and not Path(source).is_file():
         return PlenopticCamera.preset(str(source)), None
     path = Path(source)
-    text = read_text(path, _LARGEST_FILE)
+    if states_camera(source):
+        text = json.dumps(_stated(str(source)))
+    elif path.suffix.lower() in (".yaml", ".yml"):
+        with refusing(f"{path}: it must be camera parameters by name:", *NO_RECORD):
+            text = json.dumps(read_yaml(path))
+    else:
+        text = read_text(path, _LARGEST_FILE)
     with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
         values = json.loads(text)
     with naming(path):
         if isinstance(values, dict) and {"mla", "main_lens", "sensor"} <= set(values):
             return libpleno_camera(values), None
         return PlenopticCamera.from_json(text), _index(values)
+
+
+def states_camera(source: str | Path) -> bool:
+    """Return whether a text states parameters of a camera; a file of that name takes precedence."""
+    return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
+
+
+def _stated(text: str) -> dict[str, Any]:
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; of several values commas are between, too."""
+    values: dict[str, Any] = {}
+    for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
+        refuse_if(name in values, f"{name} is given twice")
+        parts = [parse_yaml(part) for part in value.split(",")]
+        refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")
+        values[name] = parts[0] if len(parts) == 1 else parts
+    return values
 
 
 def _index(values: dict[str, Any]) -> LensIndex | None:

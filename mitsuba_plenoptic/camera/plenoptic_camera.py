@@ -16,6 +16,7 @@ from ..errors import (
     NO_RECORD,
     InputError,
     did_you_mean,
+    naming,
     refuse_if,
     refusing,
     require_choice,
@@ -31,6 +32,7 @@ from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
+from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
 from .photodiodes import require_pixel_pairs
 from .scene_file import describe, write_xml
@@ -234,6 +236,71 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
+    def matched(
+        cls,
+        *,
+        f_number: float | None = None,
+        lenses: int | Sequence[int] | None = None,
+        pixels_per_lens: float | None = None,
+        pixel_size: float | None = None,
+        **others: Any,
+    ) -> PlenopticCamera:
+        r"""Build the unfocused camera whose micro-images touch, from what data sheets state.
+
+        Micro-images on the detector are `pixels_per_lens` pixels wide and as far apart. The first four parameters, the
+        focal length of the main lens and its focus are all required.
+
+        Parameters
+        ----------
+        f_number : float
+            Focal length of the main lens over the diameter of its aperture.
+        lenses : int or (int, int)
+            Lenses of a row across the detector, and rows down it; one number is both. The detector has as many pixels
+            as they cover, rounded to whole ones; rows of a hexagonal lattice are closer than the lenses in a row.
+            As the corner of four lenses of a square lattice is on the axis, odd counts leave half a lens at each edge.
+        pixels_per_lens : float
+            Pixels, 1 at least, from one micro-image to the next of its row.
+        pixel_size : float
+            Width of a pixel in millimetres.
+        **others
+            `focal_length`, `focus_distance` or `mla_distance`, and any parameters of a camera that do not follow from
+            these, such as `mla_lattice`. With a `main_lens` the `focal_length` may be left out.
+
+        Raises
+        ------
+        InputError
+            If one of these is missing, follows from the others, or is out of range, or the main lens is an objective or
+            has a collimator.
+
+        Examples
+        --------
+        >>> import mitsuba_plenoptic as mp
+        >>> sheet = {"f_number": 2.8, "lenses": 100, "pixels_per_lens": 10, "pixel_size": 0.005}
+        >>> camera = mp.PlenopticCamera.matched(**sheet, focal_length=50, focus_distance=320)
+        >>> camera.resolution, round(camera.micro_image_pitch, 12), round(camera.micro_image_diameter, 12)
+        ((1000, 1000), 0.05, 0.05)
+        """
+        sheet: dict[str, Any] = dict(zip(MATCHED, (f_number, lenses, pixels_per_lens, pixel_size), strict=True))
+        require_enough(sheet | others)
+        of_lens = ("main_lens", "focal_length", "focus_distance", "mla_distance")
+        behind = cls(**{name: others[name] for name in of_lens if name in others})
+        refuse_if(
+            not behind.lens_data.converges,
+            f"main_lens = {behind.lens_data.label}: f_number is that of thin lenses and prescriptions only",
+        )
+        number = require_number("f_number", sheet.pop("f_number"), minimum=1e-3, maximum=1e6)
+        with naming(f"f_number = {number:g}"):
+            behind = behind.replace(aperture_radius=behind.focal_length / (2 * number))
+        kinds = cls(**{name: others[name] for name in ("mla_lattice", "mla_medium") if name in others})
+        found = behind_pupil(
+            behind.pupil_distance, behind.pupil_radius, **sheet, lattice=kinds.mla_lattice, medium=kinds.mla_medium
+        )
+        if others.get("mla_shape") is not None:
+            # It brings a focal length of its own.
+            found.pop("mla_focal_length")
+        return cls(**others | {"aperture_radius": behind.aperture_radius} | found)
+
+    @classmethod
     def from_sensor(cls, sensor: Any) -> PlenopticCamera:
         """Return the camera of a Mitsuba sensor of type ``plenoptic``.
 
@@ -287,6 +354,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
     def from_json(cls, text: str) -> PlenopticCamera:
         """Build a camera from the text of a JSON file: an object of parameters, which have defaults if left out.
 
+        Or of arguments of `matched`.
+
         The results that a calibration adds under ``calibration`` are ignored.
 
         Parameters
@@ -314,9 +383,12 @@ class PlenopticCamera(CameraGeometry, Displayed):
         """Build a camera from parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
-        for name in sorted(set(values) - set(PARAMETERS)):
-            raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, PARAMETERS)}")
-        return cls(**values)
+        of_sheet = [name for name in MATCHED if name in values]
+        # A single one of them is rather meant for a camera that has its other parameters.
+        known = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
+        for name in sorted(set(values) - set(known)):
+            raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, known)}")
+        return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:
         """Describe the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.

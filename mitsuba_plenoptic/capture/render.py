@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, argument, refuse_if, require_choice, require_count, suggest_keywords
+from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
 from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..operator.patch_plan import Cost
@@ -25,6 +25,7 @@ from ..runtime.limits import largest_fitting, require_memory
 from .noise import require_samples
 from .passes import RAYS_PER_PASS, render_passes
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
+from .scene_unit import warn_of_metres
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
@@ -111,6 +112,7 @@ def render_capture(
     """
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
+    warn_of_metres(scene, chosen)
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
     require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
@@ -153,7 +155,7 @@ def render_capture(
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's sensor by its index, or the given sensor; refuse a scene of another variant."""
+    """Return a scene's plenoptic sensor by its index, or the given one; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -162,9 +164,14 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     if isinstance(sensor, mi.Sensor):
         return sensor
     sensors = scene.sensors()
-    refuse_if(not sensors, "scene: it has no sensor; add one of type 'plenoptic'")
+    instead = advice(python="with_camera gives the scene one", shell="--camera NAME gives it one")
+    refuse_if(not sensors, f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
     number = require_count("sensor", sensor, minimum=0)
     refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    try:
+        PlenopticCamera.from_sensor(sensors[number])
+    except InputError as error:
+        raise InputError(f"{error}; {instead}") from None
     return sensors[number]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -19,6 +19,7 @@ from ..io.exr import read_parts
 from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
 from ..runtime.limits import require_memory
+from .scene_unit import require_unit, scale_nodes, warn_of_metres
 
 _DEEPEST = 64
 _DEEPEST_INCLUDE = 8
@@ -217,7 +218,13 @@ KNOWN_PARAMETERS = {
         *("source_diameter", "source_distance", "bandwidth", "roughness"),
     ),
 }
-"""Parameters of this package's plugins, for suggestions in messages; Mitsuba itself detects unknown parameters."""
+"""Parameters of this package's plugins, for suggestions in messages."""
+
+
+def unknown_parameter(plugin: str, name: str) -> str:
+    """Return the message on a parameter that a plugin does not have, with the one that was probably meant."""
+    return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
+
 
 GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
 """Parameters of ``plenoptic_wave`` up to version 0.2, for the radiators that signed rays have replaced."""
@@ -260,7 +267,11 @@ def scene_path(name: str) -> Path:
 @suggest_keywords
 @one_at_a_time
 def load_scene(
-    scene: str | Path | Mapping[str, Any], *, variant: str | None = None, parameters: Mapping[str, str] | None = None
+    scene: str | Path | Mapping[str, Any],
+    *,
+    variant: str | None = None,
+    parameters: Mapping[str, str] | None = None,
+    unit: str = "mm",
 ) -> Any:
     """Load a scene from a file, by the name of a built-in scene, or from a dictionary as for ``mi.load_dict``.
 
@@ -274,6 +285,11 @@ def load_scene(
     parameters : mapping, optional
         Values for the ``$name`` parameters of a scene file. If a scene has ``$resolution`` and ``$rows`` for the
         columns and rows of its detector and only the columns are given, the rows follow in proportion.
+    unit : str, optional
+        Unit of the scene's lengths: ``mm``, ``cm`` or ``m``. Shapes, instances, lamps, media, volumes, heights of bumps
+        and the places of sensors are scaled to millimetres, so that the scene looks the same; what cannot be scaled
+        is refused by name. A plenoptic camera in the scene has millimetres of its own in any unit. ``$name``
+        parameters are in the scene's unit.
 
     Returns
     -------
@@ -285,14 +301,28 @@ def load_scene(
         If there is no such scene or variant, the file would run native code or read unsuitable files, or Mitsuba
         refuses the scene. The message is one line with the position in the file.
 
+    Warns
+    -----
+    UserWarning
+        If the whole scene is within the focal length of its plenoptic camera, as scenes in metres are.
+
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
     >>> size = {"detector_width": 0.256, "resolution": 128}
     >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
     """
+    factor = require_unit(unit)
     if isinstance(scene, Mapping):
-        return _load_dictionary(scene, variant, parameters)
+        loaded = _load_dictionary(scene, variant, parameters, factor)
+    else:
+        loaded = _load_file(scene, variant, parameters, factor)
+    if sensors := loaded.sensors():
+        warn_of_metres(loaded, sensors[0])
+    return loaded
+
+
+def _load_file(scene: str | Path, variant: str | None, parameters: Mapping[str, str] | None, factor: float) -> Any:
     if parameters is not None and not isinstance(parameters, Mapping):
         raise InputError(f"parameters = {short_repr(parameters)}: they must be values by name")
     path = _find(scene)
@@ -304,8 +334,10 @@ def load_scene(
         [text for root in roots for each in root.iter() for text in each.attrib.values()],
     )
     for name in parameters:
-        # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text.
-        if not any(f"${name}" in text for text in texts):
+        # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text, but for longer
+        # names.
+        longer = [each for each in defaults if each.startswith(name) and each != name]
+        if not any(f"${name}" in re.sub("|".join(rf"\${each}" for each in longer) or "$^", "", text) for text in texts):
             known = sorted(defaults)
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
             raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
@@ -313,13 +345,28 @@ def load_scene(
     with loading(str(path)):
         # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
         # with it the random numbers that each gets.
-        loaded = mi.load_file(str(path), optimize=False, **parameters)
+        if factor == 1:
+            loaded = mi.load_file(str(path), optimize=False, **parameters)
+        else:
+            loaded = _scaled(lambda config: mi.parser.parse_file(config, str(path), **parameters), factor)
     # Captures state this name in their metadata.
     loaded.set_id(path.name)
     return loaded
 
 
-def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: Mapping[str, str] | None) -> Any:
+def _scaled(parse: Callable[[Any], Any], factor: float) -> Any:
+    """Load a scene as Mitsuba does, with all lengths multiplied by a factor; see `scale_nodes`."""
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = config.merge_equivalent = False
+    state = parse(config)
+    mi.parser.transform_all(config, state)
+    scale_nodes(state.nodes, factor)
+    return mi.parser.instantiate(config, state)
+
+
+def _load_dictionary(
+    scene: Mapping[str, Any], variant: str | None, parameters: Mapping[str, str] | None, factor: float
+) -> Any:
     if parameters:
         raise InputError(f"parameters = {short_repr(dict(parameters))}: a dictionary has none; put the values into it")
     if scene.get("type") != "scene":
@@ -327,7 +374,10 @@ def _load_dictionary(scene: Mapping[str, Any], variant: str | None, parameters: 
     set_variant(variant)
     with loading("scene"):
         # Not optimised, for the same reason as a scene file.
-        loaded = mi.load_dict(dict(scene), optimize=False)
+        if factor == 1:
+            loaded = mi.load_dict(dict(scene), optimize=False)
+        else:
+            loaded = _scaled(lambda config: mi.parser.parse_dict(config, dict(scene)), factor)
     loaded.set_id("dictionary")
     return loaded
 
@@ -370,8 +420,7 @@ def mitsuba_sentence(error: Exception) -> str:
     start = max((i for i, line in enumerate(lines) if not line.startswith("- ")), default=0)
     last = " ".join(lines[start:])
     if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
-        known = KNOWN_PARAMETERS.get(found[1], ())
-        return f"{found[1]}: {found[2]}: it has no such parameter{did_you_mean(found[2], known)}"
+        return unknown_parameter(found[1], found[2])
     if found := re.search(r'Plugin "(\w+)" not found', last):
         return f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)

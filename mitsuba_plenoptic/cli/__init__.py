@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, at_shell
+from ..errors import InputError, at_shell, relation
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -28,6 +28,7 @@ COMMANDS = {
     "render": "render",
     **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
     **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
+    "mtf": "mtf",
     "dual": "dual",
     **dict.fromkeys(("expose", "demosaic"), "render"),
     "calibrate": "calibrate",
@@ -41,7 +42,7 @@ COMMANDS = {
     **dict.fromkeys(("info", "doctor"), "info"),
 }
 
-STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "info", "doctor"))
+STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf", "info", "doctor"))
 """Commands that write files, and can be steps of a run file."""
 
 # Options that are not called as the arguments of the library that they are for.
@@ -186,7 +187,10 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
         return _with_options(str(error), options)
     if isinstance(error, OSError):
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-    return str(error.format_message()).rstrip(".") if _is_usage(error) else None  # type: ignore[attr-defined]
+    if not _is_usage(error):
+        return None
+    rule = relation(getattr(error, "option_name", "").strip("-").replace("-", "_"))
+    return str(error.format_message()).rstrip(".") + (f"; {rule}" if rule else "")  # type: ignore[attr-defined]
 
 
 def _is_usage(error: Exception) -> bool:

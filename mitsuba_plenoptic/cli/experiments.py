@@ -6,7 +6,7 @@ import contextlib
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -19,6 +19,7 @@ from ..report.stage_store import StageOptions
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import plain_lines, progress_bar
 from .inputs import (
+    CameraFile,
     Definitions,
     Distances,
     Model,
@@ -28,12 +29,15 @@ from .inputs import (
     Scene,
     Scheduler,
     Seed,
+    Unit,
     Variant,
     Workers,
     batches_on,
+    named_camera,
     numeric,
     output_option,
     parse_definitions,
+    require_in_use,
 )
 
 
@@ -44,6 +48,8 @@ def compare(
     wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM")] = 633.0,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.")] = 16,
     resume: ResumeOnly = False,
+    camera: CameraFile = None,
+    unit: Unit = "mm",
     define: Definitions = None,
     variant: Annotated[
         str, typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono.")
@@ -61,16 +67,22 @@ def compare(
 
       mitsuba-plenoptic compare still_life -o still_life --distance 215
       --distance 258 -D resolution=2048 -D detector_width=4.096
+
+      mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.comparison import compare as compute
     from ..report.experiment import Settings
     from ..report.metrics import ssim_text
 
+    parameters = parse_definitions(define)
     settings = Settings(
         scene=scene,
+        unit=unit,
         distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
-        parameters=parse_definitions(define),
+        parameters=parameters,
+        camera=_instead(camera, scene, parameters),
+        camera_name=camera,
         wavelength=require_wavelength(wavelength),
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
@@ -119,6 +131,8 @@ def sweep(
     resume: ResumeOnly = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
+    camera: CameraFile = None,
+    unit: Unit = "mm",
     define: Definitions = None,
     variant: Variant = None,
 ) -> None:
@@ -146,9 +160,12 @@ def sweep(
         method is not None and "distance" not in wanted,
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",
     )
+    parameters = parse_definitions(define)
     settings = SweepSettings(
         scene=scene,
-        parameters=parse_definitions(define),
+        unit=unit,
+        parameters=parameters,
+        camera=_instead(camera, scene, parameters, {name: f"{values[0]:g}" for name, values in wanted.items()}),
         model=model,
         spp=spp,
         seed=seed,
@@ -161,6 +178,18 @@ def sweep(
             dataset = compute(batch_map)
     axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
     typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")
+
+
+def _instead(
+    source: str | None, scene: str, parameters: dict[str, str], varied: dict[str, str] | None = None
+) -> dict[str, Any] | None:
+    """Return the parameters of the camera that replaces a scene's, None where none is named."""
+    camera = named_camera(source)
+    if camera is None:
+        return None
+    require_in_use(scene, parameters)
+    require_in_use(scene, varied or {}, "grid:")
+    return camera.to_dict()
 
 
 _log = logging.getLogger(__name__)

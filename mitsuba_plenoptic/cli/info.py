@@ -12,9 +12,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..design import design_warnings
+from ..camera import PlenopticCamera
+from ..design import design_warnings, mended
 from ..errors import printable, refuse_if, require_wavelength
 from ..io.captures import Capture
+from ..io.files import require_writable, write_text
 from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
 from ..presets import PRESETS
 from ..report.design_sheet import Row, design_sheet
@@ -26,9 +28,9 @@ def info(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="SCENE|PRESET|CAMERA.json|CAPTURE.exr",
-            help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), a capture, or a raw "
-            "picture of a Lytro camera.",
+            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr",
+            help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
+            "parameters, as for --camera of 'render', a capture, or a raw picture of a Lytro camera.",
         ),
     ],
     wavelength: Annotated[
@@ -50,11 +52,20 @@ def info(
             help="Draw a microlens: its phase, a section with rays, and its spot.",
         ),
     ] = None,
+    fix: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.json",
+            show_default="none",
+            help="Write the camera that the fewest of the changes which the warnings name make of this one.",
+        ),
+    ] = None,
     define: Definitions = None,
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
 
-    Nothing is rendered. For a capture, how it was made is printed too.
+    Nothing is rendered. For a capture, how it was made is printed too. Warnings name
+    what would mend them, which --fix does.
 
     [bold]Examples:[/bold]
 
@@ -67,7 +78,11 @@ def info(
       mitsuba-plenoptic info camera.json --drawing lens.png
 
       mitsuba-plenoptic info camera.json --microlens microlens.png
+
+      mitsuba-plenoptic info camera.json --fix better.json
     """
+    if fix is not None:
+        require_writable(fix, ".json")
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
@@ -97,6 +112,20 @@ def info(
             console.print(f"  {escape(printable(name))}: {escape(printable(fact))}", soft_wrap=True)
     for warning in design_warnings(camera, wavelength):
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
+    if fix is not None:
+        _write_mended(console, fix, camera, wavelength)
+
+
+def _write_mended(console: Console, path: Path, camera: PlenopticCamera, wavelength: float | None) -> None:
+    """Write the camera without the warnings, and say what has changed and what has not been mended."""
+    better = mended(camera, wavelength)
+    write_text(path, better.to_json(), ".json")
+    old, new = camera.to_dict(), better.to_dict()
+    changed = [f"{name} = {value}" for name, value in new.items() if old.get(name) != value]
+    what = f"with {', '.join(changed)}" if changed else "unchanged"
+    console.print(f"[bold]Written:[/bold] {escape(f'{path}, {what}')}.", soft_wrap=True)
+    for warning in design_warnings(better, wavelength):
+        console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
 
 
 def _origin(capture: Capture) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import re
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ import typer
 from ..camera import PlenopticCamera
 from ..capture.render import plenoptic_sensor
 from ..capture.scene import check_scene_file, load_scene, names_in, scene_defaults, scene_names, scene_path
+from ..capture.scene_unit import UNITS
 from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if, require_count
 from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
@@ -109,8 +111,17 @@ CameraFile = Annotated[
     str | None,
     typer.Option(
         "--camera",
-        metavar="PRESET|FILE.json|SCENE",
-        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON file, as 'calibrate' writes it, or a scene's.",
+        metavar="PRESET|FILE.json|SCENE|NAME=VALUE,...",
+        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON or YAML file, as 'calibrate' writes it, a "
+        "scene's, or parameters, such as f_number=2.8,lenses=100,pixels_per_lens=10,pixel_size=0.005,focal_length=50,"
+        "focus_distance=320.",
+    ),
+]
+
+Unit = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(UNITS), help="Unit of the scene's lengths, which are scaled to millimetres; not the camera's."
     ),
 ]
 
@@ -194,18 +205,20 @@ _log = logging.getLogger(__name__)
 
 
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Return the camera of a preset, a JSON file or a scene; a file takes precedence over a preset of its name."""
+    """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
-    if preset or source.lower().endswith((".json", ".js")):
+    stated = re.match(r"\w+=", source) is not None and not Path(source).is_file()
+    if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
         from ..calibration import read_camera
 
         return read_camera(source)
     refuse_if(
-        source.lower().endswith(".exr"), f"{source}: it is an image; a camera is a preset, a JSON file or a scene"
+        source.lower().endswith(".exr"),
+        f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
     )
     if not Path(source).exists() and source not in scene_names():
         names = scene_names()
@@ -274,12 +287,18 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 
 
 def open_scene(
-    scene: str, parameters: dict[str, str], variant: str | None, camera: str | None = None, index: int = 0
+    scene: str,
+    parameters: dict[str, str],
+    variant: str | None,
+    camera: str | None = None,
+    index: int = 0,
+    unit: str = "mm",
 ) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     other = named_camera(camera)
     colours = None if variant else _colours_of_film(scene, parameters)
-    loaded = load_scene(scene, variant=variant or (_COLOURS if colours else DEFAULT_VARIANT), parameters=parameters)
+    chosen = variant or (_COLOURS if colours else DEFAULT_VARIANT)
+    loaded = load_scene(scene, variant=chosen, parameters=parameters, unit=unit)
     if other is not None:
         require_in_use(scene, parameters)
         loaded = with_camera(loaded, other)
@@ -289,17 +308,6 @@ def open_scene(
         _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
     for text in design_warnings(seen):
         warnings.warn(text, stacklevel=2)
-    box = loaded.bbox()
-    # An objective sees what is nearer than its focal length.
-    if box.valid() and seen.lens_data.converges:
-        to_camera = sensor.world_transform().inverse()
-        farthest = max(float((to_camera @ box.corner(index)).z[0]) for index in range(8))
-        if farthest < seen.focal_length:
-            warnings.warn(
-                f"the whole scene is nearer than {farthest:.4g} mm, within the main lens's focal length of "
-                f"{seen.focal_length:.4g} mm: lengths are taken as millimetres; if the scene's are metres, scale it",
-                stacklevel=2,
-            )
     return loaded
 
 
@@ -307,12 +315,14 @@ _OWN = ("sampler", "transform", "medium")
 """Elements of a scene's sensor that remain where another camera takes its place."""
 
 
-def require_in_use(scene: str, parameters: dict[str, str]) -> None:
+def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -> None:
     """Refuse scene parameters that only the scene's own camera has, where another camera takes its place.
 
-    The position of the camera and its sampler remain those of the scene.
+    The position of the camera and its sampler remain those of the scene. Names that the scene does not have are left
+    to its loading.
     """
     roots, used = scene_roots(scene, parameters), set()
+    known = {name for root in roots for each in root.iter() for name in names_in(each)}
 
     def visit(element: Element, of_camera: bool) -> None:
         replaced = element.tag == "sensor" or (of_camera and element.tag not in _OWN)
@@ -328,8 +338,10 @@ def require_in_use(scene: str, parameters: dict[str, str]) -> None:
     while more := {other for name in used for other in defaults.get(name, ())} - used:
         used |= more
     for name in parameters:
-        if name not in used:
-            raise InputError(f"-D {name}: it is of the scene's own camera, which another one replaces; leave it out")
+        if name in known - used:
+            raise InputError(
+                f"{option} {name}: it is of the scene's own camera, which another one replaces; leave it out"
+            )
 
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from ..errors import naming, refuse_if, require_choice
 from ..io.files import require_apart
 from ..lightfield import depth_error, depth_map, epipolar_image, focal_stack, pick_views
 from ..lightfield.depth import is_focused
@@ -273,9 +274,19 @@ def convert(
         output_option(
             "FILE",
             "File to write: .nc or .zarr for NetCDF or Zarr, .mat for LFToolbox, .eslf.png for the samples of each "
-            "lens together, .png for a 16-bit mosaic of views.",
+            "lens together, .png for a 16-bit mosaic of views. With --format hci a folder.",
         ),
     ],
+    layout: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="hci",
+            show_default="by the output's name",
+            help="Write a folder as those of the 4D Light Field Benchmark (HCI): a picture for each view, the "
+            "geometry, and depth where ground truth is known.",
+        ),
+    ] = None,
     white: White = None,
     view_count: ViewCount = None,
     linear: Linear = False,
@@ -296,11 +307,27 @@ def convert(
       mitsuba-plenoptic convert photo.png --white white.png -o lf.mat
 
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
+
+      mitsuba-plenoptic convert raw.exr -o folder --format hci
     """
-    require_light_field_path(output)
+    if layout is None:
+        require_light_field_path(output)
+    else:
+        require_choice("format", layout, ("hci",))
+        refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
     require_apart(output, source, white, truth)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
     )
+    if layout is not None:
+        # Brings libraries that take a while to load.
+        from ..benchmark.exchange import write_hci
+
+        known = lf.coords.get("virtual_depth", lf.coords.get("depth"))
+        central = None if known is None else known.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]
+        with naming(source):
+            views = write_hci(output, lf, central, name=source.stem)
+        typer.echo(f"{output}: {views} x {views} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
+        return
     save_light_field(output, lf)
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

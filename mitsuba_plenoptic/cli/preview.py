@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..io.files import require_writable
 from ..optics.guards import PhysicsError
 from ..runtime.progress import progress_bar
-from .inputs import CameraFile, Definitions, Samples, Scene, open_scene, output_option, parse_definitions
+from .inputs import CameraFile, Definitions, Samples, Scene, Unit, open_scene, output_option, parse_definitions
 
 
 def preview(
@@ -22,6 +22,7 @@ def preview(
         Path | None, output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.")
     ] = None,
     camera: CameraFile = None,
+    unit: Unit = "mm",
     fit: Annotated[
         bool,
         typer.Option("--fit", help="Propose a focus for the scene, or a scale of the scene, and draw it, too."),
@@ -47,7 +48,7 @@ def preview(
     """
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
     with progress_bar("Previewing"):
-        loaded = open_scene(scene, parse_definitions(define), None, camera)
+        loaded = open_scene(scene, parse_definitions(define), None, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
         # Brings Matplotlib, which takes a while to load.
         from ..report.preview import draw_preview, framing_warnings, preview_of, propose

@@ -31,6 +31,7 @@ from .inputs import (
     Scene,
     Scheduler,
     Seed,
+    Unit,
     Workers,
     batches_on,
     named_camera,
@@ -95,6 +96,7 @@ def render(
     workers: Workers = None,
     scheduler: Scheduler = None,
     camera: CameraFile = None,
+    unit: Unit = "mm",
     sensor: Annotated[int, numeric("Which of the scene's sensors, counted from 0.")] = 0,
     white: Annotated[
         Path | None,
@@ -153,7 +155,7 @@ def render(
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
         with progress_bar("Estimating"):
-            loaded = open_scene(scene, parameters, variant, camera, sensor)
+            loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
             if not is_wave_capture(loaded, model):
                 refuse_by_rays(workers=workers, scheduler=scheduler)
             with batches_on(workers, scheduler) as batch_map:
@@ -175,7 +177,7 @@ def render(
         require_writable(checkpoint or output.with_name(output.name + SUFFIX)), existing_checkpoint(resume)
     )
     with progress_bar("Loading the scene"):
-        loaded = open_scene(scene, parameters, variant, camera, sensor)
+        loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
     if resume:
         remove_leftovers(output)
     by_waves = is_wave_capture(loaded, model)

@@ -177,8 +177,9 @@ def _seen_from(folder: Path, name: str, value: Any) -> str:
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
-    before = path.read_text(encoding="utf-8") if path.exists() else f"{KEY}: {VERSION}\nsteps:\n"
+    # It is read as a run file first, which refuses what is none.
     steps = read_run_file(path, commands) if path.exists() else []
+    before = path.read_text(encoding="utf-8") if path.exists() else f"{KEY}: {VERSION}\nsteps:\n"
     if _commands_of([step], commands)[0] in _commands_of(steps, commands):
         return
     text = f"{before.rstrip()}\n- {step.command}:\n"

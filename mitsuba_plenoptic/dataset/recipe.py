@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.matched import MATCHED
+from ..camera.parameters import PARAMETERS
 from ..camera.photodiodes import require_pixel_pairs
 from ..capture.render import MOST_SAMPLES
 from ..capture.scene import scene_path
@@ -231,7 +233,7 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
             section in content and section not in models,
             f"{section}: models = {short_repr(models)} has no {section} captures; leave it out",
         )
-    camera = _section("camera", content, (*PlenopticCamera().to_dict(), "focus_distance", "preset"))
+    camera = _section("camera", content, (*PARAMETERS, *MATCHED, "preset"))
     if "preset" in camera:
         require_choice("camera: preset", camera["preset"], tuple(PRESETS))
     noise = _section("noise", content, ("photons", *(f.name for f in fields(Detector)))) if "noise" in content else None

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
 from ..io.captures import MODELS
 from ..io.checkpoints import digest, flattened
-from ..io.files import atomic_output, h5py_module, read_text, require_file, stored_array
+from ..io.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
 from ..io.versions import KEY, is_of_1_0, stamped
 from ..report.stage_store import scene_fingerprint, write_json
 from ..runtime.limits import require_memory, software
@@ -190,16 +190,21 @@ def group_name(index: int) -> str:
 def write_samples(path: Path, samples: Iterable[Sample]) -> None:
     """Write samples to a file, which appears whole or not at all."""
     h5py = h5py_module("a data set")
-    with atomic_output(path) as temporary, h5py.File(temporary, "w") as file:
-        for sample in samples:
-            group = file.create_group(group_name(sample.index))
-            arrays: dict[str, NDArray[Any]] = {
-                name: np.asarray(array, np.float32) for name, array in sample.arrays.items()
-            }
-            arrays[_FACTS] = _as_bytes(sample.facts)
-            arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
-            for name, array in arrays.items():
-                group.create_dataset(name, data=array)
+    with atomic_output(path) as temporary, Sink(temporary, "w+") as sink:
+        with h5py.File(sink, "w") as file:
+            for sample in samples:
+                _write_sample(file, sample)
+                sink.check(path)
+        sink.check(path)
+
+
+def _write_sample(file: Any, sample: Sample) -> None:
+    group = file.create_group(group_name(sample.index))
+    arrays: dict[str, NDArray[Any]] = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
+    arrays[_FACTS] = _as_bytes(sample.facts)
+    arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
+    for name, array in arrays.items():
+        group.create_dataset(name, data=array)
 
 
 def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:

@@ -40,7 +40,7 @@ from .micro_images import (
     white_mean,
 )
 from .microscope import depth_of_field, lens_aperture, lenses_across_stop, native_field, objective_limit, parallax
-from .warnings import design_warnings
+from .warnings import design_warnings, mended
 
 __all__ = [
     "EffectiveResolution",
@@ -63,6 +63,7 @@ __all__ = [
     "lenses_across",
     "lenses_across_stop",
     "main_fresnel_number",
+    "mended",
     "micro_image_distance",
     "mla_f_number",
     "mla_fresnel_number",

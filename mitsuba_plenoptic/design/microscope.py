@@ -8,13 +8,17 @@ of the width w sees the object through its part of the stop, :math:`NA_l = M w /
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from ..camera import PlenopticCamera
+from ..camera.entry import one_if_equal
 from ..errors import InputError, refuse_if, require_wavelength
+from ..lens_data import SINGLE
 from ..objective import Objective
 from ..optics.waves import in_millimetres
 from .focus import focus_types, mla_object_distances, sharp_images, vergence_slack
 from .micro_images import direction_count
+from .remedies import Finding, detector_at, finer_pixels
 
 
 def objective_of(camera: PlenopticCamera) -> Objective:
@@ -148,28 +152,33 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
     return -camera.reduced_distance * growth * math.tan(math.asin(sine))
 
 
-def microscope_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Return warnings about the design of a microscope, one sentence each."""
-    lens, found = objective_of(camera), []
+def microscope_findings(camera: PlenopticCamera, wavelength: float | None = None) -> Iterator[Finding]:
+    """Yield what is poor about the design of a microscope."""
+    lens = objective_of(camera)
     if lens.images_stop:
         across = lenses_across_stop(camera)
-        if across < 2:
-            found.append(f"no parallax: only {across:.2g} lenses lie across the image of the stop")
+        if across < 2 * (1 - SINGLE):
+            narrower = one_if_equal((camera.mla_pitches[0] * across / 2, camera.mla_pitches[1] * across / 2))
+            yield Finding(
+                f"no parallax: only {across:.2g} lenses lie across the image of the stop",
+                (("take narrower lenses", {"mla_pitch": narrower}),),
+            )
     else:
         part = camera.micro_image_diameter / camera.mla_pitch
         matching = f"a microlens of {lens.magnification / (2 * lens.numerical_aperture):.3g} times its pitch suits"
+        remedy = (matching, detector_at(camera, camera.reduced_distance / part))
         if part > 1.05:
-            found.append(f"micro-images overlap: their diameter is {part:.3g} of their pitch; {matching}")
+            yield Finding(f"micro-images overlap: their diameter is {part:.3g} of their pitch", (remedy,))
         elif part < 0.5:
-            found.append(f"pixels are wasted: micro-images fill {part:.0%} of their pitch; {matching}")
+            yield Finding(f"pixels are wasted: micro-images fill {part:.0%} of their pitch", (remedy,))
     if wavelength is not None:
         spot = in_millimetres(wavelength) * camera.reduced_distance / camera.lattice.aperture_width
-        if camera.pixel_size > spot / 2:
-            found.append(
+        if camera.pixel_size > spot / 2 * (1 + SINGLE):
+            yield Finding(
                 f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um exceeds "
-                f"half the spot's radius of {1e3 * spot:.4g} um"
+                f"half the spot's radius of {1e3 * spot:.4g} um",
+                (("make pixels finer", finer_pixels(camera, 2 * camera.pixel_size / spot)),),
             )
-    return found
 
 
 def _fourier(camera: PlenopticCamera) -> Objective:

@@ -1,15 +1,27 @@
-"""Warnings about the design of a camera, as sentences."""
+"""Warnings about the design of a camera, as sentences, and the camera without them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from ..camera import PlenopticCamera
 from ..collimator import Collimator
+from ..lens_data import SINGLE
 from .aberration import parabolic_aberration
-from .focus import best_distances, best_images, focus_type, lenses_across
+from .focus import best_distances, best_images, focus_type, lenses_across, mla_object_distances
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
-from .microscope import microscope_warnings
+from .microscope import microscope_findings
+from .remedies import (
+    Changes,
+    Finding,
+    changed_camera,
+    detector_at,
+    finer_pixels,
+    in_millimetres,
+    larger_lenses,
+    least_change,
+)
 
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
@@ -21,75 +33,198 @@ _DUAL = 0.01
 _RAYLEIGH = 0.25
 """Aberration in waves that is hardly seen, by Rayleigh's criterion."""
 
+_MOST_CAMERAS = 60
+"""Cameras that are tried to mend one."""
+
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Return warnings about a design, one sentence each."""
+    """Return warnings about a design, one sentence each, with what would mend it."""
+    return [finding.sentence(camera) for finding in _findings(camera, wavelength)]
+
+
+def mended(camera: PlenopticCamera, wavelength: float | None = None) -> PlenopticCamera:
+    """Return the camera of the fewest changes, each the remedy of a warning, that has no warnings.
+
+    Of two the one whose remedies are named first. A camera without warnings remains as it is; if no remedies help, it
+    is the one with the fewest warnings.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float, optional
+        Wavelength in nanometres, for warnings about diffraction.
+    """
+    best, fewest = camera, math.inf
+    tried = [camera]
+    # The list grows as it is gone through: all cameras of one change come before those of two.
+    for each in tried:
+        findings = list(_findings(each, wavelength))
+        if len(findings) < fewest:
+            best, fewest = each, len(findings)
+        if not findings:
+            break
+        for finding in findings:
+            for _, changed in finding.mended(each):
+                if changed not in tried and len(tried) < _MOST_CAMERAS:
+                    tried.append(changed)
+    return best
+
+
+def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
+    """Yield what is poor about a design."""
     if isinstance(camera.main_lens, Collimator):
-        return []
+        return
     if not camera.lens_data.converges:
-        return microscope_warnings(camera, wavelength)
-    found = []
-    diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
-    # The stop for which the micro-images just touch.
-    touching = camera.aperture_diameter * pitch / diameter
-    if diameter > pitch:
-        found.append(
-            f"micro-images overlap: their diameter of {diameter:.4g} mm exceeds their pitch of "
-            f"{pitch:.4g} mm; stop the main lens down to a diameter of {touching:.4g} mm"
-        )
-    elif diameter < 0.5 * pitch:
-        found.append(
-            f"pixels are wasted: micro-images fill {diameter / pitch:.0%} of their pitch; open the main "
-            f"lens to a diameter of {touching:.4g} mm, or shorten mla_focal_length"
-        )
-    elif focus_type(camera) != "unfocused" and crosstalk_lenses(camera) > 1:
-        found.append(
-            "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
-            "neighbouring lenses mixes there; stop the main lens down, or narrow the lenses (mla_fill)"
-        )
-    image = max(best_images(camera))
-    if image < camera.focal_length:
-        found.append(
-            f"no object plane is in focus: the microlenses see a plane {image:.4g} mm behind the main lens, "
-            f"within its focal length of {camera.focal_length:.4g} mm; lengthen mla_distance"
-        )
-    found += _coverage_warnings(camera)
+        yield from microscope_findings(camera, wavelength)
+        return
+    yield from _sizes(camera)
+    yield from _focus(camera)
     if camera.pixel_size < _SMALLEST_PIXEL:
-        found.append(
+        yield Finding(
             f"a pixel is {camera.pixel_size:.3g} mm wide, less than a wavelength of light: lengths are taken as "
-            "millimetres; if these are metres, multiply them by 1000"
+            "millimetres",
+            (("if these are metres, multiply them by 1000", in_millimetres(camera)),),
         )
     directions = direction_count(camera, wavelength)
     # Two pixels a lens are for the sides of the pupil, not for directions.
-    if directions < 2 and abs(camera.pixels_per_lens / 2 - 1) > _DUAL:
-        found.append(f"no refocusing: across its diameter a micro-image resolves only {directions:.2g} directions")
+    if directions < 2 * (1 - SINGLE) and abs(camera.pixels_per_lens / 2 - 1) > _DUAL:
+        factor = 2 / directions * (1 + SINGLE)
+        finer = ("make pixels finer", finer_pixels(camera, factor))
+        larger = ("make lenses larger", larger_lenses(camera, factor))
+        by_pixels = wavelength is None or camera.pixel_size >= spot_radius(camera, wavelength)
+        yield Finding(
+            f"no refocusing: across its diameter a micro-image resolves only {directions:.2g} directions",
+            (finer, larger) if by_pixels else (larger,),
+        )
     if wavelength is not None:
-        spot = spot_radius(camera, wavelength)
-        if camera.pixel_size > 0.5 * spot:
-            found.append(
-                f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um "
-                f"exceeds half the spot's radius of {1e3 * spot:.4g} um"
-            )
-        fresnel = mla_fresnel_number(camera, wavelength)
-        if fresnel < 1:
-            found.append(f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}")
-        aberration = parabolic_aberration(camera, wavelength) if camera.lens_model == "parabolic" else 0
-        if aberration > _RAYLEIGH:
-            found.append(
-                f"lens_model parabolic: the main lens aberrates light by {aberration:.2g} waves over the field; ideal "
-                "is without aberrations, and a smaller aperture_radius or detector_width lessens them"
-            )
-    return found
+        yield from _diffraction(camera, wavelength)
 
 
-def _coverage_warnings(camera: PlenopticCamera) -> list[str]:
-    """Return warnings if the lenses of a focused camera leave gaps at the distances where they are sharpest."""
+def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
+    """Yield what is poor about the sizes of micro-images."""
+    diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
+    # The stop for which the micro-images just touch, and the distance of the detector.
+    touching = camera.aperture_diameter * pitch / diameter
+    width, lens = 2 * camera.pupil_radius, camera.lattice.nearest_distance
+    microlenses = detector_at(camera, lens * camera.pupil_distance / (width - lens)) if width > lens else None
+    stop = {"aperture_radius": touching / 2}
+    if diameter > pitch * (1 + SINGLE):
+        yield Finding(
+            f"micro-images overlap: their diameter of {diameter:.4g} mm exceeds their pitch of {pitch:.4g} mm",
+            (
+                ("take microlenses of shorter focal length and the detector nearer", microlenses),
+                (f"stop the main lens down to a diameter of {touching:.6g} mm", stop),
+            ),
+        )
+    elif diameter < 0.5 * pitch:
+        yield Finding(
+            f"pixels are wasted: micro-images fill {diameter / pitch:.0%} of their pitch",
+            (
+                ("take microlenses of longer focal length and the detector farther away", microlenses),
+                (f"open the main lens to a diameter of {touching:.6g} mm", stop),
+            ),
+        )
+    elif focus_type(camera) != "unfocused" and crosstalk_lenses(camera) > 1:
+        z, radius, fill = camera.reduced_distance, camera.aperture_radius, camera.mla_fill
+
+        def apart(other: PlenopticCamera) -> bool:
+            return crosstalk_lenses(other) == 1
+
+        yield Finding(
+            "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
+            "neighbouring lenses mixes there",
+            (
+                (
+                    "take microlenses of shorter focal length and the detector nearer",
+                    least_change(lambda factor: detector_at(camera, factor * z), camera, apart),
+                ),
+                (
+                    "stop the main lens down",
+                    least_change(lambda factor: {"aperture_radius": factor * radius}, camera, apart),
+                ),
+                ("narrow the lenses", least_change(lambda factor: {"mla_fill": factor * fill}, camera, apart)),
+            ),
+        )
+
+
+def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
+    """Yield what is poor about the planes that are in focus."""
+    image = max(best_images(camera))
+    if image < camera.focal_length * (1 - SINGLE):
+        farther = camera.mla_distance + camera.focal_length - image
+        yield Finding(
+            f"no object plane is in focus: the microlenses see a plane {image:.4g} mm behind the main lens, "
+            f"within its focal length of {camera.focal_length:.4g} mm",
+            (("lengthen mla_distance, here to focus at infinity", {"mla_distance": farther}),),
+        )
+    for distance, across in _gaps(camera).items():
+        yield Finding(
+            f"gaps at {distance:.4g} mm, where the microlenses are sharpest: the light of a point spans only "
+            f"{across:.2g} of them",
+            (
+                ("open the main lens", {"aperture_radius": camera.aperture_radius / across} if across else None),
+                ("move the detector so that they see farther", _seeing_farther(camera)),
+            ),
+        )
+
+
+def _gaps(camera: PlenopticCamera) -> dict[float, float]:
+    """Return where focused microlenses are sharpest and yet see less than all, and the lenses that a point lights."""
     if focus_type(camera) == "unfocused":
-        return []
+        return {}
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}
-    return [
-        f"gaps at {distance:.4g} mm, where the microlenses are sharpest: the light of a point spans only "
-        f"{across:.2g} of them; open the main lens, or move the detector so that they see farther"
-        for distance, across in cones.items()
-        if across < 1
-    ]
+    return {distance: across for distance, across in cones.items() if across < 1 - SINGLE}
+
+
+def _seeing_farther(camera: PlenopticCamera) -> Changes:
+    """Return the distance of the detector, nearer to the focal length of microlenses, that leaves no gaps."""
+    (a, *others), pitch = mla_object_distances(camera), max(camera.mla_pitches)
+    if others:
+        # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.
+        blurs = (sign * blur for blur in (1.5, 3, 6, 12) for sign in (1, -1))
+        shares = (1 + blur * camera.pixel_size / camera.lattice.aperture_width for blur in blurs)
+        found = [share * camera.detector_distance for share in shares if share > 0]
+    else:
+        width = camera.aperture_diameter * (1 - SINGLE)
+        reach = math.copysign(pitch * camera.mla_distance / (width + math.copysign(pitch, a)), a)
+        power = 1 / camera.reduced_focal_lengths[0] - 1 / reach
+        found = [camera.mla_medium / power] if power > 0 and reach * a > 0 else []
+    for distance in found:
+        changed = changed_camera(camera, {"detector_distance": distance})
+        if changed is not None and not _gaps(changed):
+            return {"detector_distance": distance}
+    return None
+
+
+def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding]:
+    """Yield what is poor about the diffraction of light of one wavelength, and about aberrations."""
+    spot = spot_radius(camera, wavelength)
+    # Pixels of unfocused microlenses are to gather directions; those of others sample an image.
+    if focus_type(camera) != "unfocused" and camera.pixel_size > 0.5 * spot * (1 + SINGLE):
+        factor = 2 * camera.pixel_size / spot
+        behind = detector_at(camera, factor * camera.reduced_distance)
+        yield Finding(
+            f"the detector undersamples the diffraction spot: a pixel of {1e3 * camera.pixel_size:.4g} um "
+            f"exceeds half the spot's radius of {1e3 * spot:.4g} um",
+            (
+                ("make pixels finer", finer_pixels(camera, factor)),
+                (
+                    "stop the main lens down and take microlenses of longer focal length",
+                    behind and {"aperture_radius": camera.aperture_radius / factor, **behind},
+                ),
+            ),
+        )
+    fresnel = mla_fresnel_number(camera, wavelength)
+    if fresnel < 1 - SINGLE:
+        yield Finding(
+            f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}",
+            (("make lenses larger", larger_lenses(camera, 1 / fresnel)),),
+        )
+    aberration = parabolic_aberration(camera, wavelength) if camera.lens_model == "parabolic" else 0
+    if aberration > _RAYLEIGH:
+        yield Finding(
+            f"lens_model parabolic: the main lens aberrates light by {aberration:.2g} waves over the field",
+            (("take a lens without aberrations", {"lens_model": "ideal"}),),
+            "a smaller aperture_radius or detector_width lessens them",
+        )

@@ -157,6 +157,36 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
         raise InputError(f"{path}: it cannot be written: {cause}") from error
 
 
+class Sink(io.FileIO):
+    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of it; after an error, drop it."""
+        view = memoryview(data).cast("B")
+        size = len(view)
+        try:
+            while len(view) and not self.error:
+                view = view[super().write(view) :]
+        except OSError as error:
+            self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size; after an error, do not."""
+        try:
+            return self.tell() if self.error else super().truncate(size)
+        except OSError as error:
+            self.error = error
+            return self.tell()
+
+    def check(self, path: Path) -> None:
+        """Raise the error that a write met."""
+        if self.error:
+            raise InputError(f"{path}: it cannot be written: {self.error.strerror}")
+
+
 def write_text(path: str | Path, text: str, *suffixes: str) -> None:
     """Write a text file in UTF-8, whole or not at all."""
     with atomic_output(path, *suffixes) as temporary:

@@ -28,7 +28,7 @@ from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from ..system.lens_kinds import regular_array
-from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain
+from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -195,6 +195,7 @@ def make_class() -> type:
             nested = [value for _, value in props.objects()]
             refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
+            require_read(props, NAME)
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")

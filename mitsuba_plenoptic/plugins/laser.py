@@ -24,7 +24,7 @@ from ..optics.spectrum import Spectrum
 from ..runtime.jobs import Job
 from ..system.lens_kinds import regular_array
 from ..system.optical_system import OpticalSystem
-from .properties import DEFAULT_WAVELENGTH, put, read_plain
+from .properties import DEFAULT_WAVELENGTH, put, read_plain, require_read
 
 NAME = "plenoptic_laser"
 
@@ -130,6 +130,7 @@ def make_class() -> type:
             nested = [value for _, value in props.objects()]
             refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
             self.child = nested[0] if nested else mi.load_dict({"type": "path"})
+            require_read(props, NAME)
             variant = mi.variant() or ""
             refuse_if(
                 "_mono" not in variant or mi.is_polarized,

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
 from ..capture.scene import loading
+from ..capture.scene_unit import warn_of_metres
 from ..errors import InputError
 from ..runtime.backend import one_at_a_time
 
@@ -68,4 +69,5 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     with loading():
         made = mi.load_dict({"type": "scene", **objects, "camera": sensor}, optimize=False)
     made.set_id(scene.id())
+    warn_of_metres(made, made.sensors()[0])
     return made

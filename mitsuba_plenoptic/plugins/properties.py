@@ -20,6 +20,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
 from ..capture import colour
+from ..capture.scene import unknown_parameter
 from ..capture.signed_colours import SignedColours
 from ..errors import (
     NO_RECORD,
@@ -70,6 +71,15 @@ def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int
 def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) -> str:
     """Read one of several words from a plugin's properties; the first is the default."""
     return require_choice(f"{plugin}: {name}", props[name] if name in props else choices[0], choices)
+
+
+def require_read(props: Any, plugin: str) -> None:
+    """Refuse a parameter that a plugin has not read: there is none of its name.
+
+    Mitsuba does so itself once a plugin is made, without the name that was meant.
+    """
+    for name in props.unqueried():
+        raise InputError(unknown_parameter(plugin, name))
 
 
 def _plain(value: Any) -> Any:

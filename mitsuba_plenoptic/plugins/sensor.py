@@ -22,7 +22,7 @@ from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response, transmittance
 from .camera_rays import CameraRays, Candidates
 from .photodiodes import PhotodiodeTable
-from .properties import film_numbers, read_camera
+from .properties import film_numbers, read_camera, require_read
 
 NAME = "plenoptic"
 
@@ -125,6 +125,7 @@ def make_class() -> type:
                 line = _BOX if has_film else f'<film type="hdrfilm"> {_BOX} </film>'
                 raise InputError(f"{NAME}: {fault if has_film else 'it has no film'}; add the line {line}")
             camera = self._given = read_camera(props, NAME, film)
+            require_read(props, NAME)
             own = _parameters_of(camera)
             # Parameters whose value is an empty tuple are not exposed.
             self._numbers = [name for name, value in own.items() if PARAMETERS[name].is_exposed and value != ()]

@@ -69,6 +69,8 @@ def _command(settings: Settings) -> str:
     words = ["mitsuba-plenoptic compare", settings.scene]
     words += [f"--distance {distance:g}" for distance in settings.distances]
     words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
+    words += [f"--camera {settings.camera_name}"] * (settings.camera_name is not None)
+    words += [f"--unit {settings.unit}"] * (settings.unit != "mm")
     words += [
         f"--wavelength {settings.wavelength:g}",
         f"--spp {settings.spp}",

@@ -274,6 +274,8 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     spot = design.spot_radius(camera, wavelength)
     pixels = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero"
+    if camera.pixel_size > spot / 2:
+        pixels += ", so that pixels average over it"
     rows = [
         ("spot of a microlens", _four(1e3 * spot), "um", pixels),
         ("directions by the spot", _four(camera.micro_image_diameter / spot), "", "across a micro-image"),

@@ -14,10 +14,11 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..capture.passes import pass_counts
-from ..capture.render import render_capture
+from ..capture.render import plenoptic_sensor, render_capture
 from ..capture.scene import load_scene
-from ..errors import refuse_if
+from ..errors import naming, refuse_if
 from ..io.captures import Capture
+from ..plugins.other_camera import with_camera
 from ..reconstruction import Reconstruction, reconstruct
 from ..reconstruction.methods import require_distances
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
@@ -122,6 +123,11 @@ class Settings:
     slider: tuple[float, ...] = ()
     # Values for the scene's ``$name`` parameters.
     parameters: Mapping[str, str] = field(default_factory=dict)
+    # Parameters by name of the camera that replaces the scene's, and what the command calls it.
+    camera: Mapping[str, Any] | None = None
+    camera_name: str | None = None
+    # Unit of the scene's lengths.
+    unit: str = "mm"
     wavelength: float = 633.0
     # Samples per pixel of both captures.
     spp: int = 16
@@ -172,7 +178,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
     )
     set_variant(settings.variant)
-    scene = load_with_sensor(settings.scene, settings.parameters)
+    scene = load_with_sensor(settings.scene, settings.parameters, settings.camera, settings.unit)
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
     refuse_if(
@@ -183,6 +189,8 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
 
     base = {
         "scene": scene_fingerprint(settings.scene, settings.parameters),
+        "camera": settings.camera,
+        "unit": settings.unit,
         "variant": settings.variant,
     }
     ray, ray_key = store.capture(
@@ -247,10 +255,15 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     )
 
 
-def load_with_sensor(name: str, parameters: Mapping[str, str]) -> Any:
-    """Load a scene and refuse one without a sensor."""
-    scene = load_scene(name, parameters=parameters)
-    refuse_if(not scene.sensors(), f"{name}: it has no sensor; add one of type 'plenoptic'")
+def load_with_sensor(
+    name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
+) -> Any:
+    """Load a scene, with the camera of these parameters in place of its own; refuse one without a plenoptic sensor."""
+    scene = load_scene(name, parameters=parameters, unit=unit)
+    if camera is not None:
+        return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
+    with naming(name):
+        plenoptic_sensor(scene)
     return scene
 
 

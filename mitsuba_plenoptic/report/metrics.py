@@ -122,7 +122,7 @@ _WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 
 @dataclass(frozen=True)
-class EdgeSharpness:
+class SquareSharpness:
     """How sharp edges are."""
 
     # Distance in pixels from 10 to 90 per cent of the edge's height.
@@ -131,8 +131,11 @@ class EdgeSharpness:
     mtf50: float
 
 
-def edge_sharpness(image: np.ndarray) -> EdgeSharpness:
+def window_sharpness(image: np.ndarray) -> SquareSharpness:
     """Measure an edge that runs from top to bottom through the image, a few degrees off the vertical.
+
+    In contrast to `mitsuba_plenoptic.edge_sharpness`, the edge's place is known, so that interference next to it is
+    allowed, and a window of few pixels is enough.
 
     Shapes: `image` (rows, columns).
     """
@@ -150,10 +153,10 @@ def edge_sharpness(image: np.ndarray) -> EdgeSharpness:
     # The central difference's own transfer function.
     transfer[1:] /= np.sinc(2 * frequency[1:] / _OVERSAMPLING).clip(min=0.1)
     mtf50 = _first_crossing(frequency, 1 - transfer / transfer[0], 0.5)
-    return EdgeSharpness(width=float(width), mtf50=float(mtf50))
+    return SquareSharpness(width=float(width), mtf50=float(mtf50))
 
 
-def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> EdgeSharpness:
+def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> SquareSharpness:
     """Measure a bright square on dark ground, turned by a few degrees: the median of its four edges.
 
     The median, because something else may lie near one of them.
@@ -169,8 +172,8 @@ def square_sharpness(image: np.ndarray, row: float, column: float, side: float) 
             first, left = round(r) - reach, middle - reach
             if min(first, left) < 0 or first + 2 * reach > view.shape[0] or left + 2 * reach > view.shape[1]:
                 raise ValueError("no edge: it is not in view")
-            found.append(edge_sharpness(view[first : first + 2 * reach, left : left + 2 * reach]))
-    return EdgeSharpness(
+            found.append(window_sharpness(view[first : first + 2 * reach, left : left + 2 * reach]))
+    return SquareSharpness(
         width=statistics.median(edge.width for edge in found), mtf50=statistics.median(edge.mtf50 for edge in found)
     )
 

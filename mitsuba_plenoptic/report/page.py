@@ -149,6 +149,7 @@ def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, 
         *_points(settings.points, measured["captures"]["points"]),
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
+        *((("Camera instead of the scene's", settings.camera_name),) if settings.camera_name else ()),
         *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
         ("Mitsuba variant", settings.variant),
         *(

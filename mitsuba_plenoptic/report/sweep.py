@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import itertools
 import json
 import math
@@ -21,7 +20,7 @@ from ..capture.render import is_wave_capture, refuse_by_rays, render_capture
 from ..errors import InputError, argument, refuse_if, require_choice, require_module, require_number, require_wavelength
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..io.files import atomic_output, read_yaml, remove_leftovers, require_writable
+from ..io.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
 from ..lens_data import image_distance
 from ..reconstruction import METHODS
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
@@ -104,6 +103,10 @@ class SweepSettings:
         A scene file or a built-in name.
     parameters : mapping
         Values for the scene's ``$name`` parameters that do not vary.
+    camera : mapping, optional
+        Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
+    unit : str
+        Of the scene's lengths, as for `load_scene`.
     model, spp, seed
         As for `render_capture`; by model "wave" captures are made from signed rays.
     method : str
@@ -114,6 +117,8 @@ class SweepSettings:
 
     scene: str
     parameters: Mapping[str, str] = field(default_factory=dict)
+    camera: Mapping[str, Any] | None = None
+    unit: str = "mm"
     model: str | None = None
     spp: int | None = None
     seed: int = 0
@@ -155,7 +160,7 @@ class Points:
             parameters = self.parameters(point)
             if (key := tuple(parameters.items())) in sizes:
                 continue
-            scene = load_with_sensor(self.settings.scene, parameters)
+            scene = self._load(parameters)
             if not is_wave_capture(scene, self.settings.model):
                 refuse_by_rays(resume=self.store.resume or None, **for_waves)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
@@ -178,6 +183,9 @@ class Points:
             names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
             yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
 
+    def _load(self, parameters: dict[str, str]) -> Any:
+        return load_with_sensor(self.settings.scene, parameters, self.settings.camera, self.settings.unit)
+
     def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
         settings, parameters = self.settings, self.parameters(point)
         options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
@@ -185,10 +193,16 @@ class Points:
             options["wavelength"] = point[WAVELENGTH]
         if settings.model == "wave":
             options["method"] = "signed_rays"
-        inputs = {"scene": scene_fingerprint(settings.scene, parameters), "variant": settings.variant, **options}
+        inputs = {
+            "scene": scene_fingerprint(settings.scene, parameters),
+            "camera": settings.camera,
+            "unit": settings.unit,
+            "variant": settings.variant,
+            **options,
+        }
 
         def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
-            scene = load_with_sensor(settings.scene, parameters)
+            scene = self._load(parameters)
             keeper = checkpoint if is_wave_capture(scene, settings.model) else None
             return render_capture(scene, progress=progress, checkpoint=keeper, batch_map=batch_map, **options)
 
@@ -265,36 +279,6 @@ class SweepFile:
         for number, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
             self.variables["reconstruction"][(*at, number, ...)] = image
             self.variables["bin_size"][(*at, number)] = capture.camera.bin_size(distance)
-
-
-class Sink(io.FileIO):
-    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
-
-    error: OSError | None = None
-
-    def write(self, data: Any) -> int:
-        """Write all of it; after an error, drop it."""
-        view = memoryview(data).cast("B")
-        size = len(view)
-        try:
-            while len(view) and not self.error:
-                view = view[super().write(view) :]
-        except OSError as error:
-            self.error = error
-        return size
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the size; after an error, do not."""
-        try:
-            return self.tell() if self.error else super().truncate(size)
-        except OSError as error:
-            self.error = error
-            return self.tell()
-
-    def check(self, path: Path) -> None:
-        """Raise the error that a write met."""
-        if self.error:
-            raise InputError(f"{path}: it cannot be written: {self.error.strerror}")
 
 
 def sweep(

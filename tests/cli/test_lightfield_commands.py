@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import configparser
 import json
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
+from mitsuba_plenoptic.report.images import Brightness, to_bytes
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
@@ -172,3 +174,32 @@ def test_refused_drawings(raw, tmp_path, complaint):
     ]:
         command, *options = arguments
         assert complaint(command, raw, *options).startswith(message), message
+
+
+def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run, complaint):
+    raw, folder = tmp_path / "raw.exr", tmp_path / "hci"
+    words = ["-D", "resolution=256", "-D", "detector_width=0.512", "--spp", "4", "--aov", "depth"]
+    run("render", "letters", "-o", raw, *words)
+    assert run("convert", raw, "-o", folder, "--format", "hci") == f"{folder}: 15 x 15 views of 8 x 8 pixels\n"
+    read = configparser.ConfigParser()
+    read.read(folder / "parameters.cfg")
+    camera, lf = read_capture(raw).camera, decode(read_capture(raw))
+    assert float(read["extrinsics"]["baseline_mm"]) == pytest.approx(camera.pupil_step)
+    assert float(read["extrinsics"]["focus_distance_m"]) == pytest.approx(camera.focus_distance / 1000)
+    assert read["meta"]["scene"] == "raw" and int(read["extrinsics"]["num_cams_x"]) == 15
+    middle = lf.sizes["v"] // 2
+    pictures = sorted(folder.glob("input_Cam*.png"))
+    assert len(pictures) == 225
+    # In the order of rows from the upper left, the first of the square.
+    for number, (v, u) in ((0, (middle - 7, middle - 7)), (112, (middle, middle)), (113, (middle, middle + 1))):
+        square = lf.values[middle - 7 : middle + 8, middle - 7 : middle + 8]
+        known = to_bytes(lf.values[v, u], Brightness().white([square]))
+        assert (np.asarray(Image.open(pictures[number]))[..., 0] == known).all()
+    truth = np.frombuffer((folder / "gt_depth_lowres.pfm").read_bytes().split(b"\n", 3)[3], "<f4").reshape(8, 8)[::-1]
+    assert np.nanmin(truth) == pytest.approx(0.24, rel=1e-5)
+    assert complaint("convert", raw, "-o", folder, "--format", "hcl").startswith("--format = 'hcl': it must be")
+    assert complaint("convert", raw, "-o", raw, "--format", "hci") == f"{raw}: it is a file; name a folder"
+    run("convert", raw, "-o", tmp_path / "a.eslf.png")
+    views = ["--view-count", lf.sizes["u"]]
+    words = complaint("convert", tmp_path / "a.eslf.png", *views, "-o", folder, "--format", "hci")
+    assert words.startswith(f"{tmp_path / 'a.eslf.png'}: ") and "camera" in words

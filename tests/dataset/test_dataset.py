@@ -16,7 +16,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import yaml
-from dataset_cases import small
+from dataset_cases import SMALL, small
+from stopped_runs import start_command
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
@@ -280,3 +281,25 @@ def test_killed_processes_on_workers_end_with_the_bits_of_one_process(tmp_path):
         process.wait()
     assert start("killed", "--workers", "1").wait() == 0
     assert files(tmp_path / "killed") == files(tmp_path / "whole")
+
+
+def test_a_full_disk_leaves_finished_shards_and_a_rerun_goes_on(tmp_path):
+    """Here a limit on the size of files stands in for it; HDF5 left alone crashes at the end of the process."""
+    recipe, folder = tmp_path / "small.yaml", tmp_path / "made"
+    content = small(scenes=SMALL["scenes"][:1])
+    recipe.write_text(json.dumps(content | {"count": 2}))
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
+    first = (folder / "shards" / "shard-00000.h5").read_bytes()
+    recipe.write_text(json.dumps(content))
+    # Samples fit, the two of a shard do not.
+    run = start_command("dataset", recipe, "-o", folder, limit=len(first) * 3 // 4)
+    _, errors = run.communicate(timeout=300)
+    assert run.returncode == 2, errors
+    assert errors.splitlines()[-1].endswith("shard-00001.h5: it cannot be written: File too large")
+    assert "Traceback" not in errors
+    shards = [path.name for path in (folder / "shards").iterdir()]
+    assert shards == ["shard-00000.h5"] and (folder / "shards" / shards[0]).read_bytes() == first
+    assert sorted(path.name for path in (folder / "samples").iterdir()) == ["000002.h5", "000003.h5"]
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
+    assert len(DataSet(folder)) == 5 and DataSet(folder).damaged() == []
+    assert (folder / "shards" / shards[0]).read_bytes() == first

@@ -224,7 +224,7 @@ def test_numbers_can_be_changed_and_are_checked(camera_dict):
         ({"focus_distance": 240.0, "mla_distance": 120.0}, "give one of the two"),
         ({"near_clip": 1.0}, "plenoptic: near_clip = 1: this camera has no clipping planes"),
         ({"lens_model": "thick"}, "lens_model = 'thick': it must be one of ideal, parabolic"),
-        ({"focal_lenght": 80.0}, "unreferenced property"),
+        ({"focal_lenght": 80.0}, "it has no such parameter"),
     ],
 )
 def test_bad_parameters_are_refused(camera_dict, parameters, message):
@@ -332,3 +332,25 @@ def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
     inside = binary_erosion(white_image(camera.replace(aperture_radius=4.0)) > 0.999, iterations=2)
     assert inside.sum() > 300
     assert np.linalg.norm(gradient[inside] - difference[inside]) <= 0.03 * np.linalg.norm(difference[inside])
+
+
+@pytest.mark.parametrize(
+    ("plugin", "name", "meant"),
+    [
+        ("plenoptic", "focal_lenght", "focal_length"),
+        ("plenoptic", "mla_pich", "mla_pitch"),
+        ("plenoptic_wave", "wavelenght", "wavelength"),
+        ("plenoptic_laser", "roughnes", "roughness"),
+    ],
+)
+def test_misspelt_parameters_are_answered_by_mitsubas_own_loader(plugin, name, meant):
+    mi.set_variant("llvm_ad_mono")
+    film = {"film": {"type": "hdrfilm", "rfilter": {"type": "box"}}}
+    needed = {"plenoptic": film, "plenoptic_laser": {"lasers": "one"}}.get(plugin, {})
+    words = f"{plugin}: {name}: it has no such parameter; did you mean {meant}\\?"
+    for scene in (
+        {"type": plugin, name: 3.0, **needed},
+        {"type": "scene", "own": {"type": plugin, name: 3.0, **needed}},
+    ):
+        with pytest.raises(RuntimeError, match=words):
+            mi.load_dict(scene)

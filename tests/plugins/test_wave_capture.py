@@ -247,7 +247,7 @@ def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):
         ({"method": "magic"}, "method = 'magic': it must be one of signed_rays, points"),
         ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
-        ({"radiators": 3}, "unreferenced property"),
+        ({"radiators": 3}, "it has no such parameter"),
     ],
 )
 def test_bad_parameters_are_refused(parameters, message):

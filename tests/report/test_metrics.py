@@ -11,7 +11,6 @@ from scipy.special import erf
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.report.metrics import (
     common_scale,
-    edge_sharpness,
     image_metrics,
     interference,
     lit_region,
@@ -20,6 +19,7 @@ from mitsuba_plenoptic.report.metrics import (
     shape_window,
     square_sharpness,
     ssim_text,
+    window_sharpness,
 )
 
 
@@ -104,7 +104,7 @@ def test_an_object_near_one_edge_does_not_matter():
 
 def test_where_there_is_no_edge():
     with pytest.raises(ValueError, match="no edge"):
-        edge_sharpness(np.ones((16, 16)) + 1e-3 * np.random.default_rng(0).random((16, 16)))
+        window_sharpness(np.ones((16, 16)) + 1e-3 * np.random.default_rng(0).random((16, 16)))
     with pytest.raises(ValueError, match="not in view"):
         square_sharpness(square(0.7, 5), 4, 24, 26)
 

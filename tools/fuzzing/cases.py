@@ -257,6 +257,17 @@ KINDS = tuple(
         ! sweep('--vary', <<'a' | '=1' | 'a=' | 'a b=1' | '1=1' | '\0=1' | 'samples=1', '--vary', 'samples=2'>>)
         ! sweep('--vary', 'a=1,2', '--vary', 'b=' + ','.join(map(str, range(60_000))))
 
+    12 texts: bytes
+        read_as($text, edits=$edits)
+        read_as($text, $bytes)
+        read_as($text, edits=[($place, 0, <<b'\xff' | b'\0' | b'\xed\xa0\x80' | b'\xc3' | b'\xe2\x82' | b'\x1b[2J'>>)])
+        read_as($text, edits=[(0, 0, <<b'\xff\xfe' | b'\xfe\xff' | b'\xef\xbb\xbf' | b'\r' | b'\x1f\x8b'>>)])
+        read_as($text, TEXTS[$text][0].encode(<<'utf-16' | 'utf-32' | 'cp037' | 'utf-7'>>))
+        ! command('info', holding(<<'a.json' | 'a.yaml' | 'a.zmx' | 'a.seq' | 'a.xml' | 'a.lfp' | 'a.exr'>>, $bytes))
+        ! command('run', holding('a.yaml', b'\xff' + $bytes))
+        ! command('dataset', holding('a.yaml', b'\xff' + $bytes), '-o', 'out')
+        ! command('info', 'letters', '-D', 'resolution=64', '--save-run', holding('a.yaml', b'\xff' + $bytes))
+
     8 MAT, HDF5, PNG: damaged bytes
         open_light_field(damaged(<<'uint8.mat' | 'uint16.mat' | 'single.mat'>>, $edits))
         open_light_field(damaged('version7.mat', $edits))

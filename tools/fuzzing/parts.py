@@ -112,6 +112,11 @@ _EDITS = st.one_of(
 )
 _EDGES = (-(2**31), -(10**9), -64, -1, 0, 1, 7, 8, 31, 62, 64, 127, 4095, 65535, 2**24, 10**9, 2**31 - 1)
 _ATTRIBUTES = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "mitsuba_plenoptic")
+# As `texts` has them, which needs the package.
+_TEXTS = (
+    "camera.json", "lens.yaml", "lens.json", "design.zmx", "design.seq", "screen.json", "shape.json", "response.json",
+    "responses.csv", "centres.csv", "centres.json", "recipe.yaml", "varied.yaml", "dataset.json", "checksums.sha256",
+)  # fmt: skip
 
 PARTS: dict[str, Code] = {
     "camera": _cameras(),
@@ -128,6 +133,7 @@ PARTS: dict[str, Code] = {
     "size": _code(st.integers(20_000, 2**31 - 1)),
     "exr": _among(("grey.exr", "colour.exr")),
     "attribute": _among(_ATTRIBUTES),
+    "text": _among(_TEXTS),
     # Python values.
     "any_text": _code(st.text(max_size=5)),
     "not_whole": _code(st.floats(1e-9, 1e9).filter(lambda number: not number.is_integer())),

@@ -13,6 +13,7 @@ import math
 import re
 import tempfile
 import zlib
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from struct import pack
@@ -30,6 +31,8 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, Checkpoint, InputError, PlenopticCamera, decode, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import exchange, white_image
+
+from .texts import TEXTS
 
 SCENE = """<?xml version="1.0" encoding="utf-8"?>
 <scene version="3.0.0">
@@ -196,6 +199,19 @@ def damaged(name: str, edits: list[tuple[int, int, bytes]]) -> str:
         place %= max(len(data), 1)
         data = data[:place] + new + data[place + count :]
     return holding(name, data)
+
+
+def read_as(name: str, content: bytes | None = None, edits: Sequence[tuple[int, int, bytes]] = ()) -> None:
+    """Read a file of text by the reader of its name, or as a camera, a scene and a run file at the command.
+
+    It holds a whole text, other content, or a text with bytes replaced, as for `damaged`.
+    """
+    text, reader = TEXTS[name]
+    data = text.encode() if content is None else content
+    for place, count, new in edits:
+        place %= max(len(data), 1)
+        data = data[:place] + new + data[place + count :]
+    reader(holding(name, data))
 
 
 def holding(name: str, content: str | bytes) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from mitsuba_plenoptic import CaptureOperator, PhaseScreen, PlenopticCamera
 from mitsuba_plenoptic.far_sources import star
 from mitsuba_plenoptic.lenses.thin import Wavefront
+from mitsuba_plenoptic.wavefront import Slopes, modes_from_slopes, spot_slopes
 
 from .. import Row, case
 from ..measures import relative
@@ -194,6 +196,38 @@ def saturation() -> Iterator[Row]:
         found = float(np.interp(-(1 - loss), -ratios, strengths))
         yield figure(f"array in the focus, tilt: strength at which the signal has lost {loss:.0%}", found, unit="waves")
     yield figure("array in the focus, tilt: signal at 1 wave over that at 0.5 waves", 2 * ratios[-1] / ratios[-2])
+
+
+@case(
+    "wavefront-sensors.slopes",
+    "Zernike terms from the slopes of a Shack-Hartmann sensor against the truth",
+    FIGURES,
+    page="docs/theory/wavefront_reconstruction.md",
+    quick={"strengths": (0.3,), "modes": 4},
+)
+def slopes(*, strengths: tuple[float, ...] = (0.05, 0.3, 1.0), modes: int = 11) -> Iterator[Row]:
+    """Fit the slopes of captures of single terms, less those of a flat wavefront, up to a Noll index."""
+    camera = PlenopticCamera.preset("shack_hartmann")
+
+    def measured(wavefront: NDArray[Any]) -> Slopes:
+        image = capture(camera.replace(wavefront=wavefront))
+        size, distance = 1e3 * PIXEL, 1e3 * MICROLENS
+        return spot_slopes(
+            image, pixels_per_lens=32, pixel_size=size, focal_length=distance, magnification=-MAGNIFICATION
+        )
+
+    flat = measured(np.zeros(modes))
+    for strength in strengths:
+        seen = [measured(strength * term) for term in np.eye(modes)[1:]]
+        less = [replace(each, slope=each.slope - flat.slope) for each in seen]
+        for words, every in (("less those of a flat wavefront", less), ("as measured", seen)):
+            found = np.array([modes_from_slopes(each, camera.aperture_radius, modes) for each in every]) / strength
+            error = found - np.eye(modes)[1:]
+            own, most = np.abs(np.diag(error, 1)).max(), 2 if every is less else None
+            name = f"terms of {strength:g} waves, slopes {words}"
+            yield figure(f"{name}: largest error of a term", 100 * own, at_most=most, unit="%")
+            others = np.abs(error - np.diag(np.diag(error, 1), 1)[:-1]).max()
+            yield figure(f"{name}: largest other term", 100 * others, at_most=most and 4, unit="%")
 
 
 @case(

@@ -1,0 +1,114 @@
+"""Changes of a camera's parameters that mend what is poor about a design.
+
+Those of the microlenses keep the image that they see, at the distance a before the array: with every z,
+:math:`1/f_2 = 1/z + 1/a`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ..camera import PlenopticCamera
+from ..camera.entry import one_if_equal, one_if_single
+from ..camera.parameters import PARAMETERS
+from ..errors import InputError
+from .focus import mla_object_distances
+
+Changes = dict[str, Any] | None
+"""Parameters by name; None where no parameters mend a design."""
+
+_FASTEST = 0.5
+"""F-number below which no lens in air images without aberrations."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is poor about a design, and what would mend it, the best first: words and changes of parameters."""
+
+    text: str
+    remedies: tuple[tuple[str, Changes], ...] = ()
+    # What lessens it besides.
+    besides: str = ""
+
+    def mended(self, camera: PlenopticCamera) -> Iterator[tuple[str, PlenopticCamera]]:
+        """Yield the remedies of which a camera comes, in words with the values, and these cameras."""
+        for words, changes in self.remedies:
+            changed = changed_camera(camera, changes)
+            if changes is not None and changed is not None and changed.f_number >= min(_FASTEST, camera.f_number):
+                values = ", ".join(f"{name} = {_written(value)}" for name, value in changes.items())
+                yield f"{words} ({values})", changed
+
+    def sentence(self, camera: PlenopticCamera) -> str:
+        """Return the sentence of a warning: what is poor, and what would mend it."""
+        offers = [words for words, _ in self.mended(camera)] + [self.besides] * bool(self.besides)
+        return self.text + ("; " + ", or ".join(offers) if offers else "")
+
+
+def changed_camera(camera: PlenopticCamera, changes: Changes) -> PlenopticCamera | None:
+    """Return the camera with the changes, None where it is none.
+
+    The lens may not open so far, a shape set the focal length, or the detector be too large.
+    """
+    try:
+        return None if changes is None else camera.replace(**changes)
+    except InputError:
+        return None
+
+
+def _written(value: Any) -> str:
+    """Write a value with the digits that a warning needs."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_written, value))})"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value}"
+
+
+def detector_at(camera: PlenopticCamera, reduced_distance: float) -> Changes:
+    """Return the microlenses and their distance from the detector, in air, with which they see the same image."""
+    powers = [1 / reduced_distance + 1 / a for a in mla_object_distances(camera)]
+    if min(powers) <= 0:
+        return None
+    lengths = one_if_single(tuple(camera.mla_medium / power for power in powers))
+    return {"detector_distance": camera.mla_medium * reduced_distance, "mla_focal_length": lengths}
+
+
+def larger_lenses(camera: PlenopticCamera, factor: float) -> Changes:
+    """Return microlenses that are larger, and as much farther from the detector."""
+    pitch = one_if_equal((factor * camera.mla_pitches[0], factor * camera.mla_pitches[1]))
+    behind = detector_at(camera, factor * camera.reduced_distance)
+    return behind and {"mla_pitch": pitch, **behind}
+
+
+def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
+    """Return the same detector with pixels narrower by a factor, rounded up to a whole one."""
+    count = math.ceil(factor * (1 - 1e-9))
+
+    def several(pair: tuple[int, int]) -> tuple[int, int]:
+        return count * pair[0], count * pair[1]
+
+    found = {"resolution": several(camera.resolution)}
+    if camera.is_cropped:
+        found |= {"crop_offset": several(camera.crop_offset), "crop_size": several(camera.crop_size)}
+    return found
+
+
+def in_millimetres(camera: PlenopticCamera) -> Changes:
+    """Return the lengths of a camera that was given in metres."""
+    of_length = [name for name, entry in PARAMETERS.items() if entry.unit == "mm" and not entry.instead_of]
+    values = {name: getattr(camera, PARAMETERS[name].attribute) for name in of_length}
+    return {
+        name: tuple(1000 * one for one in value) if isinstance(value, tuple) else 1000 * value
+        for name, value in values.items()
+    }
+
+
+def least_change(change: Callable[[float], Changes], camera: PlenopticCamera, good: Callable[[Any], bool]) -> Changes:
+    """Return the changes by the greatest factor below 1, to a thousandth, of which a good camera comes."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        middle = (low + high) / 2
+        changed = changed_camera(camera, change(middle))
+        low, high = (middle, high) if changed is not None and good(changed) else (low, middle)
+    return change(low) if low else None

@@ -1,0 +1,212 @@
+"""Cameras from data sheets: their micro-images in closed form and in a capture, and what is said about other names."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
+from mitsuba_plenoptic.calibration import read_camera
+from mitsuba_plenoptic.design import design_warnings, mended
+
+SHEET = {"f_number": 2.8, "lenses": 100, "pixels_per_lens": 10, "pixel_size": 0.005, "focal_length": 50.0}
+FOCUSED = SHEET | {"focus_distance": 320.0}
+LATTICES = pytest.mark.parametrize("lattice", ["square", "hexagonal"])
+
+
+def centres(camera: PlenopticCamera, *lenses: tuple[int, int]) -> np.ndarray:
+    """Project centres of lenses through the main lens's centre onto the detector, in pixels."""
+    b, z = camera.mla_distance, camera.detector_distance
+    return np.array([camera.lattice.centre(*lens) for lens in lenses]) * (b + z) / b / camera.pixel_size
+
+
+@LATTICES
+@pytest.mark.parametrize("count", [100, (60, 41)])
+def test_micro_images_are_as_wide_as_they_are_apart(lattice, count):
+    numbers = itertools.product((1.8, 2.8, 10.0), (6.84, 50.0, 135.0), (0.0014, 0.009), (2.5, 10, 16))
+    for (f_number, focal_length, pixel, pixels), far in itertools.product(numbers, (6, math.inf)):
+        camera = PlenopticCamera.matched(
+            f_number=f_number,
+            lenses=count,
+            pixels_per_lens=pixels,
+            pixel_size=pixel,
+            focal_length=focal_length,
+            focus_distance=far * focal_length,
+            mla_lattice=lattice,
+        )
+        assert (camera.f_number, camera.pixel_size) == pytest.approx((f_number, pixel), rel=1e-12)
+        here, right, up = centres(camera, (0, 0), (1, 0), (0, 1))
+        assert [np.hypot(*(each - here)) for each in (right, up)] == pytest.approx([pixels] * 2, rel=1e-9)
+        # The pupil's edges through the centre of a lens.
+        wide = camera.aperture_diameter * camera.detector_distance / camera.mla_distance / pixel
+        assert wide == pytest.approx(pixels, rel=1e-9)
+        columns, rows = count if isinstance(count, tuple) else (count, count)
+        step = 1 if lattice == "square" else math.sqrt(0.75)
+        assert camera.resolution == (round(columns * pixels), round(rows * step * pixels))
+        assert camera.focus_distance == pytest.approx(far * focal_length, rel=1e-9)
+        assert design_warnings(camera) == []
+        # Smaller lenses hardly focus light of 550 nm.
+        if pixels * pixel > 4.1 * 0.55e-3 * camera.mla_distance / camera.aperture_diameter:
+            assert design_warnings(camera, 550) == []
+
+
+@LATTICES
+def test_micro_images_of_a_white_capture(lattice):
+    numbers = FOCUSED | {"lenses": 6, "mla_lattice": lattice}
+    camera = PlenopticCamera.matched(**numbers)
+    load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": "8"})
+    white = {"type": "scene", "sensor": camera.to_sensor(), "light": {"type": "constant", "radiance": 1.0}}
+    scene = load_scene(white | {"integrator": {"type": "path"}})
+    # Sensors have numbers of single precision.
+    assert design_warnings(PlenopticCamera.from_sensor(scene.sensors()[0])) == []
+    picture = render_capture(scene, spp=400).image
+    x, y = np.meshgrid(*(camera.pixel_coordinates(axis) / camera.pixel_size for axis in (0, 1)))
+    index = [(i, j) for i in range(-8, 8) for j in range(-6, 6)]
+    places = centres(camera, *index)
+    inside = [k for k, (u, v) in enumerate(places) if abs(u) < x.max() - 5 and abs(v) < y.max() - 5]
+    assert len(inside) >= 9
+    # Each pixel is that of the nearest place.
+    nearest = np.argmin([np.hypot(x - u, y - v) for u, v in places], axis=0)
+    for k in inside:
+        lit = picture * (nearest == k)
+        assert math.sqrt(4 / math.pi * lit.sum()) == pytest.approx(10, rel=0.01)
+        found = [(lit * axis).sum() / lit.sum() for axis in (x, y)]
+        assert found == pytest.approx(list(places[k]), abs=0.05)
+    assert np.mean(picture) == pytest.approx(math.pi / 4 / (1 if lattice == "square" else math.sqrt(0.75)), rel=0.03)
+
+
+def test_a_real_lens_and_a_medium():
+    given = {name: value for name, value in FOCUSED.items() if name != "focal_length"} | {"f_number": 4}
+    camera = PlenopticCamera.matched(**given, main_lens="double_gauss", mla_medium=1.5)
+    assert camera.f_number == pytest.approx(4)
+    width = 2 * camera.pupil_radius * camera.detector_distance / 1.5 / camera.pupil_distance
+    assert [width, camera.micro_image_pitch] == pytest.approx([0.05, 0.05], rel=1e-9)
+    assert camera.mla_focal_length == camera.detector_distance
+
+
+def test_files_and_texts_state_the_same_camera(tmp_path):
+    camera = PlenopticCamera.matched(**FOCUSED | {"lenses": (60, 40)}, mla_lattice="hexagonal")
+    numbers = FOCUSED | {"lenses": [60, 40], "mla_lattice": "hexagonal"}
+    text = ",".join(f"{name}={value}" for name, value in numbers.items()).replace("[60, 40]", "60,40")
+    (tmp_path / "camera.json").write_text(json.dumps(numbers))
+    (tmp_path / "camera.yaml").write_text("".join(f"{name}: {value}\n" for name, value in numbers.items()))
+    assert PlenopticCamera.from_json(json.dumps(numbers)) == camera
+    for source in (text, tmp_path / "camera.json", tmp_path / "camera.yaml"):
+        assert read_camera(source) == (camera, None)
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        *(({name: None}, f"^{name}: missing") for name in FOCUSED if name != "focus_distance"),
+        ({"focus_distance": None}, "^focus_distance or mla_distance: missing"),
+        ({"mla_distance": 60}, "give one of the two"),
+        ({"aperture_radius": 5}, "^aperture_radius = 5: it follows from f_number and focal_length; leave it out"),
+        ({"resolution": (8, 8)}, r"^resolution = \(8, 8\): it follows from lenses and pixels_per_lens"),
+        ({"mla_pitch": 0.05}, "^mla_pitch = 0.05: it follows"),
+        ({"detector_width": 5}, "^detector_width = 5: it follows"),
+        ({"detector_distance": 0.2}, "^detector_distance = 0.2: it follows"),
+        ({"mla_focal_length": 0.2}, "^mla_focal_length = 0.2: it follows"),
+        ({"f_number": "2.8"}, "^f_number = '2.8': it must be a number"),
+        ({"f_number": -1}, "^f_number = -1: it must be at least"),
+        ({"lenses": 2.5}, "^lenses = 2.5: it must be a whole number"),
+        ({"lenses": 200_000}, "^lenses = 200000: with pixels_per_lens = 10 the detector has 2000000 pixels"),
+        ({"lenses": (1, 2, 3)}, r"^lenses = \(1, 2, 3\): it must be a pair"),
+        ({"pixels_per_lens": 0.5}, "^pixels_per_lens = 0.5: it must be at least 1"),
+        ({"main_lens": "double_gauss"}, "^f_number = 2.8: aperture_radius = .* opens to"),
+        (
+            {"main_lens": {"magnification": 20, "numerical_aperture": 0.5}, "focus_distance": None, "mla_distance": 10},
+            "main_lens|mla_distance",
+        ),
+    ],
+)
+def test_too_few_and_contradictory_arguments_are_named(changes, words):
+    with pytest.raises(InputError, match=words):
+        PlenopticCamera.matched(**FOCUSED | changes)
+
+
+NAMES = {
+    "f_number": r"aperture_radius is focal_length / \(2 f_number\); PlenopticCamera.matched",
+    "lenses": r"detector_width is lenses \* pixels_per_lens \* pixel_size",
+    "pixels_per_lens": r"mla_pitch is pixels_per_lens \* pixel_size / \(1 \+ detector_distance / mla_distance\)",
+    "lattice": "mla_lattice is square or hexagonal",
+    "pitch": "mla_pitch is the distance",
+    "aperture": "aperture_radius is half the diameter",
+    "detector_size": "detector_width is its first number",
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_of_elsewhere_are_answered_with_the_parameter(name, tmp_path):
+    words = f"{name}.*; {NAMES[name]}"
+    path = tmp_path / "scene.xml"
+    sensor = PlenopticCamera().to_xml().replace("<film", f'<float name="{name}" value="2"/><film')
+    path.write_text(f'<scene version="3.0.0">{sensor}</scene>')
+    with pytest.raises(TypeError, match=words):
+        PlenopticCamera(**{name: 2})
+    for attempt in (
+        lambda: PlenopticCamera.from_json(json.dumps({name: 2})),
+        lambda: PlenopticCamera().replace(**{name: 2}),
+        lambda: read_camera(f"{name}=2"),
+        lambda: load_scene("letters", variant="llvm_ad_mono", parameters={name: "2"}),
+        lambda: load_scene(path),
+    ):
+        with pytest.raises(InputError, match=words):
+            attempt()
+
+
+POOR = {
+    "overlap": {"aperture_radius": 10},
+    "wasted": {"aperture_radius": 2},
+    "no focus": {"mla_distance": 70},
+    "no directions": {"resolution": (128, 128)},
+    "rims": {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 6},
+    "gaps": {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 2.4},
+    "a type not focused": {"mla_lattice": "hexagonal", "mla_focal_length": (0.512, 0.47, 0.55)},
+    "many": {
+        "mla_distance": 121.536,
+        "mla_focal_length": 0.384,
+        "detector_distance": 0.512,
+        "aperture_radius": 8,
+        "resolution": (1024, 1024),
+    },
+    "small lenses": {"mla_pitch": 0.016, "mla_focal_length": 0.128, "resolution": (16384, 16384)},
+    "aberrations": {"lens_model": "parabolic"},
+    "metres": {"mla_pitch": 6.4e-5, "mla_focal_length": 5.12e-4, "detector_width": 8.192e-3}
+    | {"focal_length": 0.08, "aperture_radius": 0.005, "mla_distance": 0.12},
+    "microscope": {
+        "main_lens": {"magnification": 20, "numerical_aperture": 0.5},
+        "mla_pitch": 0.15,
+        "mla_focal_length": 1.0,
+    },
+}
+
+
+@pytest.mark.parametrize("numbers", POOR.values(), ids=POOR)
+def test_remedies_leave_no_warning(numbers):
+    camera = PlenopticCamera(**numbers)
+    assert design_warnings(camera, 633) and design_warnings(mended(camera, 633), 633) == []
+
+
+def test_a_good_camera_remains():
+    camera = PlenopticCamera.matched(**FOCUSED)
+    assert mended(camera, 550) is camera
+
+
+def test_a_fast_lens_keeps_its_stop():
+    better = mended(PlenopticCamera(aperture_radius=10))
+    assert better.aperture_radius == 10
+    assert better.micro_image_diameter == pytest.approx(better.micro_image_pitch)
+
+
+def test_a_focused_camera_keeps_its_plane():
+    camera = PlenopticCamera(**POOR["overlap"] | {"mla_distance": 121.536, "mla_focal_length": 0.384})
+    camera = camera.replace(detector_distance=0.512)
+    better = mended(camera)
+    a = [1 / (1 / each.mla_focal_length - 1 / each.detector_distance) for each in (camera, better)]
+    assert better.aperture_radius == 10 and a[1] == pytest.approx(a[0])

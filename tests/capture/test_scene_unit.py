@@ -1,0 +1,174 @@
+"""Scenes in metres: scaled by the loader as by hand, what cannot be scaled refused, and warned of everywhere."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+
+_WORDS = r"the whole scene is nearer than 4\.9 mm, within the main lens's focal length of 6\.84 mm: .* "
+
+
+def described(volume, length, power=1.0, **lamp):
+    """Describe a scene by hand whose lengths are multiplied by `length`, its lamps at points by `power`."""
+    transform = mi.ScalarTransform4f
+
+    def at(*place):
+        return transform().translate([length * value for value in place])
+
+    def media(name, density):
+        return {"type": name, "sigma_t": density, "scale": 1 / length, "albedo": 0.7}
+
+    cloud = {"type": "gridvolume", "filename": str(volume), "to_world": at(-1, -1, 2.5) @ transform().scale(2 * length)}
+    stand = {"type": "cylinder", "p1": [0, 0, 0.5 * length], "radius": 0.1 * length, "to_world": at(0, 0, 0)}
+    bumps = {"type": "checkerboard", "to_uv": transform().scale(5)}
+    return {
+        "type": "scene",
+        "integrator": {"type": "volpath", "max_depth": 4},
+        "camera": {
+            "type": "perspective",
+            "to_world": transform().look_at([0, 0, -2 * length], [0, 0, length], [0, 1, 0]),
+            "near_clip": 1.5 * length,
+            "far_clip": 1e3 * length,
+            "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}},
+        },
+        # Nearer than the camera sees.
+        "near": {"type": "sphere", "radius": 0.3 * length, "center": [0.2 * length, 0, -length]},
+        "wall": {
+            "type": "rectangle",
+            "to_world": at(0, 0, 3) @ transform().rotate([0, 1, 0], 180).scale(3 * length),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "volume", "volume": cloud}},
+        },
+        "bumpy": {
+            "type": "rectangle",
+            "to_world": at(-1, 1, 2) @ transform().rotate([0, 1, 0], 180).scale(0.7 * length),
+            "bsdf": {
+                "type": "bumpmap",
+                "arbitrary": {"type": "bitmap", "filename": str(volume.with_suffix(".exr")), "raw": True},
+                "scale": 0.2 * length,
+                "bsdf": {"type": "diffuse", "reflectance": bumps},
+            },
+        },
+        "mist": {
+            "type": "cube",
+            "to_world": at(0.9, 0, 1.5) @ transform().scale(0.5 * length),
+            "bsdf": {"type": "null"},
+            "interior": media("homogeneous", 1.5),
+        },
+        "cloud": {
+            "type": "cube",
+            "to_world": at(-0.9, -0.8, 1.5) @ transform().scale(0.5 * length),
+            "bsdf": {"type": "null"},
+            "interior": media("heterogeneous", {**cloud, "to_world": at(-2, -2, 0) @ transform().scale(3 * length)}),
+        },
+        "group": {"type": "shapegroup", "stand": stand},
+        "first": {
+            "type": "instance",
+            "to_world": at(0.5, -1, 1) @ transform().rotate([1, 0, 0], 30).scale([2, 1, 1]),
+            "group": {"type": "ref", "id": "group"},
+        },
+        "lamp": {"type": "point", "position": [length, 2 * length, 0], "intensity": lamp.get("point", 8 * power)},
+        "spot": {
+            "type": "spot",
+            "to_world": transform().look_at([-length, 0, -length], [0, 0, 3 * length], [0, 1, 0]),
+            "intensity": 20 * power,
+        },
+        "glow": {
+            "type": "disk",
+            "to_world": at(1.5, 1.5, 2) @ transform().rotate([0, 1, 0], 180).scale(0.4 * length),
+            "emitter": {"type": "area", "radiance": 3.0},
+        },
+        "sky": {"type": "constant", "radiance": 0.1},
+    }
+
+
+@pytest.fixture
+def volume(tmp_path):
+    """Write a volume of densities, and heights of bumps next to it."""
+    mi.set_variant("llvm_ad_mono")
+    random = np.random.default_rng(0)
+    path = tmp_path / "grid.vol"
+    mi.VolumeGrid(random.random((4, 4, 4, 1), np.float32)).write(str(path))
+    mi.Bitmap(random.random((8, 8), np.float32)).write(str(path.with_suffix(".exr")))
+    return path
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1000.0), ("cm", 10.0)])
+def test_scaled_scenes_look_like_those_scaled_by_hand(volume, unit, factor):
+    found = mi.render(mp.load_scene(described(volume, 1.0), unit=unit), spp=16, seed=1).numpy()
+    known = mi.render(mp.load_scene(described(volume, factor, factor**2)), spp=16, seed=1).numpy()
+    # Few rays, at edges, go either way, by rounding.
+    assert np.quantile(np.abs(found - known), 0.9) < 1e-4 * known.mean()
+    assert abs(found.mean() - known.mean()) < 2e-3 * known.mean()
+
+
+def test_files_are_scaled_as_dictionaries(volume, tmp_path):
+    config = mi.parser.ParserConfig("llvm_ad_mono")
+    path = tmp_path / "scene.xml"
+    mi.parser.write_file(mi.parser.parse_dict(config, described(volume, 1.0)), str(path))
+    found = mi.render(mp.load_scene(path, unit="m"), spp=4, seed=1).numpy()
+    known = mi.render(mp.load_scene(described(volume, 1.0), unit="m"), spp=4, seed=1).numpy()
+    assert np.quantile(np.abs(found - known), 0.9) < 1e-3 * known.mean()
+    assert mp.load_scene(path, unit="m").bbox().max.z == pytest.approx(3000)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral"])
+def test_lamps_of_any_colour_are_scaled(variant):
+    mi.set_variant(variant)
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 4]).rotate([0, 1, 0], 180)}
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    camera = {"type": "perspective", "fov": 10, "film": film}
+    for colour in (
+        {"type": "rgb", "value": [1, 2, 3]},
+        {"type": "spectrum", "value": [(400, 1), (700, 3)]},
+        {"type": "spectrum", "value": 2.0},
+    ):
+        lamp = {"type": "point", "intensity": colour}
+        scene = {"type": "scene", "integrator": {"type": "path"}, "camera": camera, "wall": wall, "lamp": lamp}
+        small, large = (mi.render(mp.load_scene(scene, unit=unit), spp=16, seed=1).numpy() for unit in ("mm", "m"))
+        np.testing.assert_allclose(large, small, rtol=1e-4)
+        assert small.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lamp": {"type": "point", "intensity": {"type": "d65"}}}, "unit: point 'lamp': intensity: it must be given"),
+        ({"cam": {"type": "orthographic"}}, "unit: orthographic 'cam': its lengths cannot be scaled, only those of pe"),
+        ({"hair": {"type": "linearcurve", "filename": "x"}}, "unit: linearcurve 'hair': its lengths cannot be scaled"),
+        ({"made": "made"}, "unit: scene: made: an object that is already made cannot be scaled; give its dictionary"),
+    ],
+)
+def test_what_cannot_be_scaled_is_refused_by_name(change, words):
+    mi.set_variant("llvm_ad_mono")
+    change = {name: mi.load_dict({"type": "sphere"}) if one == "made" else one for name, one in change.items()}
+    with pytest.raises(mp.InputError, match=f"^{re.escape(words)}"):
+        mp.load_scene({"type": "scene", **change}, unit="m")
+
+
+def test_units_are_refused_by_name():
+    with pytest.raises(mp.InputError, match=r"^unit = 'km': it must be one of 'mm', 'cm', 'm'|^unit = "):
+        mp.load_scene("letters", unit="km")
+
+
+def test_scenes_in_metres_are_warned_of_everywhere():
+    mi.set_variant("llvm_ad_mono")
+    camera = mp.PlenopticCamera.preset("lytro")
+    box = mi.cornell_box()
+    with pytest.warns(UserWarning, match=_WORDS + r"load_scene\(..., unit=\"m\"\) scales them$"):
+        mp.with_camera(mp.load_scene(box), camera)
+    with pytest.warns(UserWarning, match=_WORDS):
+        seen = mp.with_camera(mp.load_scene(box), camera.replace(resolution=(20, 20), detector_width=0.028))
+    with pytest.warns(UserWarning, match=_WORDS):
+        mp.render_capture(seen, spp=1)
+    sensor = camera.to_sensor(to_world=box["sensor"]["to_world"])
+    with pytest.warns(UserWarning, match=_WORDS):
+        mp.load_scene({**box, "sensor": sensor})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mp.with_camera(mp.load_scene(box, unit="m"), camera)

@@ -1,0 +1,54 @@
+"""The command ``mtf``: edges of a refocused image."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.reconstruction import write_reconstruction
+
+
+@pytest.fixture
+def refocused(raw, tmp_path):
+    """Write a reconstruction whose image is a blurred edge, turned by 5 degrees."""
+    rows, columns = np.mgrid[:480, :480] / 8 - 30
+    image = gaussian_filter((columns > 0.0875 * rows + 2).astype(float), 8).reshape(60, 8, 60, 8).mean(axis=(1, 3))
+    made = replace(mp.reconstruct(mp.read_capture(raw), 240), image=image.astype(np.float32))
+    write_reconstruction(tmp_path / "out.exr", made)
+    return tmp_path / "out.exr", made
+
+
+def test_what_is_printed(refocused, run):
+    path, made = refocused
+    text = run("mtf", path)
+    assert re.search(
+        r"^edge at row 29\.5, column 31\.\d+, 60 bins long, turned by 4.98 degrees from the columns$", text, re.M
+    )
+    half = float(re.search(r"half the contrast at (\S+) cycles per bin", text)[1])
+    assert f"{half / made.bin_size:.2g}" in text
+    # A Gaussian of one bin, and the bin itself.
+    known = np.exp(-2 * (np.pi * 0.25) ** 2) * np.sinc(0.25)
+    assert float(re.search(r"^0\.25 cycles .* (\S+)$", text, re.M)[1]) == pytest.approx(known, abs=0.005)
+    inside = run("mtf", path, "--region", "10,5,45,50")
+    assert "edge at row 29.5" in inside
+
+
+def test_captures_are_refocused(raw, complaint):
+    words = complaint("mtf", raw, "--distance", "240")
+    assert words.startswith(f"{raw}: image") and "edge" in words
+    assert "holds a 'capture', not a reconstruction" in complaint("mtf", raw)
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "0,0,0,5", "0,0,61,5", "a,b,c,d", "-1,0,5,5"])
+def test_regions_are_refused(text, refocused, complaint):
+    rule = "it must be LEFT,TOP,WIDTH,HEIGHT in bins, within 60 x 60"
+    assert complaint("mtf", refocused[0], f"--region={text}") == f"--region {text}: {rule}"
+
+
+def test_options_of_captures_are_refused_for_reconstructions(refocused, complaint):
+    assert complaint("mtf", refocused[0], "--method", "ray").startswith("--method: it is for captures, with --distance")

@@ -1,0 +1,81 @@
+"""Own scenes at the command: with another sensor, in metres, compared and swept by a camera that is named."""
+
+from __future__ import annotations
+
+import json
+
+import mitsuba as mi
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.report import experiment
+
+# The wall behind the box, in millimetres.
+WALL = 4900
+
+
+@pytest.fixture
+def box(tmp_path):
+    """Save Mitsuba's Cornell box, of two metres, as XML."""
+    mi.set_variant("llvm_ad_rgb")
+    path = tmp_path / "my_scene.xml"
+    mi.parser.write_file(mi.parser.parse_dict(mi.parser.ParserConfig("llvm_ad_rgb"), mi.cornell_box()), str(path))
+    return path
+
+
+@pytest.fixture
+def camera(tmp_path):
+    """Save the preset lytro with a small detector."""
+    path = tmp_path / "small.json"
+    small = mp.PlenopticCamera.preset("lytro").replace(resolution=(80, 80), detector_width=0.112)
+    path.write_text(small.to_json())
+    return path
+
+
+def test_scenes_without_a_plenoptic_sensor_are_answered_with_an_option(box, tmp_path, complaint):
+    words = f"{box}: sensor of type PerspectiveCamera: a plenoptic camera needs a sensor of type 'plenoptic'; --camera"
+    assert complaint("compare", box, "-o", tmp_path / "out", "--distance", WALL).startswith(f"{words} NAME gives it")
+    assert complaint("sweep", box, "-o", tmp_path / "a.nc", "--vary", "distance=4e3").startswith(f"{words} NAME gives")
+    for command in ("render", "preview"):
+        words = complaint(command, box, "-o", tmp_path / f"a.{'exr' if command == 'render' else 'png'}")
+        assert words.endswith("; --camera NAME gives it one")
+    empty = tmp_path / "empty.xml"
+    empty.write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
+    words = "scene: it has no sensor; --camera NAME gives it one, or add one of type 'plenoptic'"
+    assert complaint("compare", empty, "-o", tmp_path / "out", "--distance", WALL) == f"{empty}: {words}"
+
+
+def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run):
+    words = ["--camera", camera, "--unit", "m", "--vary", f"distance={WALL},4000", "--spp", "4"]
+    assert run("sweep", box, "-o", tmp_path / "out.nc", *words).endswith("over 2 distance\n")
+    capture = mp.render_capture(
+        mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text())), spp=4
+    )
+    found = mp.read_capture(tmp_path / "out.points" / "capture.exr")
+    assert found.camera == capture.camera
+    assert (found.image == capture.image).all() and capture.image.any()
+
+
+@pytest.mark.parametrize("word", ["-D resx=4", "--vary resx=3,4"])
+def test_parameters_of_the_camera_that_is_replaced_are_refused(word, box, camera, tmp_path, complaint):
+    words = ["sweep", box, "-o", tmp_path / "out.nc", "--camera", camera, "--unit", "m", "--vary", "distance=4e3"]
+    name = "-D resx" if word.startswith("-D") else "grid: resx"
+    rule = "it is of the scene's own camera, which another one replaces; leave it out"
+    assert complaint(*words, *word.split()) == f"{name}: {rule}"
+
+
+@pytest.mark.slow
+def test_own_scenes_in_metres_are_compared(box, camera, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
+    out = tmp_path / "out"
+    words = ["--camera", str(camera), "--unit", "m", "--distance", str(WALL), "--spp", "4"]
+    assert main(["compare", str(box), "-o", str(out), *words]) == 0
+    assert "Rays against waves" in capsys.readouterr().out
+    settings = json.loads((out / "results.json").read_text())["settings"]
+    assert settings["camera"]["mla_pitch"] == 0.014 and settings["unit"] == "m"
+    page = (out / "report.html").read_text()
+    assert f"--camera {camera} --unit m" in page
+    scene = mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text()))
+    known = mp.render_capture(scene, spp=4, noise=True)
+    assert (mp.read_capture(out / "data" / "capture_ray.exr").image == known.image).all()

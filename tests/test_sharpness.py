@@ -1,0 +1,92 @@
+"""Slanted edges: their transfer functions against closed forms, their places, and what is no such edge."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+import mitsuba_plenoptic as mp
+
+
+def edge(sigma, angle, *, shape=(80, 64), offset=3.3, parts=1):
+    """Return an edge blurred by a Gaussian, `offset` right of the middle, as means of `parts` x `parts` points."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]].astype(float)
+    turn = math.radians(angle)
+    within = (np.arange(parts) + 0.5) / parts - 0.5
+
+    def at(down, across):
+        x, y = columns + across - (shape[1] - 1) / 2 - offset, rows + down - (shape[0] - 1) / 2
+        return 0.1 + 0.4 * (1 + erf((x * math.cos(turn) - y * math.sin(turn)) / (sigma * 2**0.5)))
+
+    return np.mean([at(down, across) for down in within for across in within], axis=0)
+
+
+@pytest.mark.parametrize("angle", [2, -2, 3, 5, 7.125, -8, 10])
+@pytest.mark.parametrize("sigma", [0.4, 0.7, 1.5])
+@pytest.mark.parametrize("parts", [1, 12])
+def test_known_transfer_functions(angle, sigma, parts):
+    found = mp.edge_sharpness(edge(sigma, angle, parts=parts))
+    turn, frequency = math.radians(angle), found.frequency[found.frequency <= 0.5]
+    pixel = np.sinc(frequency * math.cos(turn)) * np.sinc(frequency * math.sin(turn)) if parts > 1 else 1
+    known = np.exp(-2 * (math.pi * sigma * frequency) ** 2) * pixel
+    np.testing.assert_allclose(found.transfer[: frequency.size], known, atol=0.005)
+    assert found.angle == pytest.approx(angle, abs=0.1)
+    assert found.upright and found.row == pytest.approx(39.5)
+    assert found.column == pytest.approx(31.5 + 3.3, abs=0.05)
+    if parts == 1:
+        assert found.width == pytest.approx(2 * 1.28155 * sigma, abs=0.05)
+        assert found.mtf50 == pytest.approx(math.sqrt(math.log(2) / 2) / (math.pi * sigma), rel=0.01)
+
+
+def test_edges_are_found_anywhere_and_either_way():
+    small, picture = edge(0.7, 6, shape=(60, 60)), np.full((140, 160), 0.1)
+    picture[50:110, 30:90] = small
+    # The bright half ends at the picture's ground, which is another edge beside it.
+    with pytest.raises(mp.InputError, match="it has two edges or more; cut out the one to measure"):
+        mp.edge_sharpness(picture)
+    for image, upright in ((small, True), (small.T, False), (1 - small, True)):
+        found = mp.edge_sharpness(image)
+        assert found.upright is upright and found.mtf50 == pytest.approx(0.268, abs=0.003)
+    bordered = np.pad(small, ((3, 0), (7, 2)), constant_values=np.nan)
+    inside, whole = mp.edge_sharpness(bordered), mp.edge_sharpness(small)
+    assert (inside.row, inside.column) == pytest.approx((whole.row + 3, whole.column + 7))
+    colours = mp.edge_sharpness(np.stack([small] * 3, axis=2))
+    np.testing.assert_allclose(colours.transfer, whole.transfer, atol=1e-6)
+
+
+def test_noise_and_digital_numbers_change_little():
+    known = mp.edge_sharpness(edge(0.7, 5))
+    noisy = edge(0.7, 5) + 0.004 * np.random.default_rng(1).standard_normal((80, 64))
+    for image in (noisy, np.round(255 * edge(0.7, 5))):
+        found = mp.edge_sharpness(image)
+        lower = found.frequency <= 0.5
+        np.testing.assert_allclose(found.transfer[lower], known.transfer[lower], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.ones((40, 40)), "it has no edge: all of it is alike"),
+        (1 + 0.01 * np.random.default_rng(0).random((40, 40)), "it has no edge: all of it is alike"),
+        (np.ones((3, 40)), "it has no edge: it is too small"),
+        (edge(0.7, 5) + edge(0.7, 5, offset=-15), "it has two edges or more; cut out the one to measure"),
+        (edge(0.7, 5, shape=(64, 64)) + edge(0.7, 3, shape=(64, 64)).T, "it has two edges or more; cut"),
+        (np.minimum(edge(0.7, 5), 0.7), "its edge is saturated: one side is cut off"),
+        (np.maximum(edge(0.7, -5), 0.3), "its edge is saturated: one side is cut off"),
+        (1 - np.minimum(edge(0.7, 5), 0.7), "its edge is saturated: one side is cut off"),
+        (edge(0.7, 0), "its edge is turned by 0.0 degrees from the pixels: it must be 1 to 20"),
+        (edge(0.7, 30), "its edge is turned by "),
+        (edge(0.7, 2, shape=(20, 64)), "its edge is 20 pixels long: turned by 2 degrees it needs "),
+        (edge(0.7, 5, offset=26), "its edge is nearer than 5 pixels to the border"),
+        (np.where(np.arange(64) == 40, np.nan, edge(0.7, 5)), "it has unknown values"),
+        (np.ones(5), "of shape (5,): it must have rows and columns"),
+    ],
+)
+def test_what_is_no_single_slanted_edge_is_refused_in_one_line(image, words):
+    with pytest.raises(mp.InputError) as found:
+        mp.edge_sharpness(image)
+    assert str(found.value).partition("image")[2].lstrip(": ").startswith(words)
+    assert "\n" not in str(found.value)
