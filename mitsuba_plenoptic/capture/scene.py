@@ -407,7 +407,8 @@ def loading(what: str = "") -> Iterator[None]:
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
-        line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error))
+        # A traceback states lines of Python.
+        line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error).partition("Traceback")[0])
         where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
         raise InputError(f"{where}{mitsuba_sentence(error)}") from None
 
