@@ -10,7 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from .. import reconstruction
-from ..errors import refuse_if, require_choice
+from ..camera import PlenopticCamera
+from ..errors import InputError, refuse_if, require_choice
+from ..io.captures import Capture
 from ..io.checkpoints import SUFFIX, Checkpoint
 from ..io.files import require_apart, require_different, require_writable
 from ..reconstruction import METHODS, Reconstruction, Volume, read_reconstruction, write_volume
@@ -18,7 +20,8 @@ from ..reconstruction.results import SUFFIXES, require_volume_path
 from ..report.images import Brightness, Drawing
 from ..report.output_files import reconstruction_paths, write_reconstructions
 from ..runtime.backend import set_variant
-from ..runtime.progress import progress_bar
+from ..runtime.limits import GIB
+from ..runtime.progress import in_words, progress_bar
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -42,17 +45,17 @@ from .stopping import existing_checkpoint, stopped_by_hand
 
 def reconstruct(
     capture: CaptureFile,
+    distance: Distances,
     output: Annotated[
         Path | None,
         output_option(
             "FILE",
             "File to write, not needed with --estimate: float32 OpenEXR if it ends in .exr, an 8-bit picture if in "
-            ".png. With several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into "
-            "one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif (ImageJ), "
-            ".ome.tif (OME) or .zarr.",
+            ".png. With several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. "
+            "All go into one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif "
+            "(ImageJ), .ome.tif (OME) or .zarr.",
         ),
-    ],
-    distance: Distances,
+    ] = None,
     method: Annotated[
         str,
         typer.Option(
@@ -208,11 +211,19 @@ def reconstruct(
         "variation": variation,
     }
     if estimate:
-        _print_estimate(capture, known=named_camera(camera), linear=linear, white=white, variant=variant,
-                        distance=distance, options=options)
-        return
-    if output is None:
+        refused = {"output": output, "overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
+        for name in (name for name, value in refused.items() if value):
+            raise InputError(f"--{name}: an estimate does not take it; leave it out")
+    elif output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
+    known = named_camera(camera)
+    require_linear(linear, capture, white)
+    if output is None:
+        with progress_bar("Estimating"):
+            recorded, reference = _recorded(capture, white, known, linear, variant)
+            cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **options)
+        typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
+        return
     whole = output.suffix.lower() in SUFFIXES
     drawing = drawing_of(exposure, percentile, scale, figure, output, overview)
     paths = [] if whole else reconstruction_paths(output, distance, drawing)
@@ -224,11 +235,7 @@ def reconstruct(
     require_different(*written)
     for path in filter(None, written):
         require_apart(path, capture, white)
-    require_linear(linear, capture, white)
-    known = named_camera(camera)
-    recorded = read_recorded(capture, known, linear)
-    reference = None if white is None else read_recorded(white, known, linear)
-    set_variant(variant)
+    recorded, reference = _recorded(capture, white, known, linear, variant)
     saved = Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
@@ -274,6 +281,16 @@ def sheet(
     contact_sheet(read, Brightness(exposure, percentile).white([one.image for one in read])).save(output)
     methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images, {len(methods)} methods at {len(distances)} distances")
+
+
+def _recorded(
+    capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
+) -> tuple[Capture, Capture | None]:
+    """Read a capture and its white reference, and set the variant."""
+    recorded = read_recorded(capture, known, linear)
+    reference = None if white is None else read_recorded(white, known, linear)
+    set_variant(variant)
+    return recorded, reference
 
 
 def _period(interleave: str | None) -> int | str | None:

@@ -343,7 +343,8 @@ def reconstruct(
     def tell(seconds: float) -> None:
         if seconds > _LONG:
             needed = f"{in_words(seconds)} and {max(sizes) / GIB:.2g} GiB"
-            _log.info("method %s takes about %s; method ray takes a small part of that", method, needed)
+            cheaper = "; method ray takes a small part of that" if chosen.waves else ""
+            _log.info("method %s takes about %s%s", method, needed, cheaper)
 
     forecast, reported = Forecast(tell, progress), -1
 

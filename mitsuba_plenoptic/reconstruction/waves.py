@@ -345,7 +345,10 @@ def _signed_power(
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
         options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": sign > 0}
-        options |= {"progress": portion(progress, index, [1] * len(parts)), "conjugates": real or ThinConjugates(system)}
+        options |= {
+            "progress": portion(progress, index, [1] * len(parts)),
+            "conjugates": real or ThinConjugates(system),
+        }
         period = full_field_period(part, seen, planes, wavelength) if isinstance(interleave, str) else interleave
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)

@@ -121,23 +121,24 @@ def test_a_command_loads_no_other(python):
     assert python(code).stdout == "2 False False\n"
 
 
-@pytest.mark.parametrize(("seconds", "told"), [(50.0, []), (400.0, [pytest.approx(400 / 60)])])
-def test_work_of_more_than_a_minute_is_forecast_once(monkeypatch, seconds, told):
-    now = iter(seconds * part / 100 for part in range(101))
+@pytest.mark.parametrize(("seconds", "told"), [(4.0, []), (400.0, [pytest.approx(400)])])
+def test_work_is_forecast_once_when_its_speed_is_known(monkeypatch, seconds, told):
+    now = iter(seconds * part / 100 for part in (0, *range(101)))
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
     found, shown = [], progress.ProgressBar("work")
-    forecast = progress.Forecast(shown, found.append)
+    forecast = progress.Forecast(found.append, shown)
     for part in range(101):
         forecast(part, 100)
     assert found == told
     assert shown.fraction == 1
 
 
-def test_the_first_kernels_do_not_count_in_a_forecast(monkeypatch):
-    now = iter([100.0, 110.0])
+def test_plans_and_kernels_do_not_count_as_speed_in_a_forecast(monkeypatch):
+    now = iter([0.0, 100.0, 110.0, 116.0])
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(now))
     found = []
-    forecast = progress.Forecast(progress.ProgressBar("work"), found.append)
-    forecast(0, 100)
-    forecast(50, 100)
-    assert found == []
+    forecast = progress.Forecast(found.append)
+    # 100 s of plans, then a quarter in six seconds.
+    for part in (0, 50, 75):
+        forecast(part, 100)
+    assert found == [pytest.approx(122)]
