@@ -106,7 +106,7 @@ def test_save_run_repeats_a_command(raw, tmp_path, run):
     text = file.read_text()
     assert text == (
         f"version: {version('mitsuba-plenoptic')}\n"
-        f"steps:\n- reconstruct:\n    capture: {raw}\n    output: {here / 'a b.exr'}\n    distance: [inf, 1000]\n"
+        f"steps:\n- reconstruct:\n    capture: {raw}\n    distance: [inf, 1000]\n    output: {here / 'a b.exr'}\n"
         f"    oversample: 1\n- epi:\n    source: {raw}\n    output: {here / 'epi.png'}\n    at: -0.25\n"
         "    figure: true\n"
     )
