@@ -150,7 +150,7 @@ def _compare(name: str, capture: Capture, runs: int) -> Iterator[Row]:
         "`(I * I).sum()`": lambda: (image * image).sum(),
         "ray, point version": work(footprint="point"),
         "ray, lens version": work(footprint="lens"),
-        "FFTs of coherent": _bare_transforms(capture, DISTANCE),
+        "FFTs of coherent": bare_transforms(capture, DISTANCE, WAVELENGTH),
         "coherent": work(method="coherent"),
         "coherent, 3 distances": work(DISTANCES, method="coherent"),
         "partially coherent, K = 2": work(method="partial", interleave=2),
@@ -174,16 +174,17 @@ def _compare(name: str, capture: Capture, runs: int) -> Iterator[Row]:
             }  # fmt: skip
 
 
-def _bare_transforms(capture: Capture, distance: float) -> Callable[[], None]:
-    """Do nothing but the transforms of the coherent method."""
+def bare_transforms(capture: Capture, distance: float, wavelength: float, interleave: int = 1) -> Callable[[], None]:
+    """Do nothing but the transforms of the coherent method, or of the partially coherent one."""
     lit = lit_window(capture.image, capture.camera)
     assert lit is not None
-    grids = plan(capture.camera, WAVELENGTH, [distance], lit)
+    grids = plan(capture.camera, wavelength, [distance], lit)
+    steps = [step for strip in grids.strips for step in strip.steps] + list(grids.to_objects)
     # Along rows for the first and the last of a step's four, along columns for the two between them; the last step has
     # two, along rows and along columns.
     shapes = [
         ((count, length) if axis else (length, count), axis, inverse)
-        for step in grids.steps
+        for step in steps * interleave**2
         for (count, length, inverse), axis in zip(step.transforms, (1, 0, 0, 1), strict=False)
     ]
     memory = np.ones(max(rows * columns for (rows, columns), _, _ in shapes), np.complex64)
