@@ -1,4 +1,7 @@
-"""The command ``mitsuba-plenoptic``: reads options, calls the library, prints."""
+"""The command ``mitsuba-plenoptic``: reads options, calls the library, prints.
+
+Commands import the library in their bodies, so that help, completion and refused options need not wait for it.
+"""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from .inputs import OutputFolder, Scheduler, Seed, Workers, batches_on, output_o
 if TYPE_CHECKING:
     from ..benchmark.score import TableLine
 
+
 _log = logging.getLogger(__name__)
 
 benchmark = typer.Typer(

@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
-from .. import calibration
-from ..calibration import Board, Evaluation
 from ..errors import refuse_if
-from ..io.captures import read_capture
-from ..io.files import require_apart, require_different, require_writable
-from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-from ..lightfield import white_image
-from ..lightfield.exchange import read_picture
 from .inputs import CameraFile, Linear, White, load_camera, numeric, output_option
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..calibration import Board, Evaluation
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -79,6 +76,10 @@ def calibrate(
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
+    from ..calibration import Board
+    from ..io.files import require_apart, require_different
+    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
@@ -117,6 +118,8 @@ def _refuse(work: str, **options: object) -> None:
 
 
 def _board(board: str | None, square: float | None) -> Board:
+    from ..calibration import Board
+
     if board is None or square is None:
         raise typer.BadParameter(
             "corners need the board and the distance of its corners", param_hint="--board --square"
@@ -131,12 +134,16 @@ def _camera(camera: str | None) -> str:
 
 
 def _output(output: Path | None, suffix: str) -> Path:
+    from ..io.files import require_writable
+
     if output is None:
         raise typer.BadParameter("name the file to write", param_hint="--output")
     return require_writable(output, suffix)
 
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
+    from .. import calibration
+
     tested, index = load_camera(_camera(camera), {})
     size = _board(board, square)
     found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
@@ -149,6 +156,9 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
 
 
 def _picture(path: Path, linear: bool) -> np.ndarray:
+    from ..io.captures import read_capture
+    from ..lightfield.exchange import read_picture
+
     return read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
 
@@ -161,6 +171,11 @@ def _detect(
     white: Path | None,
     linear: bool,
 ) -> None:
+    import numpy as np
+
+    from .. import calibration
+    from ..lightfield import white_image
+
     output, known = _output(output, ".csv"), None
     if camera is not None:
         known, index = load_camera(camera, {})
@@ -188,6 +203,8 @@ def _detect(
 
 
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
+    from .. import calibration
+
     output = _output(output, ".csv")
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
@@ -215,6 +232,9 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
+    from .. import calibration
+    from ..io.files import require_writable
+
     output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
     size = _board(board, square)
@@ -263,6 +283,8 @@ def _calibrate(
 
 def _print_outliers(seen: Evaluation) -> None:
     """Print which rows are outliers, and the error without them."""
+    import numpy as np
+
     rows = seen.outliers
     if not len(rows):
         return

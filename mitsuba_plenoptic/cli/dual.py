@@ -8,13 +8,8 @@ from typing import Annotated
 import typer
 
 from ..errors import require_choice
-from ..io.captures import read_capture
-from ..io.files import require_apart
-from ..onchip.halves import LAYOUTS, dual_pixel
-from ..report.output_files import require_picture_path, write_photodiodes
+from .choices import LAYOUTS
 from .inputs import CaptureFile, Exposure, Figure, Percentile, Scale, drawing_of, output_option
-
-_LAYOUTS = {f"{along}x{across}": (along, across) for along, across in LAYOUTS}
 
 
 def dual(
@@ -29,7 +24,7 @@ def dual(
     ],
     layout: Annotated[
         str,
-        typer.Option(metavar="|".join(_LAYOUTS), help="Photodiodes of a lens: beside each other, above, or four."),
+        typer.Option(metavar="|".join(LAYOUTS), help="Photodiodes of a lens: beside each other, above, or four."),
     ] = "2x1",
     exposure: Exposure = None,
     percentile: Percentile = None,
@@ -48,10 +43,15 @@ def dual(
 
       mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
     """
+    from ..io.captures import read_capture
+    from ..io.files import require_apart
+    from ..onchip.halves import dual_pixel
+    from ..report.output_files import require_picture_path, write_photodiodes
+
     require_apart(require_picture_path(output), capture)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
-    chosen = _LAYOUTS[require_choice("layout", layout, _LAYOUTS)]
-    halves = dual_pixel(read_capture(capture), chosen)
+    along, across = require_choice("layout", layout, LAYOUTS).split("x")
+    halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     write_photodiodes(output, halves, drawing)
     views, lenses = (f"{halves.sizes[x]} x {halves.sizes[y]}" for x, y in (("u", "v"), ("s", "t")))
     typer.echo(f"{output}: {views} pictures of {lenses} lenses")

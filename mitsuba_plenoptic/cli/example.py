@@ -8,15 +8,12 @@ from typing import Annotated
 
 import typer
 
-from ..io import examples
-from ..io.captures import write_capture
-from ..io.files import require_writable
-from ..io.ground_truth import NAME, truth_path, write_ground_truth
+from .choices import EXAMPLES
 from .inputs import output_option
 
 
 def example(
-    name: Annotated[str, typer.Argument(metavar="|".join(examples.NAMES), help="Which capture.")],
+    name: Annotated[str, typer.Argument(metavar="|".join(EXAMPLES), help="Which capture.")],
     output: Annotated[Path | None, output_option("FILE.exr", "File to write. Default: named as the capture.")] = None,
 ) -> None:
     """Write a finished capture, with its ground truth next to it, to try the other commands on.
@@ -28,6 +25,11 @@ def example(
 
       mitsuba-plenoptic example letters-wave -o wave.exr
     """
+    from ..io import examples
+    from ..io.captures import write_capture
+    from ..io.files import require_writable
+    from ..io.ground_truth import NAME, truth_path, write_ground_truth
+
     capture, truth = examples.example(name), examples.example_truth(name)
     path = require_writable(output or Path(f"{name}.exr"), ".exr")
     truth_file = require_writable(truth_path(path))

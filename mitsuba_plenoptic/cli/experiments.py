@@ -6,18 +6,13 @@ import contextlib
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from .. import reconstruction
-from ..capture.render import MOST_SAMPLES
 from ..errors import refuse_if, require_count, require_number, require_wavelength
-from ..report.stage_store import StageOptions
-from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import plain_lines, progress_bar
+from .choices import METHODS
 from .inputs import (
     CameraFile,
     Definitions,
@@ -39,6 +34,11 @@ from .inputs import (
     parse_definitions,
     require_in_use,
 )
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+    from ..report.stage_store import StageOptions
 
 
 def compare(
@@ -70,6 +70,8 @@ def compare(
 
       mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
     """
+    from ..capture.render import MOST_SAMPLES
+
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.comparison import compare as compute
     from ..report.experiment import Settings
@@ -124,7 +126,7 @@ def sweep(
     model: Model = None,
     method: Annotated[
         str | None,
-        typer.Option(metavar="|".join(reconstruction.METHODS), show_default="ray", help="How captures are refocused."),
+        typer.Option(metavar="|".join(METHODS), show_default="ray", help="How captures are refocused."),
     ] = None,
     spp: Samples = None,
     seed: Seed = 0,
@@ -154,6 +156,7 @@ def sweep(
     """
     # Datasets need libraries that take a second to load, which other commands need not wait for.
     from ..report.sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
+    from ..runtime.backend import DEFAULT_VARIANT
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
     refuse_if(
@@ -274,6 +277,11 @@ def reproduce(
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
     """Print a line for each stage that is done, and show the progress of the current one."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from ..report.stage_store import StageOptions
+
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with (

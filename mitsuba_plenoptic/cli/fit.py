@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
-from .. import fitting
-from ..capture.scene import load_scene
 from ..errors import InputError, refuse_if, require_number
-from ..fitting import Fit, PixelNoise
-from ..io.captures import MODELS, Capture, read_capture
-from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import require_apart, require_writable, write_text
-from ..lightfield.exchange import read_picture
-from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.progress import progress_bar
+from .choices import MODELS
 from .inputs import (
     CameraFile,
     Definitions,
@@ -28,6 +20,10 @@ from .inputs import (
     require_in_use,
 )
 from .stopping import existing_checkpoint, stopped_by_hand
+
+if TYPE_CHECKING:
+    from ..fitting import Fit, PixelNoise
+    from ..io.captures import Capture
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -92,6 +88,16 @@ def fit(
 
       mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
     """
+    import numpy as np
+
+    from .. import fitting
+    from ..capture.scene import load_scene
+    from ..io.captures import read_capture
+    from ..io.checkpoints import SUFFIX, Checkpoint
+    from ..io.files import require_apart, require_writable
+    from ..lightfield.exchange import read_picture
+    from ..runtime.backend import DEFAULT_VARIANT
+
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output, ".json"), *captures, mask)
@@ -152,6 +158,8 @@ def fit(
 
 def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
     """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
+    from .. import fitting
+
     noise, saturation = fitting.noise_of(capture)
     refuse_if(
         noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
@@ -163,6 +171,8 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 def _write(output: Path, found: Fit) -> None:
     """Write the camera, and print what is known of it."""
+    from ..io.files import write_text
+
     write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():
         side = found.at_bounds.get(name)

@@ -5,23 +5,21 @@ from __future__ import annotations
 import json
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from ..camera import PlenopticCamera
-from ..design import design_warnings, mended
 from ..errors import printable, refuse_if, require_wavelength
-from ..io.captures import Capture
-from ..io.files import require_writable, write_text
-from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
 from ..presets import PRESETS
-from ..report.design_sheet import Row, design_sheet
-from ..report.installation import inspect_installation
 from .inputs import Definitions, load_camera, numeric, parse_definitions, read_recorded
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..camera import PlenopticCamera
+    from ..io.captures import Capture
+    from ..report.design_sheet import Row
 
 
 def info(
@@ -81,6 +79,14 @@ def info(
 
       mitsuba-plenoptic info camera.json --fix better.json
     """
+    from rich.console import Console
+    from rich.markup import escape
+
+    from ..design import design_warnings
+    from ..io.files import require_writable
+    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+    from ..report.design_sheet import design_sheet
+
     if fix is not None:
         require_writable(fix, ".json")
     if wavelength is not None:
@@ -118,6 +124,11 @@ def info(
 
 def _write_mended(console: Console, path: Path, camera: PlenopticCamera, wavelength: float | None) -> None:
     """Write the camera without the warnings, and say what has changed and what has not been mended."""
+    from rich.markup import escape
+
+    from ..design import design_warnings, mended
+    from ..io.files import write_text
+
     better = mended(camera, wavelength)
     write_text(path, better.to_json(), ".json")
     old, new = camera.to_dict(), better.to_dict()
@@ -140,6 +151,9 @@ def _origin(capture: Capture) -> dict[str, str]:
 
 
 def _table(rows: list[Row]) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column()
     table.add_column(justify="right", overflow="fold")
@@ -157,6 +171,8 @@ def doctor() -> None:
 
     The exit status is 0 if captures can be rendered here and 1 if not.
     """
+    from ..report.installation import inspect_installation
+
     found = inspect_installation()
     for title, lines in found.sections.items():
         typer.echo(f"\n{typer.style(title, bold=True)}")

@@ -13,23 +13,16 @@ from xml.etree.ElementTree import Element
 
 import typer
 
-from ..camera import PlenopticCamera
-from ..capture.render import plenoptic_sensor
-from ..capture.scene import check_scene_file, load_scene, names_in, scene_defaults, scene_names, scene_path
-from ..capture.scene_unit import UNITS
-from ..design import design_warnings
 from ..errors import InputError, did_you_mean, refuse_if, require_count
-from ..io.captures import MODELS, RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
-from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-from ..io.lytro_file import read_lytro
-from ..plugins.other_camera import with_camera
 from ..presets import PRESETS
-from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
-from ..runtime.backend import DEFAULT_VARIANT
-from ..runtime.batches import BatchMap, Cluster
+from .choices import MODELS, UNITS
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
+    from ..camera import PlenopticCamera
+    from ..io.captures import Capture
+    from ..report.images import Drawing
+    from ..runtime.batches import BatchMap
 
 
 def output_option(metavar: str, text: str) -> Any:
@@ -206,6 +199,9 @@ _log = logging.getLogger(__name__)
 
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
     """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
+    from ..camera import PlenopticCamera
+    from ..capture.scene import load_scene, scene_names
+
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
@@ -236,6 +232,10 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
     A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
+    from ..io.captures import RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
+    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+    from ..io.lytro_file import read_lytro
+
     if path.suffix.lower() in RAW_SUFFIXES:
         if states_detector(path):
             found = read_raw(path)
@@ -252,6 +252,8 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
 def require_linear(linear: bool, *paths: Path | None) -> None:
     """Refuse --linear where no picture is read."""
+    from ..io.captures import RAW_SUFFIXES
+
     given = [path for path in paths if path is not None]
     refuse_if(
         linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given),
@@ -263,6 +265,8 @@ def drawing_of(
     exposure: float | None, percentile: float | None, scale: int | None, figure: bool, *paths: Path | None
 ) -> Drawing:
     """Return how pictures are drawn; refuse the options where no such picture is written."""
+    from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
+
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
     given = [path for path in paths if path is not None]
     refuse_if(
@@ -295,6 +299,13 @@ def open_scene(
     unit: str = "mm",
 ) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
+    from ..camera import PlenopticCamera
+    from ..capture.render import plenoptic_sensor
+    from ..capture.scene import load_scene
+    from ..design import design_warnings
+    from ..plugins.other_camera import with_camera
+    from ..runtime.backend import DEFAULT_VARIANT
+
     other = named_camera(camera)
     colours = None if variant else _colours_of_film(scene, parameters)
     chosen = variant or (_COLOURS if colours else DEFAULT_VARIANT)
@@ -321,6 +332,8 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
     The position of the camera and its sampler remain those of the scene. Names that the scene does not have are left
     to its loading.
     """
+    from ..capture.scene import names_in
+
     roots, used = scene_roots(scene, parameters), set()
     known = {name for root in roots for each in root.iter() for name in names_in(each)}
 
@@ -346,6 +359,8 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
+    from ..capture.scene import check_scene_file, scene_path
+
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
 
@@ -354,6 +369,8 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
+    from ..capture.scene import scene_defaults
+
     roots = scene_roots(scene, parameters)
     formats: list[str] = []
     for film in [each for root in roots for each in root.iter("film")] or [Element("film", type="hdrfilm")]:
@@ -379,5 +396,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
     """Return a context of the requested workers, or of None."""
+    from ..runtime.batches import Cluster
+
     given = workers is not None or scheduler is not None
     return Cluster(workers=workers, scheduler=scheduler) if given else contextlib.nullcontext()

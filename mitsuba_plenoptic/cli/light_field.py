@@ -9,24 +9,8 @@ from typing import Annotated
 import typer
 
 from ..errors import naming, refuse_if, require_choice
-from ..io.files import require_apart
-from ..lightfield import depth_error, depth_map, epipolar_image, focal_stack, pick_views
-from ..lightfield.depth import is_focused
-from ..lightfield.exchange import open_light_field, open_micro_images, require_light_field_path, save_light_field
-from ..lightfield.refocus import METHODS
-from ..lightfield.views import AXES
-from ..report.animations import sweep_distances
-from ..report.images import ANIMATED
-from ..report.output_files import (
-    require_picture_path,
-    write_depth,
-    write_epipolar_image,
-    write_focal_sweep,
-    write_orbit,
-    write_stack,
-    write_views,
-)
 from ..runtime.progress import progress_bar
+from .choices import AXES, VIEW_METHODS
 from .inputs import (
     CameraFile,
     Distances,
@@ -81,6 +65,12 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
+    from ..io.files import require_apart
+    from ..lightfield import pick_views
+    from ..lightfield.exchange import open_light_field
+    from ..report.images import ANIMATED
+    from ..report.output_files import require_picture_path, write_orbit, write_views
+
     require_apart(require_picture_path(output, animated=True), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
     lf = open_light_field(
@@ -133,6 +123,11 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
+    from ..io.files import require_apart
+    from ..lightfield import epipolar_image
+    from ..lightfield.exchange import open_light_field
+    from ..report.output_files import require_picture_path, write_epipolar_image
+
     require_apart(require_picture_path(output), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
     image = epipolar_image(
@@ -158,7 +153,7 @@ def stack(
     ],
     distance: Distances,
     method: Annotated[
-        str, typer.Option(metavar="|".join(METHODS), help="Shift views and add, or slice the spectrum.")
+        str, typer.Option(metavar="|".join(VIEW_METHODS), help="Shift views and add, or slice the spectrum.")
     ] = "shift",
     white: White = None,
     view_count: ViewCount = None,
@@ -181,6 +176,13 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
+    from ..io.files import require_apart
+    from ..lightfield import focal_stack
+    from ..lightfield.exchange import open_light_field
+    from ..report.animations import sweep_distances
+    from ..report.images import ANIMATED
+    from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
+
     require_apart(require_picture_path(output, animated=True), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
@@ -239,6 +241,12 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
+    from ..io.files import require_apart
+    from ..lightfield import depth_error, depth_map
+    from ..lightfield.depth import is_focused
+    from ..lightfield.exchange import open_light_field, open_micro_images
+    from ..report.output_files import require_picture_path, write_depth
+
     require_apart(require_picture_path(output), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
     known = named_camera(camera)
@@ -310,6 +318,9 @@ def convert(
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
     """
+    from ..io.files import require_apart
+    from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field
+
     if layout is None:
         require_light_field_path(output)
     else:

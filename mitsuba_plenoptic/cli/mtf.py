@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..errors import naming, refuse_if
-from ..reconstruction import METHODS, Reconstruction, read_reconstruction
-from ..reconstruction import reconstruct as refocus
-from ..sharpness import edge_sharpness
+from .choices import METHODS
 from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded
+
+if TYPE_CHECKING:
+    from ..reconstruction import Reconstruction
 
 
 def mtf(
@@ -49,6 +50,10 @@ def mtf(
 
       mitsuba-plenoptic mtf out.exr --region 20,30,60,40
     """
+    from ..reconstruction import read_reconstruction
+    from ..reconstruction import reconstruct as refocus
+    from ..sharpness import edge_sharpness
+
     given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:
         for name, value in given.items():

@@ -7,11 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..camera import PlenopticCamera
-from ..capture.render import estimate_capture, plenoptic_sensor
 from ..errors import InputError
-from ..io.files import require_writable
-from ..optics.guards import PhysicsError
 from ..runtime.progress import progress_bar
 from .inputs import CameraFile, Definitions, Samples, Scene, Unit, open_scene, output_option, parse_definitions
 
@@ -46,6 +42,11 @@ def preview(
 
       mitsuba-plenoptic preview beads
     """
+    from ..camera import PlenopticCamera
+    from ..capture.render import estimate_capture, plenoptic_sensor
+    from ..io.files import require_writable
+    from ..optics.guards import PhysicsError
+
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
     with progress_bar("Previewing"):
         loaded = open_scene(scene, parse_definitions(define), None, camera, unit=unit)

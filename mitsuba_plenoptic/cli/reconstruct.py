@@ -5,23 +5,13 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .. import reconstruction
-from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_choice
-from ..io.captures import Capture
-from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import require_apart, require_different, require_writable
-from ..reconstruction import METHODS, Reconstruction, Volume, read_reconstruction, write_volume
-from ..reconstruction.results import SUFFIXES, require_volume_path
-from ..report.images import Brightness, Drawing
-from ..report.output_files import reconstruction_paths, write_reconstructions
-from ..runtime.backend import set_variant
-from ..runtime.limits import GIB
 from ..runtime.progress import in_words, progress_bar
+from .choices import FOOTPRINTS, METHODS, RESPONSES
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -42,6 +32,12 @@ from .inputs import (
 )
 from .stopping import existing_checkpoint, stopped_by_hand
 
+if TYPE_CHECKING:
+    from ..camera import PlenopticCamera
+    from ..io.captures import Capture
+    from ..reconstruction import Reconstruction
+    from ..report.images import Drawing
+
 
 def reconstruct(
     capture: CaptureFile,
@@ -59,7 +55,7 @@ def reconstruct(
     method: Annotated[
         str,
         typer.Option(
-            metavar="|".join(reconstruction.METHODS),
+            metavar="|".join(METHODS),
             help="How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved "
             "subset of lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, "
             "deconvolved finds the plane whose capture it is.",
@@ -68,7 +64,7 @@ def reconstruct(
     footprint: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(reconstruction.FOOTPRINTS),
+            metavar="|".join(FOOTPRINTS),
             show_default="lens",
             help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
         ),
@@ -106,7 +102,7 @@ def reconstruct(
     response: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(reconstruction.RESPONSES),
+            metavar="|".join(RESPONSES),
             show_default="as the capture was made",
             help="For deconvolved: how light goes through the camera.",
         ),
@@ -190,7 +186,14 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
-    chosen = METHODS[require_choice("method", method, METHODS)]
+    from .. import reconstruction
+    from ..io.checkpoints import SUFFIX, Checkpoint
+    from ..io.files import require_apart, require_different, require_writable
+    from ..reconstruction.results import SUFFIXES, require_volume_path
+    from ..report.output_files import reconstruction_paths, write_reconstructions
+    from ..runtime.limits import GIB
+
+    chosen = reconstruction.METHODS[require_choice("method", method, METHODS)]
     for option, value in (("resume", resume or None), ("workers", workers), ("scheduler", scheduler)):
         refuse_if(
             value is not None and not chosen.long,
@@ -273,6 +276,10 @@ def sheet(
 
       mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
     """
+    from ..io.files import require_apart, require_writable
+    from ..reconstruction import read_reconstruction
+    from ..report.images import Brightness
+
     require_apart(require_writable(output, ".pdf", ".png"), *results)
     read = [read_reconstruction(path) for path in results]
     # Brings Matplotlib, which takes a while to load.
@@ -287,6 +294,8 @@ def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
     """Read a capture and its white reference, and set the variant."""
+    from ..runtime.backend import set_variant
+
     recorded = read_recorded(capture, known, linear)
     reference = None if white is None else read_recorded(white, known, linear)
     set_variant(variant)
@@ -300,6 +309,8 @@ def _period(interleave: str | None) -> int | str | None:
 
 def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
     """Write all distances together, as a volume and as a picture, where these are asked for."""
+    from ..reconstruction import Volume, write_volume
+
     if path is None and overview is None:
         return
     made = Volume.of(results)

@@ -11,16 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ..capture.render import estimate_capture, is_wave_capture, plenoptic_sensor, refuse_by_rays, render_capture
-from ..detector import ALL_MOSAICS, MOSAICS, Detector, mosaic_of
-from ..detector import expose as record
 from ..errors import InputError, refuse_if
-from ..io.captures import RAW_SUFFIXES, Capture, read_capture, write_capture, write_raw
-from ..io.checkpoints import SUFFIX, Checkpoint
-from ..io.files import remove_leftovers, require_apart, require_different, require_writable
-from ..io.ground_truth import NAME, QUANTITIES, require_quantities, truth_path, write_ground_truth
-from ..io.lytro_file import nearest_white
 from ..runtime.progress import MINUTE, Forecast, in_words, progress_bar
+from .choices import ALL_MOSAICS, MOSAICS, QUANTITIES
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -147,6 +140,12 @@ def render(
 
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
+    from ..capture.render import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+    from ..io.captures import Capture, write_capture
+    from ..io.checkpoints import SUFFIX, Checkpoint
+    from ..io.files import remove_leftovers, require_different, require_writable
+    from ..io.ground_truth import NAME, require_quantities, truth_path, write_ground_truth
+
     parameters = parse_definitions(define)
     options = {"wavelength": wavelength, "method": method}
     wave = {name: value for name, value in options.items() if value is not None}
@@ -227,13 +226,11 @@ def expose(
     capture: CaptureFile,
     output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")],
     photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
-    quantum_efficiency: Annotated[
-        float, numeric("Electrons per photon, up to 1.", unit="FRACTION")
-    ] = Detector.quantum_efficiency,
-    full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = Detector.full_well,
-    dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = Detector.dark_electrons,
-    read_noise: Annotated[float, numeric("Standard deviation of the reading, in electrons.")] = Detector.read_noise,
-    bits: Annotated[int, numeric("Bits of a digital number, up to 16.")] = Detector.bits,
+    quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,
+    full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = 8000.0,
+    dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = 0.0,
+    read_noise: Annotated[float, numeric("Standard deviation of the reading, in electrons.")] = 2.5,
+    bits: Annotated[int, numeric("Bits of a digital number, up to 16.")] = 12,
     gain: Annotated[
         float | None, numeric("Numbers per electron.", "the full well is the largest number", unit="K")
     ] = None,
@@ -265,6 +262,11 @@ def expose(
 
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
+    from ..detector import Detector
+    from ..detector import expose as record
+    from ..io.captures import RAW_SUFFIXES, read_capture, write_capture, write_raw
+    from ..io.files import require_apart, require_writable
+
     require_writable(output, ".exr", *RAW_SUFFIXES)
     require_apart(output, capture)
     detector = Detector(
@@ -331,6 +333,11 @@ def demosaic(
 
       mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
+    from ..detector import mosaic_of
+    from ..io.captures import write_capture
+    from ..io.files import require_apart, require_writable
+    from ..io.lytro_file import nearest_white
+
     require_writable(output, ".exr")
     require_apart(output, capture, white)
     # Brings libraries that take a while to load.
@@ -365,6 +372,8 @@ def demosaic(
 
 def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
     """Return how long a capture takes, and what is the cheapest to change about that."""
+    from ..capture.render import plenoptic_sensor
+
     if (method or getattr(scene.integrator(), "method", "")) == "points":
         cause = "each point is propagated; --method signed_rays takes one to some ray captures"
     else:

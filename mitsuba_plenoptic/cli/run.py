@@ -11,8 +11,6 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, refuse_if, short_repr
-from ..io.files import files_used, read_yaml
-from ..io.versions import VERSION, is_of_1_0
 from . import mistake, step_commands
 from .inputs import parse_definitions, scene_roots
 from .run_file import RunStep, parameters_of, read_run_file
@@ -40,6 +38,9 @@ def run(
 
       mitsuba-plenoptic run run.yaml
     """
+    from ..io.files import files_used, read_yaml
+    from ..io.versions import VERSION, is_of_1_0
+
     # Brings libraries that take a while to load.
     from ..report.stage_store import StepLog
 

@@ -15,8 +15,6 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
-from ..io.files import parse_yaml, read_yaml, require_writable, write_text
-from ..io.versions import KEY, VERSION
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 """Words that YAML reads as they are, in lists, too."""
@@ -85,6 +83,8 @@ def _word(name: str, value: Any) -> str:
 
 def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
+    from ..io.files import read_yaml
+
     content = read_yaml(path)
     with naming(path):
         return parse_run(content, commands)
@@ -92,6 +92,8 @@ def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
 
 def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
     """Make steps of what a run file holds; each gets the shared options that its command has."""
+    from ..io.versions import KEY
+
     refuse_if(
         not isinstance(content, dict) or not isinstance(content.get("steps"), list) or not content["steps"],
         "a run file must have 'steps', a list of commands with their options",
@@ -134,6 +136,8 @@ def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, 
     @functools.wraps(function)
     def command(*, save_run: Path | None, context: typer.Context, **options: Any) -> None:
         if save_run is not None:
+            from ..io.files import require_writable
+
             require_writable(save_run, ".yaml", ".yml")
         function(**options)
         if save_run is not None:
@@ -177,6 +181,9 @@ def _seen_from(folder: Path, name: str, value: Any) -> str:
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
+    from ..io.files import parse_yaml, write_text
+    from ..io.versions import KEY, VERSION
+
     # It is read as a run file first, which refuses what is none.
     steps = read_run_file(path, commands) if path.exists() else []
     before = path.read_text(encoding="utf-8") if path.exists() else f"{KEY}: {VERSION}\nsteps:\n"
@@ -203,6 +210,8 @@ def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tupl
 
 def _yaml(value: Any) -> str:
     """Write a word, a list of words or a flag as YAML, as plain text where it is read back as the same word."""
+    from ..io.files import parse_yaml
+
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):

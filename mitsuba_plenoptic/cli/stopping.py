@@ -7,10 +7,12 @@ import logging
 import signal
 import threading
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..io.checkpoints import Checkpoint, Existing
 from ..runtime.progress import ProgressBar
+
+if TYPE_CHECKING:
+    from ..io.checkpoints import Checkpoint, Existing
 
 _log = logging.getLogger(__name__)
 

@@ -8,10 +8,6 @@ from typing import Annotated
 import typer
 
 from ..errors import refuse_if
-from ..io.files import require_apart, require_writable
-from ..report.viewer import Recording
-from ..report.viewer import view as make_page
-from ..report.viewer_sources import read_source
 from ..runtime.progress import progress_bar
 from .inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
 
@@ -48,6 +44,11 @@ def view(
 
       mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
+    from ..io.files import require_apart, require_writable
+    from ..report.viewer import Recording
+    from ..report.viewer import view as make_page
+    from ..report.viewer_sources import read_source
+
     refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
     target = require_writable(output or sources[0].with_suffix(".html"), ".html")
     require_apart(target, *sources, white)

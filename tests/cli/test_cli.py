@@ -148,8 +148,9 @@ def test_a_raw_picture_is_refocused_with_its_camera(tmp_path, raw, run, complain
 def test_interrupt_leaves_nothing(tmp_path):
     # The child says when it starts to render, so that the signal does not come while it still imports.
     code = """if True:
-        import signal, sys
-        from mitsuba_plenoptic.cli import main, render
+        import importlib, signal, sys
+        from mitsuba_plenoptic.cli import main
+        render = importlib.import_module("mitsuba_plenoptic.capture.render")
         # Tests that run in the background of a shell inherit that it is ignored.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         original = render.render_capture

@@ -365,6 +365,6 @@ def test_our_own_mistakes_keep_their_traceback(monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("mitsuba_plenoptic.cli.inputs.load_scene", broken)
+    monkeypatch.setattr("mitsuba_plenoptic.capture.scene.load_scene", broken)
     with pytest.raises(RuntimeError, match="a bug"):
         main(["info", "letters"])

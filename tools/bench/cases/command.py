@@ -20,9 +20,10 @@ STARTS: dict[str, tuple[list[str], dict[str, str], float | None]] = {
     "--help": (["-m", "mitsuba_plenoptic", "--help"], {}, 3.0),
     "completion of a command": (["-m", "mitsuba_plenoptic"], _COMPLETE, 3.0),
     "a misspelt command": (["-m", "mitsuba_plenoptic", "rendr"], {}, 3.0),
-    "render --help": (["-m", "mitsuba_plenoptic", "render", "--help"], {}, None),
-    "a misspelt option of render": (["-m", "mitsuba_plenoptic", "render", "--misspelt"], {}, None),
-    "reconstruct --help": (["-m", "mitsuba_plenoptic", "reconstruct", "--help"], {}, None),
+    "render --help": (["-m", "mitsuba_plenoptic", "render", "--help"], {}, 3.0),
+    "a misspelt option of render": (["-m", "mitsuba_plenoptic", "render", "--misspelt"], {}, 3.0),
+    "reconstruct --help": (["-m", "mitsuba_plenoptic", "reconstruct", "--help"], {}, 3.0),
+    "view --help": (["-m", "mitsuba_plenoptic", "view", "--help"], {}, 3.0),
 }
 
 

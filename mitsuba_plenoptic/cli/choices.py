@@ -1,0 +1,17 @@
+"""Choices and defaults that the help of commands shows, written out, so that no help waits for the library.
+
+``tests/cli/test_choices.py`` compares them with those of the library.
+"""
+
+MODELS = ("ray", "wave")
+UNITS = ("mm", "cm", "m")
+METHODS = ("ray", "coherent", "partial", "incoherent", "deconvolved")
+FOOTPRINTS = ("lens", "point")
+RESPONSES = ("wave", "ray")
+VIEW_METHODS = ("shift", "fourier")
+AXES = ("horizontal", "vertical")
+LAYOUTS = ("2x1", "1x2", "2x2")
+EXAMPLES = ("letters-ray", "letters-wave", "white")
+MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
+ALL_MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR", "QUAD_RGGB", "QUAD_GRBG", "QUAD_GBRG", "QUAD_BGGR")
+QUANTITIES = ("depth", "virtual_depth", "position", "normal", "albedo", "shape_index")

@@ -1,0 +1,77 @@
+"""The choices and defaults that help shows are those of the library; help imports none of it."""
+
+import inspect
+
+import pytest
+
+from mitsuba_plenoptic import detector
+from mitsuba_plenoptic.capture import scene_unit
+from mitsuba_plenoptic.cli import COMMANDS, choices
+from mitsuba_plenoptic.cli.render import expose
+from mitsuba_plenoptic.io import captures, examples, ground_truth
+from mitsuba_plenoptic.lightfield.refocus import METHODS as VIEW_METHODS
+from mitsuba_plenoptic.lightfield.views import AXES
+from mitsuba_plenoptic.onchip.halves import LAYOUTS
+from mitsuba_plenoptic.reconstruction import methods
+
+LIBRARY = {
+    "MODELS": captures.MODELS,
+    "UNITS": scene_unit.UNITS,
+    "METHODS": methods.METHODS,
+    "FOOTPRINTS": methods.FOOTPRINTS,
+    "RESPONSES": methods.RESPONSES,
+    "VIEW_METHODS": VIEW_METHODS,
+    "AXES": AXES,
+    "LAYOUTS": ["x".join(map(str, layout)) for layout in LAYOUTS],
+    "EXAMPLES": examples.NAMES,
+    "MOSAICS": detector.MOSAICS,
+    "ALL_MOSAICS": detector.ALL_MOSAICS,
+    "QUANTITIES": ground_truth.QUANTITIES,
+}
+
+LIGHT = {
+    "mitsuba_plenoptic",
+    "mitsuba_plenoptic.cli",
+    "mitsuba_plenoptic.errors",
+    "mitsuba_plenoptic.plugins",
+    "mitsuba_plenoptic.presets",
+    "mitsuba_plenoptic.runtime",
+    "mitsuba_plenoptic.runtime.llvm",
+    "mitsuba_plenoptic.runtime.progress",
+}
+"""What the help of commands may import of this package, beside the modules of the command."""
+
+SLOW = {"numpy", "scipy", "xarray", "pandas", "matplotlib", "h5py", "yaml", "OpenEXR", "PIL"}
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_choices_are_those_of_the_library(name):
+    assert getattr(choices, name) == tuple(LIBRARY[name])
+
+
+def test_every_choice_is_compared():
+    assert {name for name in vars(choices) if name.isupper()} == set(LIBRARY)
+
+
+def test_defaults_of_the_detector_are_those_of_the_library():
+    shown = inspect.signature(expose).parameters
+    for name in ("quantum_efficiency", "full_well", "dark_electrons", "read_noise", "bits"):
+        assert shown[name].default == getattr(detector.Detector, name)
+
+
+def test_help_and_refused_options_import_no_library(python):
+    code = f"""
+    import contextlib, io, sys
+    from mitsuba_plenoptic.cli import main
+    for name in {list(COMMANDS)}:
+        for words in ([name, "--help"], [name, "--nosuch-option"]):
+            with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()) as told:
+                with contextlib.redirect_stdout(told):
+                    main(words)
+            assert "--help" in told.getvalue() or "such option" in told.getvalue(), (words, told.getvalue())
+    print(*sorted(sys.modules))
+    """
+    loaded = set(python(code).stdout.split())
+    assert not loaded & SLOW
+    ours = {name for name in loaded if name.startswith("mitsuba_plenoptic")}
+    assert {name for name in ours if not name.startswith("mitsuba_plenoptic.cli.")} == LIGHT
