@@ -27,6 +27,14 @@ SETTLED, MINUTE = 5.0, 60.0
 """Seconds of work after which its speed is known, and seconds from which on the whole is forecast."""
 
 
+def duration(seconds: float) -> str:
+    """Return a time in the unit that people use for one as long: seconds, minutes or hours."""
+    if seconds < MINUTE:
+        return f"{seconds:.3g} s"
+    minutes = seconds / MINUTE
+    return f"{minutes:.0f} min" if minutes < 60 else f"{minutes / 60:.1f} h"
+
+
 class ProgressBar:
     """Takes progress as every long computation of this package reports it, and shows it."""
 
