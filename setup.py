@@ -21,6 +21,7 @@ def with_absolute_links(text: str, source: str) -> str:
 
 if __name__ == "__main__":
     project = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]
+    readme, source = (HERE / "README.md").read_text(), project.get("urls", {}).get("Source")
     setup(
         # The scenes stay at the top of the repository, where users edit them, and are installed within the package.
         packages=[
@@ -29,6 +30,6 @@ if __name__ == "__main__":
             "mitsuba_plenoptic.scenes.meshes",
         ],
         package_dir={"mitsuba_plenoptic.scenes": "scenes"},
-        long_description=with_absolute_links((HERE / "README.md").read_text(), project["urls"]["Source"]),
+        long_description=with_absolute_links(readme, source) if source else readme,
         long_description_content_type="text/markdown",
     )

@@ -46,11 +46,10 @@ MATHJAX = importlib.util.find_spec("sphinx-mathjax-offline").submodule_search_lo
 html_static_path = ["_static", f"{MATHJAX}/static"]
 mathjax_path = "mathjax/tex-chtml.js"
 html_css_files = ["site.css"]
-html_theme_options = {
-    "source_repository": PROJECT["urls"]["Source"],
-    "source_branch": "main",
-    "source_directory": "docs/",
-}
+SOURCE = PROJECT.get("urls", {}).get("Source")
+html_theme_options = (
+    {"source_repository": SOURCE, "source_branch": "main", "source_directory": "docs/"} if SOURCE else {}
+)
 html_copy_source = False
 html_show_sphinx = False
 

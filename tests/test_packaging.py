@@ -95,6 +95,16 @@ def test_readme_links_work_in_the_repository_and_on_a_package_index():
     assert "(https://mitsuba-renderer.org)" in absolute
 
 
+def test_pages_state_the_addresses_of_the_package_and_no_others():
+    """Without an address in pyproject.toml, no page has one to clone from or to read at."""
+    known = tuple(PROJECT["project"].get("urls", {}).values())
+    pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CITATION.cff", "asv.conf.json", "docs/conf.py")]
+    for page in [*pages, *(ROOT / "docs").rglob("*.md")]:
+        text = page.read_text()
+        stated = re.findall(r"git clone (\S+)", text) + re.findall(r"https?://[^\s\"')>]*mitsuba[-_]plenoptic\S*", text)
+        assert [one for one in stated if not one.startswith(known)] == [], page
+
+
 def test_the_start_page_can_be_run_from_the_page():
     tool = runpy.run_path(str(ROOT / "tools" / "check_release.py"))
     text = (ROOT / "docs" / "start.md").read_text()

@@ -26,7 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "start.md"
 README = ROOT / "README.md"
-CLONE = "./mitsuba-plenoptic"
+CLONE = "."
 """The argument of the start page's ``pip install``."""
 
 
@@ -108,8 +108,6 @@ def run_pages(wheel: Path, folder: Path) -> None:
     clean["PATH"] = f"{environment / 'bin'}{os.pathsep}{clean['PATH']}"
     for command in [*page_commands(text), "python readme.py"]:
         words = shlex.split(command)
-        if words[0] == "git":
-            continue
         if words[:2] == ["pip", "install"]:
             words = ["pip", "install", "--quiet", *(str(wheel) if word == CLONE else word for word in words[2:])]
         print(f"$ {command}", flush=True)

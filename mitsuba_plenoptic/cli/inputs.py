@@ -167,7 +167,7 @@ Scale = Annotated[
     int | None,
     numeric(
         "Of plain pictures: pixels that a bin is wide.",
-        "1; 4 for lines and depth; up to 480 pixels in all for .gif and .mp4",
+        "as many as fit in 960 pixels, at least 1; in 480 for .gif and .mp4",
     ),
 ]
 

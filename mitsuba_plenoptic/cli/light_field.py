@@ -88,7 +88,7 @@ def views(
 
 def epi(
     source: LightFieldSource,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png four times as large, or .pdf with axes.")],
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes.")],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float | None,

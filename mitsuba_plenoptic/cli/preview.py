@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError
-from ..runtime.progress import progress_bar
-from .inputs import CameraFile, Definitions, Samples, Scene, Unit, open_scene, output_option, parse_definitions
+from ..runtime.progress import in_words, progress_bar
+from .inputs import CameraFile, Definitions, Samples, Scene, Unit, Variant, open_scene, output_option, parse_definitions
 
 
 def preview(
@@ -23,7 +23,11 @@ def preview(
         bool,
         typer.Option("--fit", help="Propose a focus for the scene, or a scale of the scene, and draw it, too."),
     ] = False,
+    waves: Annotated[
+        bool, typer.Option("--waves", help="Estimate what a wave capture takes, too, which may take a while.")
+    ] = False,
     spp: Samples = None,
+    variant: Variant = None,
     define: Definitions = None,
 ) -> None:
     """See in seconds what a camera will see of a scene, before it is captured.
@@ -32,7 +36,7 @@ def preview(
     focused on the camera's plane in focus, or that of a microscope without its
     microlenses. What refocusing makes sharp is outlined in blue, the plane in
     focus in yellow. Printed are the field, the micro-images, what is poor about
-    the framing, and what captures will take.
+    the framing, and what captures by rays, with --waves by waves, will take.
 
     [bold]Examples:[/bold]
 
@@ -49,7 +53,7 @@ def preview(
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
     with progress_bar("Previewing"):
-        loaded = open_scene(scene, parse_definitions(define), None, camera, unit=unit)
+        loaded = open_scene(scene, parse_definitions(define), variant, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
         # Brings Matplotlib, which takes a while to load.
         from ..report.preview import draw_preview, framing_warnings, preview_of, propose
@@ -74,18 +78,18 @@ def preview(
                 lines.append(f"proposal: {scaled}put the camera at {proposal.lookat()}, {before}")
             lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
         draw_preview(target, previews)
+    typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
     pixels = seen_by.micro_image_pitch / seen_by.pixel_size
     typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.bin_count[0]} x {seen_by.bin_count[1]} of them")
-    for model in ("ray", "wave"):
+    for model in ("ray", "wave") if waves else ("ray",):
         try:
             cost = estimate_capture(loaded, model=model, spp=spp)
-            typer.echo(f"{model} capture: about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+            typer.echo(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
         except (InputError, PhysicsError) as error:
             typer.echo(f"{model} capture: refused: {error}")
     for text in framing_warnings(seen):
         typer.echo(f"framing: {text}")
     for text in lines:
         typer.echo(text)
-    typer.echo(f"{target}: the picture")

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import argument, refuse_if, require_module, require_number
 from ..io.files import atomic_output
-from .images import ANIMATED, enlarge, to_bytes
+from .images import ANIMATED, enlarge, enlargement, to_bytes
 
 _RATE = 12.5
 """Frames a second: whole hundredths of a second each, as GIF stores them."""
@@ -63,7 +63,7 @@ def write_animation(
         If the file has another ending, or a package is missing.
     """
     path = Path(path)
-    scale = scale or max(1, _LONGEST // max(frames[0][0].shape[:2]))
+    scale = scale or enlargement(frames[0][0], _LONGEST)
     pictures = [_labelled(Image.fromarray(to_bytes(enlarge(image, scale), white)), text) for image, text in frames]
     writer = require_animation(path)
     with atomic_output(path, *ANIMATED) as temporary:

@@ -20,6 +20,9 @@ ANIMATED = (".gif", ".mp4")
 PICTURES = (".png", ".pdf", *ANIMATED)
 """Suffixes of files that show radiances as brightness."""
 
+LONGEST = 960
+"""Pixels of a picture's longer side up to which small images are enlarged by default."""
+
 
 def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None) -> None:
     """Write a linear image as an 8-bit PNG, encoded by `to_bytes`; a file is replaced only by a complete one."""
@@ -62,6 +65,11 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
 def enlarge(image: np.ndarray, scale: int) -> np.ndarray:
     """Repeat each pixel `scale` times along both axes."""
     return image.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+def enlargement(image: np.ndarray, longest: int = LONGEST) -> int:
+    """Return the whole factor, at least 1, by which an image's longer side becomes nearly `longest` pixels."""
+    return max(1, longest // max(image.shape[:2]))
 
 
 def shrink(image: np.ndarray, longest: int) -> np.ndarray:

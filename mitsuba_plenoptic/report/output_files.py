@@ -19,13 +19,9 @@ from ..lightfield.views import view_mosaic
 from ..onchip.halves import photodiode_names
 from ..reconstruction import Reconstruction, write_reconstruction
 from .animations import require_animation, write_animation
-from .images import ANIMATED, Drawing, enlarge, write_png
+from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
 
 _SUFFIXES = (".exr", ".png", ".pdf")
-
-# How many times as large lines of an epipolar image and pixels of a small map are drawn by default.
-_ENLARGED = 4
-
 
 _AUTOMATIC = Drawing()
 
@@ -69,7 +65,7 @@ def write_reconstructions(
         return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
-            write_png(path, enlarge(result.image, drawing.scale or 1), peak=peak)
+            write_png(path, _enlarged(result.image, drawing), peak=peak)
         else:
             write_reconstruction(path, result, source)
 
@@ -87,7 +83,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
         for i in range(lf.sizes["u"])
     }
     white = drawing.brightness.white([lf.values])
-    picture = enlarge(view_mosaic(lf), drawing.scale or 1)
+    picture = _enlarged(view_mosaic(lf), drawing)
     _write(path, "views", lf, parts, picture, white, drawing, lambda: _figures().views_figure(lf, white))
 
 
@@ -97,7 +93,7 @@ def write_photodiodes(path: str | Path, halves: xr.DataArray, drawing: Drawing =
     white = drawing.brightness.white([halves.values])
     total = np.asarray(halves.sum(("v", "u")).values)
     pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
-    picture = enlarge(view_mosaic(halves), drawing.scale or 1)
+    picture = _enlarged(view_mosaic(halves), drawing)
     parts = _images(**pictures, sum=total)
     _write(path, "photodiodes", halves, parts, picture, white, drawing, lambda: _figures().views_figure(halves, white))
 
@@ -106,7 +102,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
     """Write an epipolar image, as PNG enlarged."""
     values = np.asarray(image.values)
     white = drawing.brightness.white([values])
-    picture = enlarge(values, drawing.scale or _ENLARGED)
+    picture = _enlarged(values, drawing)
     parts = _images(epipolar=values)
     _write(
         path, "epipolar image", image, parts, picture, white, drawing, lambda: _figures().epipolar_figure(image, white)
@@ -117,7 +113,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
     white = drawing.brightness.white([stack.values])
-    picture = enlarge(_tiled(list(images.values())), drawing.scale or 1)
+    picture = _enlarged(_tiled(list(images.values())), drawing)
     parts = _images(**images)
     _write(path, "focal stack", stack, parts, picture, white, drawing, lambda: _figures().stack_figure(stack, white))
 
@@ -165,7 +161,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     maps = [parts["image"] / white, closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
-    picture = enlarge(np.concatenate(maps, axis=1), drawing.scale or _ENLARGED)
+    picture = _enlarged(np.concatenate(maps, axis=1), drawing)
     _write(path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: _figures().depth_figure(found, white))
 
 
@@ -190,6 +186,11 @@ def _write(
     coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if values.ndim < 2}
     records = {name: json.loads(data.attrs[name]) for name in ("camera", "grid") if name in data.attrs}
     write_exr_parts(path, parts, {"kind": kind, "coordinates": coordinates, **data.attrs, **records})
+
+
+def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
+    """Repeat the bins of a picture as often as asked for, or as makes a small one visible."""
+    return enlarge(picture, drawing.scale or enlargement(picture))
 
 
 def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:

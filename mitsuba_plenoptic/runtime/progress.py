@@ -27,6 +27,14 @@ SETTLED, MINUTE = 5.0, 60.0
 """Seconds of work after which its speed is known, and seconds in a minute."""
 
 
+def in_words(seconds: float) -> str:
+    """Return a time in the unit that people use for one as long: seconds, minutes or hours."""
+    if seconds < MINUTE:
+        return f"{seconds:.3g} s"
+    minutes = seconds / MINUTE
+    return f"{minutes:.0f} min" if minutes < 60 else f"{minutes / 60:.1f} h"
+
+
 class ProgressBar:
     """Takes progress as every long computation of this package reports it, and shows it."""
 
@@ -64,11 +72,6 @@ class Forecast:
         if elapsed >= SETTLED and part > 0:
             self._known = True
             self._tell(now - self._start + (1 - fraction) * elapsed / part)
-
-
-def in_words(seconds: float) -> str:
-    """Return a time as people say it."""
-    return f"{seconds:.2g} s" if seconds < MINUTE else f"{seconds / MINUTE:.2g} minutes"
 
 
 @contextlib.contextmanager

@@ -211,9 +211,14 @@ def test_several_distances_and_pictures(raw, tmp_path, run):
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["out_210.png", "out_240.5.png"]
     pictures = [np.array(Image.open(tmp_path / name)) for name in names]
-    assert {(picture.shape, picture.dtype.name) for picture in pictures} == {((128, 128), "uint8")}
+    assert {(picture.shape, picture.dtype.name) for picture in pictures} == {((896, 896), "uint8")}
     # One scale for all: only the brightest of them reaches white.
     assert max(picture.max() for picture in pictures) == 255
+    # 128 bins are 7 pixels wide, as many as fit in 960; asked for, one.
+    run("reconstruct", raw, "-o", tmp_path / "bins.png", "--distance", "210", "--scale", 1)
+    bins = np.array(Image.open(tmp_path / "bins.png")).astype(int)
+    assert bins.shape == (128, 128) and (pictures[0][3::7, 3::7] > 0).sum() > 0
+    assert (pictures[0] == pictures[0][3::7, 3::7].repeat(7, 0).repeat(7, 1)).all()
 
 
 def test_a_lamp_does_not_make_pictures_dark(tmp_path, run, complaint):

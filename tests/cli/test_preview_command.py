@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from PIL import Image
 
+from mitsuba_plenoptic.capture.render import Cost
+from mitsuba_plenoptic.cli import preview as command
 from mitsuba_plenoptic.report import preview
+from mitsuba_plenoptic.runtime.progress import in_words
 
 
 @pytest.fixture(autouse=True)
@@ -21,11 +25,31 @@ SMALL = ("-D", "resolution=256", "-D", "detector_width=2.048")
 
 def test_what_is_printed(tmp_path, run):
     path = tmp_path / "look.png"
-    text = run("preview", "letters", *SMALL, "-o", path, "--fit", "--spp", "1")
+    text = run("preview", "letters", *SMALL, "-o", path, "--fit", "--spp", "1", "--waves")
     assert "field: 4.096 x 4.096 mm at 240 mm" in text
     assert "micro-images: 8.03 pixels apart, 32 x 32 of them" in text
     assert "ray capture: about" in text and "wave capture: about" in text and "proposal: " in text
     assert np.asarray(Image.open(path)).shape[0] > 250
+
+
+def test_the_picture_comes_first_and_waves_are_estimated_only_when_asked_for(tmp_path, run, monkeypatch):
+    path, seen = tmp_path / "look.png", []
+
+    def estimate(scene, *, model, spp):
+        seen.append((model, path.exists(), mi.variant()))
+        return Cost(0, 0, 151.0, 2**30)
+
+    monkeypatch.setattr(command, "estimate_capture", estimate)
+    text = run("preview", "letters", *SMALL, "-o", path, "--variant", "llvm_ad_rgb")
+    assert seen == [("ray", True, "llvm_ad_rgb")] and text.startswith(f"{path}: the picture")
+    assert "ray capture: about 3 min and 1 GiB" in text and "wave" not in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(0.123, "0.123 s"), (59, "59 s"), (150.1, "3 min"), (3600, "1.0 h"), (9000, "2.5 h")]
+)
+def test_times_have_the_unit_that_suits_them(seconds, words):
+    assert in_words(seconds) == words
 
 
 def test_microscopes(tmp_path, run):

@@ -78,7 +78,7 @@ def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path
     mp.write_capture(path, capture)
     arguments = ["reconstruct", str(path), "--distance", "210", "--method", "partial"]
     assert main([*arguments, "--estimate"]) == 0
-    assert re.search(r"raw\.exr: about \S+ (s|minutes) and \S+ GiB\n$", capsys.readouterr().out)
+    assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", capsys.readouterr().out)
     assert list(tmp_path.iterdir()) == [path]
     assert main([*arguments, "--estimate", "-o", str(tmp_path / "out.png")]) == 2
     assert "--output: an estimate does not take it" in capsys.readouterr().err

@@ -64,7 +64,7 @@ LONG = 30.0
     },
     (at_most("off", "most_off"),),
     page="docs/numbers.md",
-    pivot=Pivot("{method}", "{camera}", "{seconds:.2g} s, {memory:.1f} GiB"),
+    pivot=Pivot("{method}", "{camera}", "{seconds:.3g} s, {memory:.1f} GiB"),
     quick={"f_numbers": (10.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip
 def fast_cameras(
@@ -85,7 +85,6 @@ def fast_cameras(
     {"camera": "{camera}", "method": "{method}", "over transforms": "{ratio:.2f}", "change": "{change:.2%}"},
     (at_most("ratio", "most"), at_most("change", 0.01)),
     page="docs/numbers.md",
-    pivot=Pivot("{method}", "{camera}", "{ratio:.2f}, {change:.2%}"),
     quick={"f_numbers": (10.0,), "lenses": 8},
 )
 def fast_sampling(*, f_numbers: tuple[float, ...] = (2.8, 5.6, 10.0), lenses: int = 100) -> Iterator[Row]:
