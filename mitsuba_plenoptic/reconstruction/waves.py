@@ -119,9 +119,25 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
     fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
-    white = white_pixels(camera)[..., None]
-    counted = ray_sums(white, camera, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    white, parts = white_pixels(camera), _pixel_parts(camera, distance)
+    split = camera.replace(
+        resolution=tuple(parts * size for size in camera.resolution),
+        crop_offset=tuple(parts * size for size in camera.crop_offset),
+        crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
+    )
+    rays_of_white = (white / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
+    counted = ray_sums(rays_of_white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
     return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
+
+
+def _pixel_parts(camera: PlenopticCamera, distance: float) -> int:
+    """Return into how many parts along each axis pixels are split, so that images of parts are no wider than a lens.
+
+    Light of waves comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses.
+    """
+    _, image = rays.follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
+    most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
+    return max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
 
 
 @once_a_camera

@@ -7,6 +7,7 @@ import pytest
 from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, reconstruct
+from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.operator.point_spread import point_spread_function
 from mitsuba_plenoptic.reconstruction import lens_tiles
 from mitsuba_plenoptic.reconstruction.full_fields import reconstruct_subsets
@@ -158,3 +159,15 @@ def test_far_subsets_are_the_limit_of_single_lenses():
     images = [reconstruct_subsets(image, camera, [115.0], WAVELENGTH, interleave=period)[0] for period in (1, 4)]
     limit = reconstruct_lens_by_lens(image, camera, [115.0], WAVELENGTH)[0]
     assert error(images[1], limit) < 0.006 < 0.012 < error(images[0], limit)
+
+
+@pytest.mark.parametrize("distance", [400.0, 500.0, 700.0])
+def test_rows_of_a_hexagonal_array_do_not_show_where_images_of_pixels_are_wide(distance):
+    """Rows of lenses and images of pixels, of 1.3 to 3.6 lenses here, lie in almost even steps behind each other."""
+    camera = PlenopticCamera.matched(
+        f_number=2.8, lenses=24, pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320,
+        mla_lattice="hexagonal",
+    )  # fmt: skip
+    result = reconstruct(white_image(camera), distance, camera=camera, method="coherent", wavelength=550.0)
+    rows = result.image.mean(axis=1)
+    np.testing.assert_allclose(rows, rows.mean(), rtol=0.05)
