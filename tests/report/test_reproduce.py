@@ -72,6 +72,7 @@ def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figur
     # Both stand-ins of wave captures are the same.
     assert results["captures"]["points"] == {"relative_error": 0, "energy": 1}
     assert b"4 points per lens" in report
+    assert b"are confirmed with the preset quick." in report
 
     claims = {claim["statement"].split(":")[0]: claim for claim in results["claims"]}
     assert len(claims) == 15
