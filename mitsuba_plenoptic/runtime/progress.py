@@ -20,7 +20,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 0.3, 10.0, 60.0
+FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 1.0, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
 SETTLED, MINUTE = 5.0, 60.0
