@@ -30,77 +30,77 @@ from . import plugins as plugins
 
 if TYPE_CHECKING:
     from . import design as design
-    from . import far_sources as far_sources
-    from . import laser as laser
-    from .calibration import calibrate
     from .camera import PlenopticCamera
-    from .capture.render import estimate_capture, render_capture
-    from .capture.scene import load_scene, scene_path
-    from .detector import Detector, expose
+    from .camera.detector import Detector, expose
     from .errors import InputError
-    from .fitting import fit
-    from .focusing import focus_by_group
+    from .extensions.calibrate.calibration import calibrate
+    from .extensions.inverse.fitting import fit
+    from .extensions.laser import laser as laser
+    from .extensions.onchip.onchip import bank_disparity, dual_pixel, half_disparity, match_halves, psf_bank
+    from .extensions.studio.viewer import Viewer, view
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
     from .io.checkpoints import Checkpoint
     from .io.examples import example, example_truth
-    from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
-    from .io.lens_file import read_prescription
+    from .io.truth_files import GroundTruth, read_ground_truth, write_ground_truth
+    from .lenses.focusing import focus_by_group
     from .lenses.lens_system import LensSystem
-    from .lightfield import decode, demosaic, ground_truth
-    from .objective import Objective
-    from .onchip import bank_disparity, dual_pixel, half_disparity, match_halves, psf_bank
-    from .operator.operator import CaptureOperator
-    from .operator.point_spread import point_spread_function
-    from .operator.stored import StoredOperator
-    from .operator.volumes import volume_points
+    from .light.render_capture import estimate_capture, render_capture
+    from .light.scene import load_scene, scene_path
     from .optics.guards import PhysicsError, PhysicsWarning
+    from .optics.phase_screen import PhaseScreen, frozen_flow
     from .optics.spectrum import Spectrum
-    from .phase_screen import PhaseScreen, frozen_flow
     from .plugins.other_camera import with_camera
+    from .points import far_sources as far_sources
+    from .points.operator import CaptureOperator
+    from .points.point_spread import point_spread_function
+    from .points.stored import StoredOperator
+    from .points.volume_points import volume_points
     from .prescription import Prescription
-    from .reconstruction import Reconstruction, estimate_reconstruction, reconstruct
-    from .report.viewer import Viewer, view
+    from .prescription.lens_file import read_prescription
+    from .prescription.objective import Objective
+    from .refocus import Reconstruction, estimate_reconstruction, reconstruct
+    from .report.sharpness import EdgeSharpness, edge_sharpness
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
-    from .sharpness import EdgeSharpness, edge_sharpness
+    from .views import decode, demosaic, ground_truth
 
     __version__: str
 
 # The modules of public names, which are imported when a name is first asked for: no program needs all of them.
 _MODULES = {
-    "calibration": ("calibrate",),
+    "extensions.calibrate.calibration": ("calibrate",),
     "camera": ("PlenopticCamera",),
-    "capture.render": ("estimate_capture", "render_capture"),
-    "capture.scene": ("load_scene", "scene_path"),
-    "detector": ("Detector", "expose"),
+    "light.render_capture": ("estimate_capture", "render_capture"),
+    "light.scene": ("load_scene", "scene_path"),
+    "camera.detector": ("Detector", "expose"),
     "errors": ("InputError",),
-    "fitting": ("fit",),
-    "focusing": ("focus_by_group",),
+    "extensions.inverse.fitting": ("fit",),
+    "lenses.focusing": ("focus_by_group",),
     "io.captures": ("Capture", "read_capture", "read_raw", "write_capture", "write_raw"),
     "io.checkpoints": ("Checkpoint",),
     "io.examples": ("example", "example_truth"),
-    "io.ground_truth": ("GroundTruth", "read_ground_truth", "write_ground_truth"),
-    "io.lens_file": ("read_prescription",),
+    "io.truth_files": ("GroundTruth", "read_ground_truth", "write_ground_truth"),
+    "prescription.lens_file": ("read_prescription",),
     "lenses.lens_system": ("LensSystem",),
-    "lightfield": ("decode", "demosaic", "ground_truth"),
-    "objective": ("Objective",),
-    "onchip": ("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"),
-    "operator.operator": ("CaptureOperator",),
-    "operator.point_spread": ("point_spread_function",),
-    "operator.stored": ("StoredOperator",),
-    "operator.volumes": ("volume_points",),
+    "views": ("decode", "demosaic", "ground_truth"),
+    "prescription.objective": ("Objective",),
+    "extensions.onchip.onchip": ("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"),
+    "points.operator": ("CaptureOperator",),
+    "points.point_spread": ("point_spread_function",),
+    "points.stored": ("StoredOperator",),
+    "points.volume_points": ("volume_points",),
     "optics.guards": ("PhysicsError", "PhysicsWarning"),
     "optics.spectrum": ("Spectrum",),
-    "phase_screen": ("PhaseScreen", "frozen_flow"),
+    "optics.phase_screen": ("PhaseScreen", "frozen_flow"),
     "plugins.other_camera": ("with_camera",),
     "prescription": ("Prescription",),
-    "reconstruction": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
-    "report.viewer": ("Viewer", "view"),
+    "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
+    "extensions.studio.viewer": ("Viewer", "view"),
     "runtime.batches": ("Cluster",),
     "runtime.jobs": ("Job",),
     "runtime.progress": ("progress_bar",),
-    "sharpness": ("EdgeSharpness", "edge_sharpness"),
+    "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

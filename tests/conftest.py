@@ -60,8 +60,8 @@ def no_progress_lines(monkeypatch):
 @pytest.fixture(autouse=True)
 def short_trials(monkeypatch):
     """Have estimates of time, which come from trials, try a few point spreads or one pass of rays only."""
-    monkeypatch.setattr("mitsuba_plenoptic.operator.patch_plan._TRIAL_SECONDS", 0.0)
-    monkeypatch.setattr("mitsuba_plenoptic.capture.render._SECONDS", 1e-9)
+    monkeypatch.setattr("mitsuba_plenoptic.points.patch_plan._TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("mitsuba_plenoptic.light.render_capture._SECONDS", 1e-9)
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from mitsuba_plenoptic import (
     render_capture,
     scene_path,
 )
-from mitsuba_plenoptic.lens_data import image_distance
-from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.prescription.lens_data import image_distance
 from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.views import white_image
 from tools.bench.measures import agreement
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 

@@ -12,7 +12,7 @@ import pytest
 from wave_cases import WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, StoredOperator, load_scene
-from mitsuba_plenoptic.reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 jax = pytest.importorskip("jax")
 bridge = importlib.import_module("mitsuba_plenoptic.jax")

@@ -7,7 +7,16 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, InputError, Objective, PlenopticCamera, decode, design, read_capture, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    decode,
+    design,
+    read_capture,
+    reconstruct,
+)
 from mitsuba_plenoptic.io.captures import write_capture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optics.rays import microlens_slope

@@ -13,7 +13,7 @@ import pytest
 from wave_cases import WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene, volume_points
-from mitsuba_plenoptic.reconstruction import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 torch = pytest.importorskip("torch")
 bridge = importlib.import_module("mitsuba_plenoptic.torch")

@@ -1,6 +1,6 @@
 """Train the network of the benchmark's baseline ``network``, and write its weights.
 
-    python tools/train_network.py bench10 bench11 -o mitsuba_plenoptic/benchmark/network.npz
+    python tools/train_network.py bench10 bench11 -o mitsuba_plenoptic/extensions/data/network.npz
 
 Give benchmarks of other seeds than those on which it is to be scored. Captures of the held-out cameras are left out. It
 needs the package torch. The same benchmarks, seed and software give the same weights on processors of one kind.
@@ -16,10 +16,10 @@ import numpy as np
 import torch
 
 from mitsuba_plenoptic.benchmark import CAPTURES, Benchmark
-from mitsuba_plenoptic.benchmark.baselines import Question
-from mitsuba_plenoptic.benchmark.contents import HELD_OUT, capture_of, central_truth, model_of
-from mitsuba_plenoptic.benchmark.network import DEPTHS, costs
-from mitsuba_plenoptic.benchmark.score import inner
+from mitsuba_plenoptic.extensions.data.baselines import Question
+from mitsuba_plenoptic.extensions.data.contents import HELD_OUT, capture_of, central_truth, model_of
+from mitsuba_plenoptic.extensions.data.network import DEPTHS, costs
+from mitsuba_plenoptic.extensions.data.score import inner
 
 HIDDEN, RATE, BATCH = 16, 3e-3, 16
 

@@ -30,14 +30,14 @@ from ..errors import (
     require_response,
     require_wavefront,
 )
+from ..extensions.onchip.photodiode_response import PhotodiodeResponse, known_response
 from ..lattice import APERTURES, LATTICES
-from ..lens_data import LensData
-from ..microlens.base import MicrolensShape, known_shape
-from ..phase_screen import PhaseScreen, known_screen
+from ..microlens.shape import MicrolensShape, known_shape
+from ..optics.phase_screen import PhaseScreen, known_screen
 from ..prescription import Glass
+from ..prescription.lens_data import LensData
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .given_lens import known_glass, known_lens
-from .photodiodes import PhotodiodeResponse, known_response
 
 LENS_MODELS = ("ideal", "parabolic")
 
@@ -346,7 +346,7 @@ class CameraParameters:
         words=(
             "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
             "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1, for rays, "
-            "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.system.lens_kinds`. "
+            "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.light.lens_kinds`. "
             "Decoding and refocusing assume the regular array."
         ),
         form=Form.PLACE,
@@ -357,7 +357,7 @@ class CameraParameters:
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
-            "and its correlation length in millimetres along the array; see `mitsuba_plenoptic.system.figure_error`. "
+            "and its correlation length in millimetres along the array; see `mitsuba_plenoptic.light.figure_error`. "
             "For rays, and for waves of points by method ``full_field``."
         ),
         form=Form.PLACE,

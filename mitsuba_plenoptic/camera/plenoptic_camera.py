@@ -24,17 +24,17 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..extensions.onchip.photodiode_response import require_pixel_pairs
 from ..lattice import LATTICES
-from ..lens_data import SINGLE, THIN, image_distance
-from ..microlens.base import focal_length_of, require_cover
-from ..presets import PRESETS
+from ..microlens.shape import focal_length_of, require_cover
+from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
-from .photodiodes import require_pixel_pairs
+from .presets import PRESETS
 from .scene_file import describe, write_xml
 
 
@@ -220,7 +220,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build one of the known cameras; `mitsuba_plenoptic.presets` lists them with the sources of their parameters.
+        """Build one of the known cameras; `camera.presets` lists them with the sources of their numbers.
 
         Parameters
         ----------

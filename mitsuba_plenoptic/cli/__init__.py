@@ -93,7 +93,7 @@ def _command() -> typer.Typer:
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; loading all of them takes a second."""
-    from .run_file import recorded
+    from ..extensions.studio.run_file import recorded
 
     made = _command()
     for name in names:

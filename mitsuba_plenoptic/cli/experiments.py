@@ -38,7 +38,7 @@ from .inputs import (
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from ..report.stage_store import StageOptions
+    from ..io.stage_store import StageOptions
 
 
 def compare(
@@ -70,7 +70,7 @@ def compare(
 
       mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
     """
-    from ..capture.render import MOST_SAMPLES
+    from ..light.render_capture import MOST_SAMPLES
 
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.comparison import compare as compute
@@ -155,7 +155,7 @@ def sweep(
       mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
     """
     # Datasets need libraries that take a second to load, which other commands need not wait for.
-    from ..report.sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
+    from ..extensions.studio.sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
     from ..runtime.backend import DEFAULT_VARIANT
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
@@ -227,7 +227,7 @@ def dataset(
       mitsuba-plenoptic dataset shapes.yaml -o shapes --workers 2
     """
     # Data sets need libraries that take a second to load.
-    from ..dataset import make_dataset, read_recipe
+    from ..extensions.data.dataset import make_dataset, read_recipe
 
     wanted = read_recipe(recipe)
     with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
@@ -265,7 +265,7 @@ def reproduce(
       mitsuba-plenoptic reproduce --preset paper -o paper
     """
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report.paper.reproduction import reproduce as compute
+    from ..extensions.paper.reproduction import reproduce as compute
 
     with stage_lines(resume) as stages:
         results = compute(output, preset=preset, stages=stages)
@@ -280,7 +280,7 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from ..report.stage_store import StageOptions
+    from ..io.stage_store import StageOptions
 
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())

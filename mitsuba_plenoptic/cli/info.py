@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..camera.presets import PRESETS
 from ..errors import printable, refuse_if, require_wavelength
-from ..presets import PRESETS
 from .inputs import Definitions, load_camera, numeric, parse_definitions, read_recorded
 
 if TYPE_CHECKING:
@@ -83,8 +83,8 @@ def info(
     from rich.markup import escape
 
     from ..design import design_warnings
+    from ..extensions.raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
     from ..io.files import require_writable
-    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
     from ..report.design_sheet import design_sheet
 
     if fix is not None:

@@ -13,13 +13,13 @@ from xml.etree.ElementTree import Element
 
 import typer
 
+from ..camera.presets import PRESETS
 from ..errors import InputError, did_you_mean, refuse_if, require_count
-from ..presets import PRESETS
 from .choices import MODELS, UNITS
 
 if TYPE_CHECKING:
-    from ..calibration import LensIndex
     from ..camera import PlenopticCamera
+    from ..extensions.calibrate.calibration import LensIndex
     from ..io.captures import Capture
     from ..report.images import Drawing
     from ..runtime.batches import BatchMap
@@ -200,7 +200,7 @@ _log = logging.getLogger(__name__)
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
     """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
     from ..camera import PlenopticCamera
-    from ..capture.scene import load_scene, scene_names
+    from ..light.scene import load_scene, scene_names
 
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
@@ -209,7 +209,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
-        from ..calibration import read_camera
+        from ..extensions.calibrate.calibration import read_camera
 
         return read_camera(source)
     refuse_if(
@@ -232,9 +232,9 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
     A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
+    from ..extensions.raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+    from ..extensions.raw.lytro_file import read_lytro
     from ..io.captures import RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
-    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-    from ..io.lytro_file import read_lytro
 
     if path.suffix.lower() in RAW_SUFFIXES:
         if states_detector(path):
@@ -243,7 +243,7 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
         if camera is None:
             raise InputError(f"{path}: it states no camera and detector; such a raw picture needs its --camera")
         # Brings libraries that take a while to load.
-        from ..lightfield.exchange import read_picture
+        from ..extensions.raw.exchange import read_picture
 
         return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
     found = (read_lytro if path.suffix.lower() in LYTRO_SUFFIXES else read_capture)(path)
@@ -300,9 +300,9 @@ def open_scene(
 ) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     from ..camera import PlenopticCamera
-    from ..capture.render import plenoptic_sensor
-    from ..capture.scene import load_scene
     from ..design import design_warnings
+    from ..light.render_capture import plenoptic_sensor
+    from ..light.scene import load_scene
     from ..plugins.other_camera import with_camera
     from ..runtime.backend import DEFAULT_VARIANT
 
@@ -332,7 +332,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
     The position of the camera and its sampler remain those of the scene. Names that the scene does not have are left
     to its loading.
     """
-    from ..capture.scene import names_in
+    from ..light.scene import names_in
 
     roots, used = scene_roots(scene, parameters), set()
     known = {name for root in roots for each in root.iter() for name in names_in(each)}
@@ -359,7 +359,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    from ..capture.scene import check_scene_file, scene_path
+    from ..light.scene import check_scene_file, scene_path
 
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
@@ -369,7 +369,7 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
-    from ..capture.scene import scene_defaults
+    from ..light.scene import scene_defaults
 
     roots = scene_roots(scene, parameters)
     formats: list[str] = []

@@ -65,11 +65,11 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
+    from ..extensions.raw.exchange import open_light_field
     from ..io.files import require_apart
-    from ..lightfield import pick_views
-    from ..lightfield.exchange import open_light_field
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
+    from ..views import pick_views
 
     require_apart(require_picture_path(output, animated=True), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -123,10 +123,10 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
+    from ..extensions.raw.exchange import open_light_field
     from ..io.files import require_apart
-    from ..lightfield import epipolar_image
-    from ..lightfield.exchange import open_light_field
     from ..report.output_files import require_picture_path, write_epipolar_image
+    from ..views import epipolar_image
 
     require_apart(require_picture_path(output), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -176,12 +176,12 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
+    from ..extensions.raw.exchange import open_light_field
+    from ..extensions.studio.animations import sweep_distances
     from ..io.files import require_apart
-    from ..lightfield import focal_stack
-    from ..lightfield.exchange import open_light_field
-    from ..report.animations import sweep_distances
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
+    from ..views import focal_stack
 
     require_apart(require_picture_path(output, animated=True), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -241,11 +241,11 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
+    from ..extensions.raw.exchange import open_light_field, open_micro_images
     from ..io.files import require_apart
-    from ..lightfield import depth_error, depth_map
-    from ..lightfield.depth import is_focused
-    from ..lightfield.exchange import open_light_field, open_micro_images
     from ..report.output_files import require_picture_path, write_depth
+    from ..views import depth_error, depth_map
+    from ..views.depth import is_focused
 
     require_apart(require_picture_path(output), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -318,8 +318,8 @@ def convert(
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
     """
+    from ..extensions.raw.exchange import open_light_field, require_light_field_path, save_light_field
     from ..io.files import require_apart
-    from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field
 
     if layout is None:
         require_light_field_path(output)
@@ -332,7 +332,7 @@ def convert(
     )
     if layout is not None:
         # Brings libraries that take a while to load.
-        from ..benchmark.exchange import write_hci
+        from ..extensions.data.exchange import write_hci
 
         known = lf.coords.get("virtual_depth", lf.coords.get("depth"))
         central = None if known is None else known.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]

@@ -13,7 +13,7 @@ from .choices import METHODS
 from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded
 
 if TYPE_CHECKING:
-    from ..reconstruction import Reconstruction
+    from ..refocus import Reconstruction
 
 
 def mtf(
@@ -50,9 +50,9 @@ def mtf(
 
       mitsuba-plenoptic mtf out.exr --region 20,30,60,40
     """
-    from ..reconstruction import read_reconstruction
-    from ..reconstruction import reconstruct as refocus
-    from ..sharpness import edge_sharpness
+    from ..refocus import read_reconstruction
+    from ..refocus import reconstruct as refocus
+    from ..report.sharpness import edge_sharpness
 
     given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:

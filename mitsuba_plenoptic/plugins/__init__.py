@@ -28,7 +28,8 @@ def _register(old: str | None, new: str | None) -> None:
     if new is None:
         return
     # Without a variant nothing needs what these import.
-    from . import integrator, laser, sensor
+    from ..extensions.laser import laser_integrator as laser
+    from . import integrator, sensor
 
     reason = None
     if new.startswith("scalar"):

@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera, has_small_lenses
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
-from ..capture import colour
-from ..capture.crosstalk import mix_deviations, mix_pixels
-from ..capture.render import require_wave_film
-from ..capture.scene import GONE_PARAMETERS
-from ..capture.scene_light import LightDerivatives, SceneLight
-from ..capture.scene_points import PointsCapture, require_matte
-from ..capture.signed_camera import require_parameters
-from ..capture.signed_capture import SignedCapture, SignedGradients
 from ..errors import InputError, naming, refuse_if, require_accuracy
-from ..operator.accuracy import DEFAULT_ACCURACY
-from ..operator.derivatives import DIFFERENTIABLE
-from ..operator.patch_plan import Cost
+from ..light import colour
+from ..light.crosstalk import mix_deviations, mix_pixels
+from ..light.lens_kinds import regular_array
+from ..light.render_capture import require_wave_film
+from ..light.scene import GONE_PARAMETERS
+from ..light.scene_light import LightDerivatives, SceneLight
+from ..light.scene_points import PointsCapture, require_matte
+from ..light.signed_camera import require_parameters
+from ..light.signed_capture import SignedCapture, SignedGradients
 from ..optics import guards
 from ..optics.spectrum import Spectrum
+from ..points.accuracy import DEFAULT_ACCURACY
+from ..points.derivatives import DIFFERENTIABLE
+from ..points.patch_plan import Cost
 from ..runtime.jobs import Job
-from ..system.lens_kinds import regular_array
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
 
 
@@ -300,7 +300,7 @@ def make_class() -> type:
             is_small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
             if is_small:
-                from ..capture.responses import ResponseCapture
+                from ..extensions.onchip.responses import ResponseCapture
 
                 refuse_if(
                     mi.is_spectral,

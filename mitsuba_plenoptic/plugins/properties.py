@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
-from ..capture import colour
-from ..capture.scene import unknown_parameter
-from ..capture.signed_colours import SignedColours
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -34,9 +31,11 @@ from ..errors import (
     require_wavelength,
     short_repr,
 )
-from ..io.lens_file import read_lens
-from ..lens_data import LensData
-from ..microlens.base import known_shape
+from ..light import colour
+from ..light.scene import unknown_parameter
+from ..light.signed_colours import SignedColours
+from ..microlens.shape import known_shape
+from ..optics.phase_screen import known_screen
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,
@@ -47,7 +46,8 @@ from ..optics.spectrum import (
     interpolated,
     read_responses,
 )
-from ..phase_screen import known_screen
+from ..prescription.lens_data import LensData
+from ..prescription.lens_file import read_lens
 from ..runtime.backend import drjit_array
 
 

@@ -16,12 +16,12 @@ from ..camera.documentation import with_sensor_parameters
 from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, refuse_if
-from ..lenses.base import Pair, Traced
+from ..extensions.onchip.photodiode_table import PhotodiodeTable
 from ..lenses.common import main_lens
+from ..lenses.main_lens import Pair, Traced
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response, transmittance
 from .camera_rays import CameraRays, Candidates
-from .photodiodes import PhotodiodeTable
 from .properties import film_numbers, read_camera, require_read
 
 NAME = "plenoptic"

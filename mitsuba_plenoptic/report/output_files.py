@@ -12,13 +12,13 @@ import numpy as np
 import xarray as xr
 
 from ..errors import refuse_if
+from ..extensions.onchip.halves import photodiode_names
+from ..extensions.studio.animations import require_animation, write_animation
 from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
-from ..io.ground_truth import COORDINATES
-from ..lightfield.views import view_mosaic
-from ..onchip.halves import photodiode_names
-from ..reconstruction import Reconstruction, write_reconstruction
-from .animations import require_animation, write_animation
+from ..io.truth_files import COORDINATES
+from ..refocus import Reconstruction, write_reconstruction
+from ..views.viewpoints import view_mosaic
 from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
 
 _SUFFIXES = (".exr", ".png", ".pdf")

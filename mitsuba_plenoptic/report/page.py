@@ -17,17 +17,17 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from PIL import Image
 
 from .. import design
-from ..calibration import Board, Calibration, ResidualMap, Table, residual_map
-from ..calibration.model import UNITS
-from ..calibration.observations import placed
-from ..calibration.result import field_cells, group_means
+from ..extensions.calibrate.board_model import UNITS
+from ..extensions.calibrate.calibration import Board, Calibration, ResidualMap, Table, residual_map
+from ..extensions.calibrate.calibration_result import field_cells, group_means
+from ..extensions.calibrate.observations import placed
 from ..io.files import write_text
+from ..io.stage_store import software, time_summary, write_json
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, common_peak, lit_window
 from .images import to_bytes
 from .metrics import ssim_text
-from .stage_store import software, time_summary, write_json
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",

@@ -22,21 +22,20 @@ from mitsuba_plenoptic.benchmark import (
     TASKS,
     Benchmark,
     Size,
-    baselines,
     benchmark_recipe,
     export_hci,
     make_benchmark,
-    network,
     run_baseline,
     score,
     table,
 )
-from mitsuba_plenoptic.benchmark.baselines import Question, _finer
-from mitsuba_plenoptic.benchmark.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
-from mitsuba_plenoptic.benchmark.scenes import MIRROR, MIRRORED, SCENES, Frame, SceneMaker
-from mitsuba_plenoptic.benchmark.score import depth_scores, picture_scores
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.dataset import production
+from mitsuba_plenoptic.extensions.data import baselines, network
+from mitsuba_plenoptic.extensions.data import dataset_production as production
+from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
+from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
+from mitsuba_plenoptic.extensions.data.scenes import MIRROR, MIRRORED, SCENES, Frame, SceneMaker
+from mitsuba_plenoptic.extensions.data.score import depth_scores, picture_scores
 from mitsuba_plenoptic.report.metrics import relative_error
 
 TINY = Size(8, 8, 1, 2)
@@ -116,7 +115,7 @@ def test_samples_hold_what_the_card_says(made):
     assert dim.model == "wave" and dim.wavelength == 633 and dim.metadata["exposure"]["photons"] == 200
     # Noise leaves the mean as it is.
     assert dim.image.mean() == pytest.approx(sample.arrays["wave"].mean(), rel=0.02)
-    lit = mp.lightfield.white_image(made.white(1, "ray").camera) > 0.99
+    lit = mp.views.white_image(made.white(1, "ray").camera) > 0.99
     assert made.white(1, "ray").image[lit].mean() == pytest.approx(1, abs=0.02)
 
 
@@ -315,10 +314,10 @@ def test_costs_are_least_at_the_depth_of_a_plane():
     for camera in (mp.PlenopticCamera(detector_width=1.536, resolution=(288, 288)),
                    mp.PlenopticCamera(detector_width=1.536, resolution=(288, 288), focus_distance=250.0)):  # fmt: skip
         image = mp.Capture(np.ones(camera.shape), camera)
-        lf = mp.lightfield.decode(image)
+        lf = mp.views.decode(image)
         across = np.arange(lf.sizes["s"])
         for depth in (network.DEPTHS[4], network.DEPTHS[18]):
-            shift = mp.lightfield.disparity(lf, depth)
+            shift = mp.views.disparity(lf, depth)
             for v, u in np.ndindex(lf.shape[:2]):
                 down, right = (across - shift * (index - lf.sizes["u"] // 2) for index in (v, u))
                 lf.values[v, u] = 1 + 0.3 * np.sin(0.9 * down)[:, None] + 0.3 * np.sin(1.1 * right)

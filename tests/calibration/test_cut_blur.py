@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.calibration.blur import CutBlur
-from mitsuba_plenoptic.calibration.boards import find_saddles
+from mitsuba_plenoptic.extensions.calibrate.blur import CutBlur
+from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles
 
 CAMERA = PlenopticCamera.preset("raytrix").replace(mla_aperture="circle")
 COUNT, SIDE = 20, 23

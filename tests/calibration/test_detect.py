@@ -5,9 +5,6 @@ from __future__ import annotations
 import calibration_cases as cases
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, uniform_filter
-
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
 from mitsuba_plenoptic.calibration import (
     Board,
     board_scene,
@@ -17,11 +14,14 @@ from mitsuba_plenoptic.calibration import (
     find_centres,
     read_corners,
 )
-from mitsuba_plenoptic.calibration.boards import find_saddles
-from mitsuba_plenoptic.calibration.detect import evenly_lit
-from mitsuba_plenoptic.calibration.model import NAMES, Observations, numbers_of, predict
+from scipy.ndimage import gaussian_filter, uniform_filter
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict
+from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles
+from mitsuba_plenoptic.extensions.calibrate.detect import evenly_lit
+from mitsuba_plenoptic.views import white_image
 
 pytest.importorskip("cv2")
 

@@ -18,7 +18,7 @@ from mitsuba_plenoptic import (
     render_capture,
     with_camera,
 )
-from mitsuba_plenoptic.calibration.model import NAMES, camera_of, numbers_of, predict, predict_centres
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, camera_of, numbers_of, predict, predict_centres
 from mitsuba_plenoptic.lenses.distortion import undistort
 
 GEOMETRY = {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import calibration_cases as cases
 import numpy as np
 import pytest
+from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
 
 from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
-from mitsuba_plenoptic.calibration.model import NAMES, numbers_of, predict_centres
-from mitsuba_plenoptic.calibration.result import GROUPED_BY
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
+from mitsuba_plenoptic.extensions.calibrate.calibration_result import GROUPED_BY
 from mitsuba_plenoptic.report.page import write_calibration_report
 
 TABLE, SEEN = cases.corners()

@@ -8,11 +8,11 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
-from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lightfield import LensGrid, lens_grid, white_image
+from mitsuba_plenoptic.views import LensGrid, lens_grid, white_image
 
 PITCH, ROTATION, PHOTONS = 16.37, 0.3, 2000
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.capture.signed_draws import LensPoints
-from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.light.signed_draws import LensPoints
 
 COUNT = 1 << 19
 

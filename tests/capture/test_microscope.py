@@ -17,7 +17,7 @@ from mitsuba_plenoptic import (
     reconstruct,
 )
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
-from mitsuba_plenoptic.operator.point_spread import point_fields
+from mitsuba_plenoptic.points.point_spread import point_fields
 
 AIR, OIL = Objective(20, 0.5), Objective(40, 1.3, 1.515, tube_focal_length=180)
 WATER = Objective(25, 1.0, 1.33, tube_focal_length=180)

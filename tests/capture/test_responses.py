@@ -7,13 +7,14 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.camera import has_small_lenses
-from mitsuba_plenoptic.capture.response_draws import _from_half, _quantiles
-from mitsuba_plenoptic.capture.responses import LensCells, ResponseSum
-from mitsuba_plenoptic.capture.signed_colours import Node
+from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
+from mitsuba_plenoptic.extensions.onchip import response_tables
+from mitsuba_plenoptic.extensions.onchip.plane_waves import Zones, pixels_per_lens
+from mitsuba_plenoptic.extensions.onchip.response_draws import _from_half, _quantiles
+from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses
+from mitsuba_plenoptic.extensions.onchip.responses import LensCells, ResponseSum
+from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.microlens import Conic, Sampled
-from mitsuba_plenoptic.system import photodiodes, response_tables
-from mitsuba_plenoptic.system.photodiodes import Zones, pixels_per_lens
-from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses
 from tools.bench.cases.photodiodes import Wall, camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 

@@ -11,7 +11,7 @@ from mitsuba_plenoptic import InputError, estimate_capture, render_capture
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import radiance_weight
+from mitsuba_plenoptic.points.units import radiance_weight
 from tools.bench.scenes.light_paths import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}

@@ -8,7 +8,10 @@ import scipy.ndimage
 import scipy.signal
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.capture.signed_camera import (
+from mitsuba_plenoptic.light.array_kernels import REACH, displaced
+from mitsuba_plenoptic.light.optical_system import OpticalSystem, RayPupil
+from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.light.signed_camera import (
     PARAMETERS,
     CameraAdjoint,
     CameraTangents,
@@ -17,13 +20,10 @@ from mitsuba_plenoptic.capture.signed_camera import (
     require_parameters,
     varying_parameters,
 )
-from mitsuba_plenoptic.capture.signed_colours import Node
-from mitsuba_plenoptic.capture.signed_draws import Pixels
+from mitsuba_plenoptic.light.signed_colours import Node
+from mitsuba_plenoptic.light.signed_draws import Pixels
 from mitsuba_plenoptic.runtime.batches import Box
 from mitsuba_plenoptic.runtime.jobs import Job, SumTask
-from mitsuba_plenoptic.system.array_kernels import REACH, displaced
-from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
-from mitsuba_plenoptic.system.phase_space import PhaseSpace, coefficients_of
 
 PIXELS = 192
 MODELS = {

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
-from mitsuba_plenoptic.capture import colour
-from mitsuba_plenoptic.capture.signed_colours import span
+from mitsuba_plenoptic.light import colour
+from mitsuba_plenoptic.light.signed_colours import span
 from tools.bench.scenes.light_paths import facing, radiating, scene_of, sensor
 
 CROWN = '{"index": 1.5168, "abbe": 64.2}'

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.capture import signed_rays
-from mitsuba_plenoptic.capture.noise import Mended
-from mitsuba_plenoptic.system.phase_space import PhaseSpace
+from mitsuba_plenoptic.light import signed_rays
+from mitsuba_plenoptic.light.noise import Mended
+from mitsuba_plenoptic.light.phase_space import PhaseSpace
 from tools.bench.scenes.light_paths import facing, radiating, scene_of, sensor
 
 POINT = {"type": "point", "position": [0.0, 40.0, 0.0], "intensity": 3e4}

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic.light.lens_kinds import LensKinds, irregularities
 from mitsuba_plenoptic.optics import rays
-from mitsuba_plenoptic.system.lens_kinds import LensKinds, irregularities
 from tools.bench.measures import spot_filtered
 from tools.bench.scenes.light_paths import bars_through, facing, radiating, scene_of, sensor
 
@@ -247,7 +247,7 @@ def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):
 
 
 def test_plans_are_the_same_in_another_process():
-    from mitsuba_plenoptic.system.phase_space import PhaseSpace
+    from mitsuba_plenoptic.light.phase_space import PhaseSpace
 
     plan = PhaseSpace(PlenopticCamera(), 550.0, degree=2)
     other = pickle.loads(pickle.dumps(plan))

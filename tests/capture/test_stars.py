@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import render_capture
-from mitsuba_plenoptic.capture.noise import Mended
+from mitsuba_plenoptic.light.noise import Mended
 from tools.bench.scenes.light_paths import facing, radiating, scene_of, sensor
 
 LENSES, PIXELS, MARGIN, STARS = 12, 20, 3.5, 400

@@ -4,15 +4,16 @@ import inspect
 
 import pytest
 
-from mitsuba_plenoptic import detector
-from mitsuba_plenoptic.capture import scene_unit
+from mitsuba_plenoptic.camera import detector
 from mitsuba_plenoptic.cli import COMMANDS, choices
-from mitsuba_plenoptic.cli.render import expose
-from mitsuba_plenoptic.io import captures, examples, ground_truth
-from mitsuba_plenoptic.lightfield.refocus import METHODS as VIEW_METHODS
-from mitsuba_plenoptic.lightfield.views import AXES
-from mitsuba_plenoptic.onchip.halves import LAYOUTS
-from mitsuba_plenoptic.reconstruction import methods
+from mitsuba_plenoptic.cli.render_command import expose
+from mitsuba_plenoptic.extensions.onchip.halves import LAYOUTS
+from mitsuba_plenoptic.io import captures, examples
+from mitsuba_plenoptic.io import truth_files as ground_truth
+from mitsuba_plenoptic.light import scene_unit
+from mitsuba_plenoptic.refocus import methods
+from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS
+from mitsuba_plenoptic.views.viewpoints import AXES
 
 LIBRARY = {
     "MODELS": captures.MODELS,
@@ -34,7 +35,7 @@ LIGHT = {
     "mitsuba_plenoptic.cli",
     "mitsuba_plenoptic.errors",
     "mitsuba_plenoptic.plugins",
-    "mitsuba_plenoptic.presets",
+    "mitsuba_plenoptic.camera.presets",
     "mitsuba_plenoptic.runtime",
     "mitsuba_plenoptic.runtime.llvm",
     "mitsuba_plenoptic.runtime.progress",

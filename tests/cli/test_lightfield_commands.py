@@ -12,8 +12,8 @@ from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
+from mitsuba_plenoptic.views import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 

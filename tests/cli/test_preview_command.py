@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mitsuba_plenoptic.capture.render import Cost
-from mitsuba_plenoptic.report import preview
+from mitsuba_plenoptic.extensions.studio import preview
+from mitsuba_plenoptic.light.render_capture import Cost
 from mitsuba_plenoptic.runtime.progress import in_words
 
 
@@ -38,7 +38,7 @@ def test_the_picture_comes_first_and_waves_are_estimated_only_when_asked_for(tmp
         seen.append((model, path.exists(), mi.variant()))
         return Cost(0, 0, 151.0, 2**30)
 
-    monkeypatch.setattr("mitsuba_plenoptic.capture.render.estimate_capture", estimate)
+    monkeypatch.setattr("mitsuba_plenoptic.light.render_capture.estimate_capture", estimate)
     text = run("preview", "letters", *SMALL, "-o", path, "--variant", "llvm_ad_rgb")
     assert seen == [("ray", True, "llvm_ad_rgb")] and text.startswith(f"{path}: the picture")
     assert "ray capture: about 3 min and 1 GiB" in text and "wave" not in text

@@ -17,12 +17,14 @@ import numpy as np
 import pytest
 import yaml
 from dataset_cases import SMALL, small
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe
 from stopped_runs import start_command
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe, production, shards
+from mitsuba_plenoptic.extensions.data import dataset_production as production
+from mitsuba_plenoptic.extensions.data import shards
 
 
 def files(folder):
@@ -237,7 +239,7 @@ def test_few_files_are_open_at_once(made, monkeypatch):
 
 def test_pytorch_reads_tensors(made):
     torch = pytest.importorskip("torch")
-    from mitsuba_plenoptic.dataset.torch_data import TorchDataset
+    from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset
 
     loader = torch.utils.data.DataLoader(TorchDataset(made, ["ray", "normal"]), batch_size=5)
     (batch,) = loader

@@ -5,16 +5,16 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
+from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
 from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
-from mitsuba_plenoptic.detector import Detector, expose
-from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
-from mitsuba_plenoptic.fitting.model import PointRays, vector_of
+from mitsuba_plenoptic.camera.detector import Detector, expose
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import brightness_at, brightness_of
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.units import brightness_at, brightness_of
 
 TRUE = small_camera(2, **HALF)
 POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)

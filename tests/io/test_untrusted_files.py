@@ -18,6 +18,8 @@ import OpenEXR
 import pytest
 import scipy.io
 from foreign_files import png, write_matlab_7
+from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
+from mitsuba_plenoptic.dataset import DataSet, read_recipe
 from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
@@ -34,11 +36,9 @@ from mitsuba_plenoptic import (
     read_raw,
     write_capture,
 )
-from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.dataset import DataSet, read_recipe
+from mitsuba_plenoptic.extensions.raw.exchange import open_light_field, read_picture, save_light_field
 from mitsuba_plenoptic.io.exr import write_exr_parts
-from mitsuba_plenoptic.lightfield.exchange import open_light_field, read_picture, save_light_field
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
 

@@ -6,13 +6,22 @@ import json
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, decode, expose, read_capture, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    decode,
+    expose,
+    read_capture,
+    reconstruct,
+)
 
 from mitsuba_plenoptic import demosaic, write_capture  # isort: skip
+from mitsuba_plenoptic.camera.detector import MOSAICS, filters
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.detector import MOSAICS, filters
-from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.lightfield.grid import lens_numbers
+from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.views.lens_grid import lens_numbers
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=0.512)
 PERFECT = {"quantum_efficiency": 1, "read_noise": 0, "bits": 16, "full_well": 6e4, "black_level": 0}

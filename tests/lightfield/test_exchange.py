@@ -17,8 +17,7 @@ from foreign_files import write_matlab_7
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, write_capture
-from mitsuba_plenoptic.lightfield import LensGrid, camera_of, decode, depth_map, grid_of, refocus, view, white_image
-from mitsuba_plenoptic.lightfield.exchange import (
+from mitsuba_plenoptic.extensions.raw.exchange import (
     open_light_field,
     read_lftoolbox,
     read_mosaic,
@@ -27,7 +26,8 @@ from mitsuba_plenoptic.lightfield.exchange import (
     write_lftoolbox,
     write_mosaic,
 )
-from mitsuba_plenoptic.lightfield.exchange.pictures import write_picture
+from mitsuba_plenoptic.extensions.raw.pictures import write_picture
+from mitsuba_plenoptic.views import LensGrid, camera_of, decode, depth_map, grid_of, refocus, view, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.4, resolution=(128, 96), mla_pitch=0.05, aperture_radius=4)
 

@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera
 from mitsuba_plenoptic.design import parallax
-from mitsuba_plenoptic.lightfield import (
+from mitsuba_plenoptic.views import (
     camera_of,
     decode,
     depth_range,

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.lightfield import LensGrid, estimate_lens_grid, lens_grid, white_image
+from mitsuba_plenoptic.views import LensGrid, estimate_lens_grid, lens_grid, white_image
 
 ROOT3 = math.sqrt(3)
 

@@ -12,8 +12,8 @@ import scene_cases
 from light_field_cases import CAMERAS
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.io.ground_truth import QUANTITIES
-from mitsuba_plenoptic.lightfield import depth_error, depth_map, pick_views
+from mitsuba_plenoptic.io.truth_files import QUANTITIES
+from mitsuba_plenoptic.views import depth_error, depth_map, pick_views
 
 CAMERA = mp.PlenopticCamera(detector_width=0.96, resolution=(240, 180))
 """15 x 11 lenses of 16 pixels."""
@@ -95,7 +95,7 @@ class TestAgainstAnalyticSurfaces:
         if part == "pixels":
             pupil, slope = chief_rays(CAMERA)
         else:
-            white = mp.lightfield.white_image(CAMERA)
+            white = mp.views.white_image(CAMERA)
             pupil, slope = view_rays(CAMERA, mp.decode(white, camera=CAMERA))
         open_ = np.hypot(*pupil) < CAMERA.aperture_radius - 1e-3
         closed = np.hypot(*pupil) > CAMERA.aperture_radius + 1e-3

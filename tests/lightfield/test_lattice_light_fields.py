@@ -11,7 +11,7 @@ from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.lightfield import decode, estimate_lens_grid, lens_grid, refocus, view, white_image
+from mitsuba_plenoptic.views import decode, estimate_lens_grid, lens_grid, refocus, view, white_image
 
 
 @all_cameras

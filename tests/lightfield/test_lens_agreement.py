@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.lightfield import depth_map, distance_of, micro_images
+from mitsuba_plenoptic.views import depth_map, distance_of, micro_images
 
 MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=2.64, resolution=(480, 384))
 # Of 16 pixels a lens, of which micro-images cover nine; lenses blur what is in front by up to half of their width.
@@ -109,6 +109,6 @@ def test_left_out_views_are_refused():
 
 
 def test_micro_images_need_a_camera():
-    grid = mp.lightfield.lens_grid(MULTI_FOCUS)
+    grid = mp.views.lens_grid(MULTI_FOCUS)
     with pytest.raises(mp.InputError, match="camera = None"):
         micro_images(np.ones((384, 480)), grid=grid, white=np.ones((384, 480)))

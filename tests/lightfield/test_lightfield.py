@@ -13,7 +13,7 @@ from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, design, load_scene, render_capture
-from mitsuba_plenoptic.lightfield import (
+from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,
     decode,
@@ -28,7 +28,7 @@ from mitsuba_plenoptic.lightfield import (
     view_mosaic,
     white_image,
 )
-from mitsuba_plenoptic.lightfield.grid import bin_grid
+from mitsuba_plenoptic.views.lens_grid import bin_grid
 
 
 def rays_of_pixels(camera, grid):

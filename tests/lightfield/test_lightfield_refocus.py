@@ -21,7 +21,7 @@ from mitsuba_plenoptic import (
     render_capture,
 )
 from mitsuba_plenoptic.design import best_distances
-from mitsuba_plenoptic.lightfield import (
+from mitsuba_plenoptic.views import (
     FourierRefocuser,
     LensGrid,
     decode,
@@ -32,10 +32,10 @@ from mitsuba_plenoptic.lightfield import (
     shift_and_add,
     white_image,
 )
-from mitsuba_plenoptic.lightfield.agreement import view_disagreement
-from mitsuba_plenoptic.lightfield.geometry import view_steps
-from mitsuba_plenoptic.lightfield.lens_agreement import LensComparison
-from mitsuba_plenoptic.lightfield.micro_images import micro_images_of
+from mitsuba_plenoptic.views.agreement import view_disagreement
+from mitsuba_plenoptic.views.coordinates import view_steps
+from mitsuba_plenoptic.views.lens_agreement import LensComparison
+from mitsuba_plenoptic.views.lens_images import micro_images_of
 
 # Fewer pixels a lens than the paper's, to be quick: 11 views.
 CAMERA = PlenopticCamera(detector_width=2.56, resolution=(640, 640))

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from mitsuba_plenoptic.lightfield.plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement, indications
+from mitsuba_plenoptic.views.plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement, indications
 
 PLANES, SHAPE, TRUE = 41, (9, 11), 17.3
 INVERSE = np.linspace(1 / 200, 1 / 300, PLANES)

@@ -10,9 +10,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.lightfield import micro_images
-from mitsuba_plenoptic.lightfield.agreement import finer_stripes
-from mitsuba_plenoptic.lightfield.repetition import wrong_by_repetition
+from mitsuba_plenoptic.views import micro_images
+from mitsuba_plenoptic.views.agreement import finer_stripes
+from mitsuba_plenoptic.views.repetition import wrong_by_repetition
 
 FOCUSED = {"mla_focal_length": 0.384, "mla_distance": 121.536, "aperture_radius": 4.9}
 SLOPES = np.concatenate([-1 / np.linspace(2, 9, 30), 1 / np.linspace(2, 9, 30)])

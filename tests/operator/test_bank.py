@@ -2,19 +2,19 @@
 
 import numpy as np
 import pytest
+from mitsuba_plenoptic.objective import Objective
 from wave_cases import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.objective import Objective
-from mitsuba_plenoptic.operator.bank_rays import Landing, averaged
-from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.operator.stored import StoredOperator
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.phase_space import plan_of
 from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.points.bank_rays import Landing, averaged
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.points.stored import StoredOperator
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from mitsuba_plenoptic.system.phase_space import plan_of
 
 CAMERAS = {
     "square": small_camera(10),
@@ -117,7 +117,7 @@ def test_blocks_of_the_detector_and_crops_are_parts_of_the_whole(monkeypatch):
     crop = SMALL.replace(crop_offset=(65, 101), crop_size=(75, 51))
     part = CaptureOperator(crop, points, wavelength=WAVELENGTH, method="bank").forward(weights)
     assert error(part, whole[101:152, 65:140]) < 1e-5
-    monkeypatch.setattr("mitsuba_plenoptic.operator.bank_plan._BLOCK_BYTES", 2**24)
+    monkeypatch.setattr("mitsuba_plenoptic.points.bank_plan._BLOCK_BYTES", 2**24)
     operator = CaptureOperator(SMALL, points, wavelength=WAVELENGTH, method="bank")
     assert error(operator.forward(weights), whole) < 1e-5
     pixels = np.random.default_rng(0).random(SMALL.shape, dtype=np.float32)

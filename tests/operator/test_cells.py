@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from wave_cases import in_every_lens, small_camera
 
-from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.operator.tile import CopyCells
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.points.tile import CopyCells
 
 
 @pytest.mark.parametrize("step", [(12, 12), (9, 14), (16, 0)])

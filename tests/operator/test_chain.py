@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.operator.patch import FieldChain, Memory
+from mitsuba_plenoptic.points.patch import FieldChain, Memory
 
 DIRECTIONS, SAMPLES, ON_ARRAY = 7, 16, 20
 AXES = {"separable": [(0,), (1,)], "plane": [(0,), (1,), (0, 1)]}

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, in_every_lens, small_camera
 
-from mitsuba_plenoptic.operator import accuracy
-from mitsuba_plenoptic.operator.derivatives.plan import DerivativePlan
-from mitsuba_plenoptic.operator.grid import Grid
-from mitsuba_plenoptic.operator.recorder import STEPS, Recorder
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points import accuracy
+from mitsuba_plenoptic.points.derivatives.plan import DerivativePlan
+from mitsuba_plenoptic.points.field_grid import Grid
+from mitsuba_plenoptic.points.recorder import STEPS, Recorder
 
 
 @pytest.mark.parametrize("degrees", [0.0, 11.0])

@@ -9,7 +9,7 @@ from wave_cases import HALF, LATTICES, WAVELENGTH, capture, error, scattered, sm
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.operator.point_spread import point_spread_function
+from mitsuba_plenoptic.points.point_spread import point_spread_function
 
 SMALL = small_camera()
 

@@ -6,8 +6,8 @@ import pytest
 from wave_cases import WAVELENGTH, small_camera
 
 from mitsuba_plenoptic.lattice import make_lattice
+from mitsuba_plenoptic.light.microlens_orders import MicrolensArray, VaryingArrayFactor
 from mitsuba_plenoptic.runtime.backend import array_module
-from mitsuba_plenoptic.system.microlens_orders import MicrolensArray, VaryingArrayFactor
 
 COSINE = 0.16
 

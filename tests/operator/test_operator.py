@@ -10,11 +10,11 @@ from wave_cases import CAMERAS, HALF, LATTICES, WAVELENGTH, capture, error, in_e
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.fitting.model import PointRays
-from mitsuba_plenoptic.operator.operator import PLANS, CaptureOperator
-from mitsuba_plenoptic.operator.point_spread import point_spread_function
-from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.points.operator import PLANS, CaptureOperator
+from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.jobs import Job
 
@@ -414,7 +414,7 @@ def test_images_that_are_no_numbers_are_refused():
 
 
 def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
-    monkeypatch.setattr("mitsuba_plenoptic.system.sampling.MEMORY_LIMIT", 2**20)
+    monkeypatch.setattr("mitsuba_plenoptic.light.sampling.MEMORY_LIMIT", 2**20)
     operator = CaptureOperator(SMALL, [(0.0, 0.0, 240.0)], wavelength=WAVELENGTH)
     for work in (operator.estimate, lambda: operator.forward([1.0]), lambda: operator.adjoint(np.ones(SMALL.shape))):
         with pytest.raises(InputError, match=r"1 points by patches.*GiB"):

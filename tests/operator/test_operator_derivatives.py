@@ -8,13 +8,13 @@ from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.operator.arrival import field_grids
-from mitsuba_plenoptic.operator.derivatives import DIFFERENTIABLE
-from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.points.arrival import field_grids
+from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE
+from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.runtime.jobs import Job
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 CAMERAS = {
     "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},
@@ -180,7 +180,7 @@ def test_directions_that_do_not_fit_into_memory_are_taken_in_turn(monkeypatch):
     weights = np.random.default_rng(1).uniform(0.5, 1, (2, 2))
     directions = [{"mla_pitch": 1e-3}, {"mla_offset": (1e-3, 0)}, {"focal_length": 0.1}]
     together = operator.jacobian(weights, directions)
-    monkeypatch.setattr("mitsuba_plenoptic.operator.derivatives.plan.MEMORY_LIMIT", 1.0)
+    monkeypatch.setattr("mitsuba_plenoptic.points.derivatives.plan.MEMORY_LIMIT", 1.0)
     told = []
     found = operator.jacobian(weights, directions, job=Job(progress=lambda *done: told.append(done)))
     np.testing.assert_allclose(found, together, rtol=1e-5, atol=1e-6 * abs(together).max())

@@ -6,7 +6,7 @@ from scipy.special import erf
 from wave_cases import error
 
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.operator.pixels import PixelIntegrals, TurnedSamples
+from mitsuba_plenoptic.points.pixels import PixelIntegrals, TurnedSamples
 
 PITCH = (1.7e-3, 1.6e-3)
 SAMPLES = (120, 130)

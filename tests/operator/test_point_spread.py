@@ -7,11 +7,11 @@ from wave_cases import HALF, WAVELENGTH, capture, error, in_every_lens, small_ca
 
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.operator.operator import CaptureOperator
-from mitsuba_plenoptic.operator.point_spread import point_fields, point_spread_function
-from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.points.point_spread import point_fields, point_spread_function
+from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from tools.bench.cases import lens_models, point_spreads
 
 SMALL = small_camera(16)

@@ -9,13 +9,13 @@ from wave_cases import HALF, WAVELENGTH, error, in_every_lens, scattered, small_
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
 from mitsuba_plenoptic.lenses.lens_changes import lens_change
 from mitsuba_plenoptic.lenses.thin import Wavefront
-from mitsuba_plenoptic.operator.arrival import field_grids
-from mitsuba_plenoptic.operator.derivatives import DIFFERENTIABLE
-from mitsuba_plenoptic.operator.derivatives.plan import DerivativePlan
-from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.waves import in_millimetres
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.arrival import field_grids
+from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE
+from mitsuba_plenoptic.points.derivatives.plan import DerivativePlan
+from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.operator import CaptureOperator
 
 POINT = np.array((0.03, -0.02, 115.0))
 

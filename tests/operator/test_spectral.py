@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
-from mitsuba_plenoptic.capture import colour
-from mitsuba_plenoptic.operator.mixing import SpectralSum, WeightChannels
-from mitsuba_plenoptic.operator.spectral import with_enough_nodes
+from mitsuba_plenoptic.light import colour
+from mitsuba_plenoptic.points.mixing import SpectralSum, WeightChannels
+from mitsuba_plenoptic.points.spectral import with_enough_nodes
 
 CAMERA = PlenopticCamera(
     focal_length=40, aperture_radius=2.5, mla_distance=60, resolution=(192, 192), detector_width=0.384,

@@ -9,9 +9,9 @@ from stopped_runs import StoppedError, stopped_before
 from wave_cases import error
 
 from mitsuba_plenoptic import Checkpoint, InputError, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
-from mitsuba_plenoptic.laser.lit_points import LaserScene, named_lasers
-from mitsuba_plenoptic.operator.units import radiance_weight
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.extensions.laser.lit_points import LaserScene, named_lasers
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.units import radiance_weight
 
 CAMERA = PlenopticCamera(
     focal_length=40, aperture_radius=1.25, mla_distance=60, detector_width=0.128, resolution=(64, 64)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.camera.photodiodes import PhotodiodeResponse
-from mitsuba_plenoptic.capture.crosstalk import mix_deviations, mix_pixels
+from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
+from mitsuba_plenoptic.light.crosstalk import mix_deviations, mix_pixels
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,

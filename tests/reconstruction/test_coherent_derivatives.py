@@ -7,12 +7,12 @@ import pytest
 from wave_cases import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic import InputError, reconstruct
-from mitsuba_plenoptic.reconstruction import CoherentRefocus, planning
-from mitsuba_plenoptic.reconstruction.conjugates import ThinConjugates
-from mitsuba_plenoptic.reconstruction.full_fields import BackwardFields
-from mitsuba_plenoptic.reconstruction.passages import BinSums, Integrals
-from mitsuba_plenoptic.reconstruction.radiance import LensSpread
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.refocus import CoherentRefocus, planning
+from mitsuba_plenoptic.refocus.conjugates import ThinConjugates
+from mitsuba_plenoptic.refocus.full_fields import BackwardFields
+from mitsuba_plenoptic.refocus.passages import BinSums, Integrals
+from mitsuba_plenoptic.refocus.radiance import LensSpread
 
 CAMERAS = {
     "square": ({}, {}),

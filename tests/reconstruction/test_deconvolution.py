@@ -20,11 +20,11 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
-from mitsuba_plenoptic.reconstruction.deconvolution.response import Response, bin_weight
-from mitsuba_plenoptic.reconstruction.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
+from mitsuba_plenoptic.refocus.deconvolution.cells import to_bins
+from mitsuba_plenoptic.refocus.deconvolution.response import Response, bin_weight
+from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
+from mitsuba_plenoptic.refocus.deconvolution.variation import Noise
+from mitsuba_plenoptic.views.white_image import white_image
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))

@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 from stopped_runs import StoppedError
 
-from mitsuba_plenoptic import Capture, CaptureOperator, Checkpoint, InputError, Objective, PlenopticCamera, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Checkpoint,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    reconstruct,
+)
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.reconstruction.deconvolution import response as response_module
-from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
-from mitsuba_plenoptic.reconstruction.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.reconstruction.deconvolution.variation import MOST, Noise, TotalVariation
+from mitsuba_plenoptic.refocus.deconvolution import response as response_module
+from mitsuba_plenoptic.refocus.deconvolution.response import Response
+from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
+from mitsuba_plenoptic.refocus.deconvolution.variation import MOST, Noise, TotalVariation
 from mitsuba_plenoptic.runtime.batches import Cluster, Threads
 
 WAVELENGTH = 633.0

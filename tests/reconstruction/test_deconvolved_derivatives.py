@@ -5,7 +5,7 @@ import pytest
 from wave_cases import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, reconstruct
-from mitsuba_plenoptic.reconstruction import DeconvolvedRefocus
+from mitsuba_plenoptic.refocus import DeconvolvedRefocus
 
 CAMERA = small_camera(3)
 WAYS = {"ray model": None, "wave model": WAVELENGTH}
@@ -66,6 +66,6 @@ def test_mistakes(capture, monkeypatch):
         refocus.forward(np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"^iterations = 0: "):
         DeconvolvedRefocus(CAMERA, 250.0, iterations=0)
-    monkeypatch.setattr("mitsuba_plenoptic.system.sampling.MEMORY_LIMIT", 1e5)
+    monkeypatch.setattr("mitsuba_plenoptic.light.sampling.MEMORY_LIMIT", 1e5)
     with pytest.raises(InputError, match=r"^derivatives of 4 steps in 1 channels[^\n]*$"):
         refocus.forward(capture)

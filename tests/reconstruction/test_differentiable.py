@@ -7,7 +7,7 @@ import pytest
 from wave_cases import small_camera
 
 from mitsuba_plenoptic import InputError, reconstruct
-from mitsuba_plenoptic.reconstruction import RayRefocus
+from mitsuba_plenoptic.refocus import RayRefocus
 
 CAMERAS = {
     "square": ({}, {}),

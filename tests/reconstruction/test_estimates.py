@@ -6,7 +6,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.reconstruction import api, estimate_reconstruction, reconstruct
+from mitsuba_plenoptic.refocus import api, estimate_reconstruction, reconstruct
 from mitsuba_plenoptic.runtime import limits, progress
 
 METHODS = [("ray", {}), ("coherent", {}), ("partial", {}), ("incoherent", {}), ("deconvolved", {"iterations": 3})]

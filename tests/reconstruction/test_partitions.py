@@ -7,8 +7,7 @@ import pytest
 from wave_cases import HALF, LATTICES, WAVELENGTH, small_camera
 
 from mitsuba_plenoptic import Capture, InputError, reconstruct
-from mitsuba_plenoptic.lightfield.white import white_image
-from mitsuba_plenoptic.reconstruction.partitions import (
+from mitsuba_plenoptic.refocus.partitions import (
     LensArray,
     blocks,
     coloured,
@@ -17,6 +16,7 @@ from mitsuba_plenoptic.reconstruction.partitions import (
     white_interference,
 )
 from mitsuba_plenoptic.report.metrics import interference
+from mitsuba_plenoptic.views.white_image import white_image
 
 DISTANCE = 140.0
 SMALL = small_camera(8, **HALF)

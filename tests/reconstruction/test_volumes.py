@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, Reconstruction, reconstruct
-from mitsuba_plenoptic.reconstruction import Volume, write_volume
+from mitsuba_plenoptic.refocus import Volume, write_volume
 from mitsuba_plenoptic.report.volumes import depth_coded, volume_overview
 
 WAVELENGTH = 633.0

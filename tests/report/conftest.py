@@ -10,9 +10,9 @@ from scene_cases import letters
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Capture
+from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
-from mitsuba_plenoptic.report.paper import reproduction as reproductions
 
 FLAGS = (
     "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "

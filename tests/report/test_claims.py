@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.report.paper.claims import check_claims
+from mitsuba_plenoptic.extensions.paper.claims import check_claims
 
 FAIR = {"coherent": (0.08, 0.05), "partial": (0.009, 0.008), "seconds": (9.0, 1.0, 3.5), "mesh": (0.3, 0.01)}
 

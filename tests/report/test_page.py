@@ -8,8 +8,8 @@ import json
 import pytest
 
 from mitsuba_plenoptic import scene_path
+from mitsuba_plenoptic.extensions.paper.reproduction import reproduce
 from mitsuba_plenoptic.report.comparison import compare
-from mitsuba_plenoptic.report.paper.reproduction import reproduce
 
 
 def test_names_of_users_are_escaped(quick_waves, coarse_figures, tiny, tmp_path):

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.reconstruction.ray import pupil_radius, ray_sums
-from mitsuba_plenoptic.report.paper import limits
-from mitsuba_plenoptic.report.paper.limits import (
+from mitsuba_plenoptic.extensions.paper import paper_limits as limits
+from mitsuba_plenoptic.extensions.paper.paper_limits import (
     FocusedCamera,
     check_limits,
     deconvolved_fraction,
     focused_cameras,
     run_plain_sums,
 )
+from mitsuba_plenoptic.refocus.ray import pupil_radius, ray_sums
 
 PAPER, WAVELENGTH = PlenopticCamera(), 633.0
 

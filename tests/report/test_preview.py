@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, with_camera
-from mitsuba_plenoptic.report import preview
-from mitsuba_plenoptic.report.preview import framing_warnings, preview_of, propose
+from mitsuba_plenoptic.extensions.studio import preview
+from mitsuba_plenoptic.extensions.studio.preview import framing_warnings, preview_of, propose
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
 WIDTH = 16 * 0.064 * 240 / 120  # of the field in the plane in focus

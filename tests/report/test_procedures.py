@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.report.paper.procedures import back_path, light_path, micro_image
+from mitsuba_plenoptic.extensions.paper.procedures import back_path, light_path, micro_image
 
 CAMERA = PlenopticCamera()
 

@@ -14,11 +14,11 @@ from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import StoppedError, start_command, stopped_before
 
 from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.capture import signed_rays
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.report import sweep as sweeps
-from mitsuba_plenoptic.report.stage_store import StageOptions
-from mitsuba_plenoptic.report.sweep import SweepSettings, check_grid, parse_grid, read_grid, sweep
+from mitsuba_plenoptic.extensions.studio import sweep as sweeps
+from mitsuba_plenoptic.extensions.studio.sweep import SweepSettings, check_grid, parse_grid, read_grid, sweep
+from mitsuba_plenoptic.io.stage_store import StageOptions
+from mitsuba_plenoptic.light import signed_rays
 
 pytest.importorskip("h5netcdf")
 

@@ -22,11 +22,11 @@ from mitsuba_plenoptic import (
     render_capture,
     with_camera,
 )
-from mitsuba_plenoptic.lightfield import depth_map, focal_stack, shift_and_add
-from mitsuba_plenoptic.lightfield import view as one_view
-from mitsuba_plenoptic.report import viewer
+from mitsuba_plenoptic.extensions.studio import viewer
+from mitsuba_plenoptic.extensions.studio.viewer import Recording, view
 from mitsuba_plenoptic.report.images import encode, to_bytes
-from mitsuba_plenoptic.report.viewer import Recording, view
+from mitsuba_plenoptic.views import depth_map, focal_stack, shift_and_add
+from mitsuba_plenoptic.views import view as one_view
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
 

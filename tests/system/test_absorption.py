@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.operator.point_spread import point_spread_function
-from mitsuba_plenoptic.system import photodiodes
-from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses
+from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
+from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses
+from mitsuba_plenoptic.points.point_spread import point_spread_function
 from tools.bench.cases.photodiodes import camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 

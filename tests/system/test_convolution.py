@@ -5,8 +5,8 @@ import pytest
 import scipy
 from wave_cases import small_camera
 
+from mitsuba_plenoptic.light.convolution import Convolution
 from mitsuba_plenoptic.runtime.batches import Box, Part, add
-from mitsuba_plenoptic.system.convolution import Convolution
 
 
 def test_convolution_in_tiles_its_bands_and_its_adjoint():

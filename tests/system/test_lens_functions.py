@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.system.lens_functions import LensFunctions
-from mitsuba_plenoptic.system.phase_space import PhaseSpace
+from mitsuba_plenoptic.light.lens_functions import LensFunctions
+from mitsuba_plenoptic.light.phase_space import PhaseSpace
 
 CAMERAS = {
     "square": PlenopticCamera(),

@@ -8,11 +8,11 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.capture.signed_colours import plan_of
-from mitsuba_plenoptic.capture.signed_draws import Draws, Pixels
-from mitsuba_plenoptic.capture.signed_rays import REACH
+from mitsuba_plenoptic.light.oblique import Oblique, ObliqueImages, phase, terms
+from mitsuba_plenoptic.light.signed_colours import plan_of
+from mitsuba_plenoptic.light.signed_draws import Draws, Pixels
+from mitsuba_plenoptic.light.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
-from mitsuba_plenoptic.system.oblique import Oblique, ObliqueImages, phase, terms
 
 WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
 POWER, INDEX, ENLARGEMENT = 1 / 0.45, 1.3, 1.002

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera
-from mitsuba_plenoptic.lens_data import LensData
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.lenses.thin import DistortedLens, ThinLens
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.prescription.lens_data import LensData
 
 WAVELENGTH = 550.0
 SMALL = {"detector_width": 0.256, "resolution": (64, 64)}

@@ -10,8 +10,8 @@ from scipy.special import j0, j1
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
-from mitsuba_plenoptic.system.optical_system import OpticalSystem, RayPupil
-from mitsuba_plenoptic.system.phase_space import PhaseSpace
+from mitsuba_plenoptic.light.optical_system import OpticalSystem, RayPupil
+from mitsuba_plenoptic.light.phase_space import PhaseSpace
 from tools.bench.cases import phase_space
 from tools.bench.measures import relative
 
@@ -168,7 +168,7 @@ def test_plans_of_many_cameras_keep_a_bounded_number_of_tables(monkeypatch):
         made.append(weakref.ref(table))
         return [table]
 
-    monkeypatch.setattr("mitsuba_plenoptic.system.phase_space._tables", {})
+    monkeypatch.setattr("mitsuba_plenoptic.light.phase_space._tables", {})
     monkeypatch.setattr(PhaseSpace, "tabulated", tabulated)
     plans = [PhaseSpace(PlenopticCamera(), 500.0 + k, degree=1, radial=2) for k in range(20)]
     for plan in plans:

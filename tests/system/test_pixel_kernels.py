@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.system.oblique import Oblique, moved, terms
-from mitsuba_plenoptic.system.pixel_kernels import PixelKernels
+from mitsuba_plenoptic.light.oblique import Oblique, moved, terms
+from mitsuba_plenoptic.light.pixel_kernels import PixelKernels
 
 PARTS, HALF, LARGEST = 2, 6, 0.2
 FUNCTIONS, COMBINATIONS, PIXELS = 3, 2, 5

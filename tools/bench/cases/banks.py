@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
-from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY
 
 from .. import Row, at_least, at_most, case, pick
 from ..measures import relative

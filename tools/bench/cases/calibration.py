@@ -14,10 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
-
-from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate, render_capture
 from mitsuba_plenoptic.calibration import (
     Board,
     Calibration,
@@ -31,9 +27,13 @@ from mitsuba_plenoptic.calibration import (
     read_centres,
     read_corners,
 )
-from mitsuba_plenoptic.calibration.model import NAMES, numbers_of, predict_centres
-from mitsuba_plenoptic.calibration.observations import observations
-from mitsuba_plenoptic.lightfield import LensGrid, white_image
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate, render_capture
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
+from mitsuba_plenoptic.extensions.calibrate.observations import observations
+from mitsuba_plenoptic.views import LensGrid, white_image
 
 from .. import Row, case, figure
 from ..scenes.light_paths import facing, radiating, scene_of

@@ -1,0 +1,30 @@
+"""Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
+
+from .lftoolbox import read_lftoolbox, write_lftoolbox
+from .light_field_files import (
+    open_light_field,
+    open_micro_images,
+    read_labelled,
+    require_light_field_path,
+    save_light_field,
+    write_labelled,
+)
+from .lytro_file import nearest_white, read_lytro
+from .pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
+
+__all__ = [
+    "LAYOUTS",
+    "nearest_white",
+    "open_light_field",
+    "open_micro_images",
+    "read_labelled",
+    "read_lftoolbox",
+    "read_lytro",
+    "read_mosaic",
+    "read_picture",
+    "require_light_field_path",
+    "save_light_field",
+    "write_labelled",
+    "write_lftoolbox",
+    "write_mosaic",
+]

@@ -1,0 +1,97 @@
+"""Animations: GIF, and MP4 where imageio-ffmpeg is installed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ...errors import argument, refuse_if, require_module, require_number
+from ...io.files import atomic_output
+from ...report.images import ANIMATED, enlarge, enlargement, to_bytes
+
+_RATE = 12.5
+"""Frames a second: whole hundredths of a second each, as GIF stores them."""
+
+_SWEEP = 24
+"""Distances of a focal sweep."""
+
+_LONGEST = 480
+"""Pixels of the longer side that small images are enlarged to."""
+
+
+def require_animation(path: Path) -> Any:
+    """Return the module that writes a file, None for a GIF, before what is shown is computed."""
+    if path.suffix.lower() == ".gif":
+        return None
+    return require_module("imageio_ffmpeg", f"{path}: MP4 needs a package: pip install 'mitsuba-plenoptic[video]'")
+
+
+def sweep_distances(distances: Sequence[float]) -> list[float]:
+    """Return the distances of a focal sweep between two that are given, in even steps of their reciprocals."""
+    refuse_if(
+        len(distances) != 2,
+        f"{argument('distance')}: a focal sweep goes from one distance to another, and {len(distances)} are given",
+    )
+    first, last = (1 / require_number("distance", value, positive=True, finite=False) for value in distances)
+    return [float(1 / step) if step else math.inf for step in np.linspace(first, last, _SWEEP)]
+
+
+def write_animation(
+    path: str | Path, frames: Sequence[tuple[np.ndarray, str]], white: float, scale: int | None = None
+) -> None:
+    """Write linear images of one size as an animation that repeats, with 12.5 frames a second.
+
+    Parameters
+    ----------
+    path : str or Path
+        A GIF file, or an MP4 file, which needs the extra ``video``.
+    frames : sequence of (array, str)
+        Images, (rows, columns) or with three channels, each with a text for its lower left corner.
+    white : float
+        Value that is shown white.
+    scale : int, optional
+        Pixels of the animation across one of an image. Default: as many as make the longer side nearly 480.
+
+    Raises
+    ------
+    InputError
+        If the file has another ending, or a package is missing.
+    """
+    path = Path(path)
+    scale = scale or enlargement(frames[0][0], _LONGEST)
+    pictures = [_labelled(Image.fromarray(to_bytes(enlarge(image, scale), white)), text) for image, text in frames]
+    writer = require_animation(path)
+    with atomic_output(path, *ANIMATED) as temporary:
+        if writer is None:
+            first, *rest = pictures
+            first.save(temporary, save_all=True, append_images=rest, duration=round(1000 / _RATE), loop=0)
+        else:
+            _write_mp4(writer, temporary, pictures)
+
+
+def _labelled(picture: Image.Image, text: str) -> Image.Image:
+    """Write a text with an outline into a picture, of a size that suits it."""
+    if text:
+        size = max(9, picture.height // 20)
+        at = (size // 2, picture.height - size // 2)
+        ink, edge = (255, 0) if picture.mode == "L" else ((255,) * 3, (0,) * 3)
+        font = ImageFont.load_default(size)
+        drawn = ImageDraw.Draw(picture)
+        drawn.text(at, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge)
+    return picture
+
+
+def _write_mp4(writer: Any, path: Path, pictures: Sequence[Image.Image]) -> None:
+    """Write H.264, whose sides must be even: an odd one loses its last line."""
+    width, height = (side // 2 * 2 for side in pictures[0].size)
+    # Without a macro block size of its own the writer would resize.
+    video = writer.write_frames(str(path), (width, height), fps=_RATE, quality=8, macro_block_size=2)
+    video.send(None)
+    for picture in pictures:
+        video.send(np.ascontiguousarray(np.asarray(picture.convert("RGB"))[:height, :width]))
+    video.close()

@@ -1,0 +1,31 @@
+"""Reconstruction of refocused images from one capture, with the ray model and the wave model.
+
+A new method is a new module with a function that `methods.method` registers, imported here.
+"""
+
+# in the order in which help and messages name them
+from . import ray, wave_methods as waves, incoherent, deconvolved  # noqa: F401, I001
+from .api import reconstruct
+from .estimates import estimate_reconstruction
+from .methods import FOOTPRINTS, RESPONSES
+from ..extensions.inverse.differentiable import RayRefocus
+from ..extensions.inverse.differentiable import CoherentRefocus
+from ..extensions.inverse.differentiable_steps import DeconvolvedRefocus
+from .methods import METHODS
+from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
+
+__all__ = [
+    "FOOTPRINTS",
+    "METHODS",
+    "RESPONSES",
+    "CoherentRefocus",
+    "DeconvolvedRefocus",
+    "RayRefocus",
+    "Reconstruction",
+    "Volume",
+    "estimate_reconstruction",
+    "read_reconstruction",
+    "reconstruct",
+    "write_reconstruction",
+    "write_volume",
+]
