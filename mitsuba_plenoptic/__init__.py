@@ -18,7 +18,6 @@ have their lamps in another order each time, so that the noise of their light di
 
 # ruff: noqa: E402
 import importlib
-import pkgutil
 from typing import TYPE_CHECKING, Any
 
 from .runtime import llvm
@@ -27,17 +26,15 @@ from .runtime import llvm
 llvm.choose()
 
 from . import plugins as plugins
+from . import served
+
+served.install()
 
 if TYPE_CHECKING:
     from . import design as design
     from .camera import PlenopticCamera
     from .camera.detector import Detector, expose
     from .errors import InputError
-    from .extensions.calibrate.calibration import calibrate
-    from .extensions.inverse.fitting import fit
-    from .extensions.laser import laser as laser
-    from .extensions.onchip.onchip import bank_disparity, dual_pixel, half_disparity, match_halves, psf_bank
-    from .extensions.studio.viewer import Viewer, view
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
     from .io.checkpoints import Checkpoint
     from .io.examples import example, example_truth
@@ -63,124 +60,24 @@ if TYPE_CHECKING:
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
-    from .views import decode, demosaic, ground_truth
+    from .views import decode, ground_truth
+
+    from .shipped import *
 
     __version__: str
-
-# The modules of public names, which are imported when a name is first asked for: no program needs all of them.
-_MODULES = {
-    "extensions.calibrate.calibration": ("calibrate",),
-    "camera": ("PlenopticCamera",),
-    "light.render_capture": ("estimate_capture", "render_capture"),
-    "light.scene": ("load_scene", "scene_path"),
-    "camera.detector": ("Detector", "expose"),
-    "errors": ("InputError",),
-    "extensions.inverse.fitting": ("fit",),
-    "lenses.focusing": ("focus_by_group",),
-    "io.captures": ("Capture", "read_capture", "read_raw", "write_capture", "write_raw"),
-    "io.checkpoints": ("Checkpoint",),
-    "io.examples": ("example", "example_truth"),
-    "io.truth_files": ("GroundTruth", "read_ground_truth", "write_ground_truth"),
-    "prescription.lens_file": ("read_prescription",),
-    "lenses.lens_system": ("LensSystem",),
-    "views": ("decode", "demosaic", "ground_truth"),
-    "prescription.objective": ("Objective",),
-    "extensions.onchip.onchip": ("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"),
-    "points.operator": ("CaptureOperator",),
-    "points.point_spread": ("point_spread_function",),
-    "points.stored": ("StoredOperator",),
-    "points.volume_points": ("volume_points",),
-    "optics.guards": ("PhysicsError", "PhysicsWarning"),
-    "optics.spectrum": ("Spectrum",),
-    "optics.phase_screen": ("PhaseScreen", "frozen_flow"),
-    "plugins.other_camera": ("with_camera",),
-    "prescription": ("Prescription",),
-    "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
-    "extensions.studio.viewer": ("Viewer", "view"),
-    "runtime.batches": ("Cluster",),
-    "runtime.jobs": ("Job",),
-    "runtime.progress": ("progress_bar",),
-    "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
-}
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-__all__ = [
-    "Capture",
-    "CaptureOperator",
-    "Checkpoint",
-    "Cluster",
-    "Detector",
-    "EdgeSharpness",
-    "GroundTruth",
-    "InputError",
-    "Job",
-    "LensSystem",
-    "Objective",
-    "PhaseScreen",
-    "PhysicsError",
-    "PhysicsWarning",
-    "PlenopticCamera",
-    "Prescription",
-    "Reconstruction",
-    "Spectrum",
-    "StoredOperator",
-    "Viewer",
-    "bank_disparity",
-    "calibrate",
-    "decode",
-    "demosaic",
-    "dual_pixel",
-    "edge_sharpness",
-    "estimate_capture",
-    "estimate_reconstruction",
-    "example",
-    "example_truth",
-    "expose",
-    "fit",
-    "focus_by_group",
-    "frozen_flow",
-    "ground_truth",
-    "half_disparity",
-    "load_scene",
-    "match_halves",
-    "point_spread_function",
-    "progress_bar",
-    "psf_bank",
-    "read_capture",
-    "read_ground_truth",
-    "read_prescription",
-    "read_raw",
-    "reconstruct",
-    "render_capture",
-    "scene_path",
-    "view",
-    "volume_points",
-    "with_camera",
-    "write_capture",
-    "write_ground_truth",
-    "write_raw",
-]
-
-
-def _modules() -> set[str]:
-    """Return the names of the modules and subpackages."""
-    return {module.name for module in pkgutil.iter_modules(__path__)} - {"__main__"}
 
 
 def __dir__() -> list[str]:
     dunders = {name for name in globals() if name.startswith("__")}
-    return sorted({*__all__, *_modules(), *dunders, "__version__"})
+    return sorted({*served.public_names(), *served.modules(), *dunders, "__version__"})
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULE_OF:
-        found = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
-    elif name == "__version__":
+    if name == "__version__":
         found = importlib.import_module("importlib.metadata").version("mitsuba-plenoptic")
-    elif name in _modules():
-        return importlib.import_module(f".{name}", __name__)
+    elif name == "__all__":
+        return served.public_names()
     else:
-        suggest = importlib.import_module(".errors", __name__).did_you_mean
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{suggest(name, __all__)}")
+        found = served.attribute(name)
     # From the second time on Python finds it in the module itself.
     return globals().setdefault(name, found)

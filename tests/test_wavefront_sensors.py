@@ -11,7 +11,7 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PhaseScreen, PlenopticCamera, frozen_flow
-from mitsuba_plenoptic.extensions.studio.animations import write_animation
+from mitsuba_plenoptic.report.animations import write_animation
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.prescription.collimator import Collimator

@@ -24,7 +24,6 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..extensions.onchip.photodiode_response import require_pixel_pairs
 from ..lattice import LATTICES
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
@@ -123,12 +122,9 @@ def require_whole(camera: CameraGeometry) -> None:
             f"phase_screen = {camera.phase_screen}: it covers pupils of a radius up to {camera.phase_screen.reach:.6g} "
             f"mm; the aperture_radius is {camera.aperture_radius:g}"
         )
-    if camera.photodiode_response is not None:
-        require_pixel_pairs(camera)
-        refuse_if(
-            camera.mla_absorption > 0,
-            f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one out",
-        )
+    for entry in PARAMETERS.values():
+        if entry.fit is not None and getattr(camera, entry.attribute) != entry.default:
+            entry.fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
     refuse_if(

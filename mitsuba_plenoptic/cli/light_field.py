@@ -65,7 +65,7 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    from ..extensions.raw.exchange import open_light_field
+    from ..views.light_field_files import open_light_field
     from ..io.files import require_apart
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
@@ -123,7 +123,7 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
-    from ..extensions.raw.exchange import open_light_field
+    from ..views.light_field_files import open_light_field
     from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_epipolar_image
     from ..views import epipolar_image
@@ -176,8 +176,8 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
-    from ..extensions.raw.exchange import open_light_field
-    from ..extensions.studio.animations import sweep_distances
+    from ..views.light_field_files import open_light_field
+    from ..report.animations import sweep_distances
     from ..io.files import require_apart
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
@@ -241,7 +241,7 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
-    from ..extensions.raw.exchange import open_light_field, open_micro_images
+    from ..views.light_field_files import open_light_field, open_micro_images
     from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_depth
     from ..views import depth_error, depth_map
@@ -318,7 +318,7 @@ def convert(
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
     """
-    from ..extensions.raw.exchange import open_light_field, require_light_field_path, save_light_field
+    from ..views.light_field_files import open_light_field, require_light_field_path, save_light_field
     from ..io.files import require_apart
 
     if layout is None:

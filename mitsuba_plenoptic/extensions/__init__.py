@@ -1,1 +1,1 @@
-"""Extensions."""
+"""The shipped extensions: folders that can be deleted, see `mitsuba_plenoptic.extension`."""

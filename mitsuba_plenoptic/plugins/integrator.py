@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, has_small_lenses
+from ..camera.geometry import SMALL_LENSES
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
+from ..extension import entry_of
 from ..light import colour
 from ..light.crosstalk import mix_deviations, mix_pixels
 from ..light.lens_kinds import regular_array
@@ -297,17 +299,10 @@ def make_class() -> type:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
-            is_small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
-            if is_small:
-                from ..extensions.onchip.responses import ResponseCapture
-
-                refuse_if(
-                    mi.is_spectral,
-                    f"{NAME}: variant {mi.variant()}: responses of photodiodes under lenses of "
-                    "a few wavelengths are computed in mono and rgb variants only",
-                )
-                return ResponseCapture(camera, light, colours, self.accuracy)
+            if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
+                what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
+                return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
 
         def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:

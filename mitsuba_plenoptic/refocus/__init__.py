@@ -8,9 +8,9 @@ from . import ray, wave_methods as waves, incoherent, deconvolved  # noqa: F401,
 from .api import reconstruct
 from .estimates import estimate_reconstruction
 from .methods import FOOTPRINTS, RESPONSES
-from ..extensions.inverse.differentiable import RayRefocus
-from ..extensions.inverse.differentiable import CoherentRefocus
-from ..extensions.inverse.differentiable_steps import DeconvolvedRefocus
+from .differentiable import RayRefocus
+from .differentiable import CoherentRefocus
+from .differentiable_steps import DeconvolvedRefocus
 from .methods import METHODS
 from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
 

@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import are_alike
 from ..errors import refuse_if
-from ..extensions.raw.pictures import linear_of
+from ..io.pictures import linear_of
 from ..refocus import Reconstruction
 from ..views.coordinates import camera_of
 from .framing import Canvas, bar_length, scale_bar

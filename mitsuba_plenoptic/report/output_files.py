@@ -13,7 +13,7 @@ import xarray as xr
 
 from ..errors import refuse_if
 from ..extensions.onchip.halves import photodiode_names
-from ..extensions.studio.animations import require_animation, write_animation
+from .animations import require_animation, write_animation
 from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
 from ..io.truth_files import COORDINATES

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from ..extensions.raw.pictures import linear_of
+from ..io.pictures import linear_of
 from ..refocus.results import Volume
 from .images import write_png
 

@@ -4,7 +4,7 @@ A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
 """
 
 from ..extensions.raw.demosaic import demosaic
-from ..extensions.raw.grid_estimation import estimate_lens_grid
+from .grid_estimation import estimate_lens_grid
 from .coordinates import camera_of, depth_range, disparity, distance_of, grid_of
 from .decode import decode
 from .depth import DepthError, depth_error, depth_map

@@ -26,7 +26,7 @@ from mitsuba_plenoptic.extensions.raw.exchange import (
     write_lftoolbox,
     write_mosaic,
 )
-from mitsuba_plenoptic.extensions.raw.pictures import write_picture
+from mitsuba_plenoptic.io.pictures import write_picture
 from mitsuba_plenoptic.views import LensGrid, camera_of, decode, depth_map, grid_of, refocus, view, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.4, resolution=(128, 96), mla_pitch=0.05, aperture_radius=4)

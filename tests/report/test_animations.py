@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.extensions.studio.animations import require_animation, sweep_distances, write_animation
+from mitsuba_plenoptic.report.animations import require_animation, sweep_distances, write_animation
 from mitsuba_plenoptic.report.output_files import orbit
 from mitsuba_plenoptic.views import decode
 

@@ -1,1 +1,9 @@
-"""Extension calibrate."""
+"""Extension `calibrate`: a real camera's parameters from pictures of boards and white pictures."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    names={"calibration": ("calibrate",)},
+    modules={"calibration": "calibration"},
+    commands={"calibrate": "calibrate_command"},
+)

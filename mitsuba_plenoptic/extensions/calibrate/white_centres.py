@@ -18,7 +18,7 @@ import numpy as np
 from ...errors import refuse_if
 from ...io.files import atomic_output
 from ...views import LensGrid, estimate_lens_grid
-from ..raw.grid_estimation import centroids, pixels_around
+from ...views.grid_estimation import centroids, pixels_around
 from .adjustment import OUTLIER
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
 

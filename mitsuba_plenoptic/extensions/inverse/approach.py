@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
 from ...errors import require_wavelength
-from ..raw.grid_estimation import estimate_lens_grid
+from ...views.grid_estimation import estimate_lens_grid
 from .fit_light import View, check_views
 from .point_rays import RayModels, check_numbers, vector_of
 

@@ -1,1 +1,8 @@
-"""Extension laser."""
+"""Extension `laser`: captures of coherent and partially coherent light."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    modules={"laser": "laser"},
+    plugins={"laser_integrator": "integrator"},
+)

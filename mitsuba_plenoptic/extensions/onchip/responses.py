@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lenses.main_lens import Pair
+from ...errors import refuse_if
 from ...light.noise import Mended
 from ...light.optical_system import RayPupil
 from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite
 from ...light.signed_capture import SignedCapture
-from ...light.signed_colours import Node, mixed
+from ...light.signed_colours import Node, SignedColours, mixed
 from ...runtime.backend import drjit_array
 from ...runtime.batches import Box, Part, PartialSum
 from ...runtime.fft import busy_drjit
@@ -392,3 +393,15 @@ class ResponseCapture(SignedCapture):
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
         """Return no channels: the noise of few rays exceeds the light around, so that pixels remain as they are."""
         return {}
+
+
+def response_capture(
+    camera: PlenopticCamera, light: SceneLight, colours: SignedColours, accuracy: float
+) -> ResponseCapture:
+    """Return the wave capture of a scene behind lenses of a few wavelengths."""
+    refuse_if(
+        mi.is_spectral,
+        f"plenoptic_wave: variant {mi.variant()}: responses of photodiodes under lenses of "
+        "a few wavelengths are computed in mono and rgb variants only",
+    )
+    return ResponseCapture(camera, light, colours, accuracy)

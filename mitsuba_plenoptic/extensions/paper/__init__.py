@@ -1,1 +1,5 @@
-"""The reproduction of the paper: its figures, timing and conclusions."""
+"""Extension `paper`: the study of the paper, its figures, times and conclusions computed again."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(commands={"reproduce": "reproduce_command"})

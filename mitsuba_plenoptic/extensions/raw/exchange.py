@@ -1,7 +1,7 @@
 """Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
 
 from .lftoolbox import read_lftoolbox, write_lftoolbox
-from .light_field_files import (
+from ...views.light_field_files import (
     open_light_field,
     open_micro_images,
     read_labelled,
@@ -10,7 +10,7 @@ from .light_field_files import (
     write_labelled,
 )
 from .lytro_file import nearest_white, read_lytro
-from .pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
+from ...io.pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
 
 __all__ = [
     "LAYOUTS",

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import scipy.ndimage
 
-from ...errors import InputError, refuse_if
-from ...io.captures import as_array, require_pixels
-from ...views.lens_grid import LensGrid, covering_grid, lattice_rows, reduced
+from ..errors import InputError, refuse_if
+from ..io.captures import as_array, require_pixels
+from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Side of the middle part of the image whose spectrum gives the first guess.
 _CROP = 1024

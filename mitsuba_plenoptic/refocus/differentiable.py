@@ -8,25 +8,25 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_ideal, require_no_shape
-from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
-from ...io.captures import as_array, require_pixels
-from ...light.lens_kinds import regular_array
-from ...light.optical_system import OpticalSystem
-from ...optics import guards
-from ...prescription.lens_data import image_distance
-from ...refocus.conjugates import ThinConjugates
-from ...refocus.full_fields import BackwardFields
-from ...refocus.lens_tiles import fine_bins
-from ...refocus.methods import FOOTPRINTS
-from ...refocus.passages import BinSums
-from ...refocus.planning import plan, require_feasible
-from ...refocus.radiance import LensSpread, divisors, is_reached, lens_scale
-from ...refocus.ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
-from ...refocus.wave_methods import signed_parts, white_light
-from ...runtime.backend import backend, drjit_array, one_at_a_time
-from ...runtime.fft import resting_drjit
+from ..camera import PlenopticCamera
+from ..camera.plenoptic_camera import require_ideal, require_no_shape
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
+from ..io.captures import as_array, require_pixels
+from ..light.lens_kinds import regular_array
+from ..light.optical_system import OpticalSystem
+from ..optics import guards
+from ..prescription.lens_data import image_distance
+from .conjugates import ThinConjugates
+from .full_fields import BackwardFields
+from .lens_tiles import fine_bins
+from .methods import FOOTPRINTS
+from .passages import BinSums
+from .planning import plan, require_feasible
+from .radiance import LensSpread, divisors, is_reached, lens_scale
+from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
+from .wave_methods import signed_parts, white_light
+from ..runtime.backend import backend, drjit_array, one_at_a_time
+from ..runtime.fft import resting_drjit
 
 
 class RayRefocus:

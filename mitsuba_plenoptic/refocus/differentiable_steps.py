@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_count, require_number, require_wavelength
-from ...io.captures import as_array, require_pixels
-from ...light.lens_kinds import regular_array
-from ...light.sampling import check_memory
-from ...refocus.deconvolution.solver import RichardsonLucyStep, Values
-from ...refocus.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
-from ...runtime.backend import one_at_a_time
+from ..camera import PlenopticCamera
+from ..errors import refuse_if, require_count, require_number, require_wavelength
+from ..io.captures import as_array, require_pixels
+from ..light.lens_kinds import regular_array
+from ..light.sampling import check_memory
+from .deconvolution.solver import RichardsonLucyStep, Values
+from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
+from ..runtime.backend import one_at_a_time
 from .differentiable import as_channels
 
 

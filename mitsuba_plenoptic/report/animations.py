@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ...errors import argument, refuse_if, require_module, require_number
-from ...io.files import atomic_output
-from ...report.images import ANIMATED, enlarge, enlargement, to_bytes
+from ..errors import argument, refuse_if, require_module, require_number
+from ..io.files import atomic_output
+from .images import ANIMATED, enlarge, enlargement, to_bytes
 
 _RATE = 12.5
 """Frames a second: whole hundredths of a second each, as GIF stores them."""

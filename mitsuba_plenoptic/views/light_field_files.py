@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ...camera import PlenopticCamera, are_alike
-from ...errors import InputError, argument, naming, refuse_if, refusing, require_module
-from ...io.captures import Capture, read_capture
-from ...io.files import atomic_output, require_file, require_size, require_writable
-from ...io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
-from ...runtime.limits import require_memory
-from ...views import MicroImages, decode, estimate_lens_grid, micro_images
-from ...views.coordinates import camera_of, require_light_field
-from .lftoolbox import read_lftoolbox, write_lftoolbox
-from .lytro_file import SUFFIXES as LYTRO_SUFFIXES
-from .pictures import TIFF, read_mosaic, read_picture, write_mosaic
+from ..camera import PlenopticCamera, are_alike
+from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
+from ..io.captures import Capture, read_capture
+from ..io.files import atomic_output, require_file, require_size, require_writable
+from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
+from ..runtime.limits import require_memory
+from . import MicroImages, decode, estimate_lens_grid, micro_images
+from .coordinates import camera_of, require_light_field
+from ..extensions.raw.lftoolbox import read_lftoolbox, write_lftoolbox
+from ..extensions.raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+from ..io.pictures import TIFF, read_mosaic, read_picture, write_mosaic
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"
