@@ -32,6 +32,7 @@ served.install()
 
 if TYPE_CHECKING:
     from . import design as design
+    from . import shipped
     from .camera import PlenopticCamera
     from .camera.detector import Detector, expose
     from .errors import InputError
@@ -60,9 +61,56 @@ if TYPE_CHECKING:
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
+    from .shipped import *  # noqa: F403
     from .views import decode, ground_truth
 
-    from .shipped import *
+    __all__ = [
+        "Capture",
+        "CaptureOperator",
+        "Checkpoint",
+        "Cluster",
+        "Detector",
+        "EdgeSharpness",
+        "GroundTruth",
+        "InputError",
+        "Job",
+        "LensSystem",
+        "Objective",
+        "PhaseScreen",
+        "PhysicsError",
+        "PhysicsWarning",
+        "PlenopticCamera",
+        "Prescription",
+        "Reconstruction",
+        "Spectrum",
+        "StoredOperator",
+        "decode",
+        "edge_sharpness",
+        "estimate_capture",
+        "estimate_reconstruction",
+        "example",
+        "example_truth",
+        "expose",
+        "focus_by_group",
+        "frozen_flow",
+        "ground_truth",
+        "load_scene",
+        "point_spread_function",
+        "progress_bar",
+        "read_capture",
+        "read_ground_truth",
+        "read_prescription",
+        "read_raw",
+        "reconstruct",
+        "render_capture",
+        "scene_path",
+        "volume_points",
+        "with_camera",
+        "write_capture",
+        "write_ground_truth",
+        "write_raw",
+    ]
+    __all__ += shipped.__all__
 
     __version__: str
 

@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, refuse_if
 from .shipped import SHIPPED
 
 GROUP = "mitsuba_plenoptic.extensions"
@@ -73,6 +73,9 @@ class Extension:
         Modules that register methods of reconstruction by `refocus.methods.method`.
     lenses : tuple of str
         Modules that register main lenses by `lenses.common.builds`.
+    cameras : mapping of str to str
+        Programs whose JSON files of cameras are read, and the places of functions of such a file's object that return
+        the camera.
     formats : mapping of str to FileFormat
         Suffixes of files, such as ``.lfr``, and how they are read and written.
     """
@@ -87,6 +90,7 @@ class Extension:
     captures: Mapping[str, str] = field(default_factory=dict)
     methods: tuple[str, ...] = ()
     lenses: tuple[str, ...] = ()
+    cameras: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, FileFormat] = field(default_factory=dict)
 
 
@@ -137,11 +141,19 @@ def register(kind: str) -> None:
             importlib.import_module(f"{package}.{module}")
 
 
-def format_of(suffix: str, holds: str) -> tuple[str, FileFormat] | None:
-    """Return package and format of files of a suffix; None where no extension reads them."""
-    return next(
-        ((package, found) for package, key, found in entries("formats") if (key, found.holds) == (suffix, holds)), None
-    )
+def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[str, str] | None:
+    """Return package and place of the reader, or writer, of files of a suffix; None where no extension has one.
+
+    Raises
+    ------
+    InputError
+        If a shipped extension has one and is not installed; `what` begins the line.
+    """
+    for package, key, found in entries("formats"):
+        if (key, found.holds) == (suffix, holds):
+            return package, found.write if write else found.read
+    refuse_if(absent := missing("formats", suffix), f"{what}: {absent}")
+    return None
 
 
 def missing(kind: str, name: str) -> str:

@@ -11,10 +11,10 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PhaseScreen, PlenopticCamera, frozen_flow
-from mitsuba_plenoptic.report.animations import write_animation
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.prescription.collimator import Collimator
+from mitsuba_plenoptic.report.animations import write_animation
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 WAVELENGTH = 633.0

@@ -1,8 +1,9 @@
-"""Write `mitsuba_plenoptic/shipped.py`: what each shipped extension adds, so that the core can name one that is missing."""
+"""Write `mitsuba_plenoptic/shipped.py`: what each shipped extension adds, so that the core can name a missing one."""
 
 from __future__ import annotations
 
 import ast
+import json
 import pkgutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from mitsuba_plenoptic.extension import Extension, installed
 
 PATH = Path(__file__).parents[1] / "mitsuba_plenoptic" / "shipped.py"
 
-KINDS = ("names", "modules", "commands", "parameters", "presets", "formats", "plugins")
+KINDS = ("names", "modules", "commands", "parameters", "presets", "captures", "cameras", "formats")
 
 
 def _records() -> Iterator[tuple[str, Extension]]:
@@ -39,7 +40,7 @@ def text() -> str:
     for name, record in _records():
         for module, names in record.names.items():
             tables["names"] |= dict.fromkeys(names, name)
-            imports.append(f"    from .extensions.{name}.{module} import {', '.join(f'{each} as {each}' for each in names)}")
+            imports += [f"    from .extensions.{name}.{module} import {each} as {each}" for each in names]
             public += names
         for served, module in record.modules.items():
             if served not in ("torch", "jax", "hcipy"):
@@ -56,10 +57,10 @@ def text() -> str:
         '"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""\n\n'
         "from __future__ import annotations\n\n"
         "from typing import TYPE_CHECKING\n\n"
-        f"SHIPPED: dict[str, dict[str, str]] = {tables!r}\n\n"
+        f"SHIPPED: dict[str, dict[str, str]] = {json.dumps(tables, indent=4)}\n\n"
         "# For type checkers: at run time names are served when they are asked for.\n"
         "if TYPE_CHECKING:\n" + "\n".join(imports) + "\n\n"
-        f"    __all__ = {sorted(public)!r}\n\n"
+        f"    __all__ = {json.dumps(sorted(public), indent=8)}\n\n"
         "    class ShippedParameters:\n"
         '        """Parameters of the camera that extensions add."""\n\n' + body + "\n"
     )

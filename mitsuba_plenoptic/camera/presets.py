@@ -63,7 +63,6 @@ from typing import Any
 
 from ..extension import entries, place
 
-
 _RAYTRIX: dict[str, Any] = {
     "focal_length": 49.885,
     "aperture_radius": 6.2356,

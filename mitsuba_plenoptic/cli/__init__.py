@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -21,29 +22,25 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, at_shell, relation
+from ..extension import entries, missing
 
 PROGRAM = "mitsuba-plenoptic"
 
-# In the order of the help: each command is a function of its name in this module, or a `Typer` of several commands.
+# In the order of the help: each command is a function of its name in a module, or a `Typer` of several commands.
 COMMANDS = {
-    "example": "example",
-    "preview": "preview",
-    "render": "render",
-    **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
-    **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
-    "mtf": "mtf",
-    "dual": "dual",
-    **dict.fromkeys(("expose", "demosaic"), "render"),
-    "calibrate": "calibrate",
-    "fit": "fit",
-    "convert": "light_field",
-    "view": "view",
-    **dict.fromkeys(("sweep", "dataset"), "experiments"),
-    "benchmark": "benchmark",
-    **dict.fromkeys(("compare", "reproduce"), "experiments"),
-    "run": "run",
-    **dict.fromkeys(("info", "doctor"), "info"),
-}
+    name: f"{__package__}.{module}"
+    for name, module in {
+        "example": "example",
+        "render": "render_command",
+        **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
+        **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
+        "mtf": "mtf",
+        **dict.fromkeys(("expose", "demosaic"), "render_command"),
+        "convert": "light_field",
+        **dict.fromkeys(("compare", "sweep", "dataset", "reproduce"), "experiments"),
+        **dict.fromkeys(("info", "doctor"), "info"),
+    }.items()
+} | {name: f"{package}.{module}" for package, name, module in entries("commands")}
 
 STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf", "info", "doctor"))
 """Commands that write files, and can be steps of a run file."""
@@ -93,11 +90,11 @@ def _command() -> typer.Typer:
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; loading all of them takes a second."""
-    from ..extensions.studio.run_file import recorded
+    from .run_file import recorded
 
     made = _command()
     for name in names:
-        command = getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name)
+        command = getattr(importlib.import_module(COMMANDS[name]), name)
         if isinstance(command, typer.Typer):
             made.add_typer(command, name=name)
         else:
@@ -115,7 +112,8 @@ def _outline() -> typer.Typer:
 
 def _docstring(name: str) -> str | None:
     """Return the docstring of a subcommand's function from its file; for a group of commands, that of the file."""
-    module = ast.parse(Path(__file__).with_name(f"{COMMANDS[name]}.py").read_text(encoding="utf-8"))
+    spec = importlib.util.find_spec(COMMANDS[name])
+    module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
     own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
     return ast.get_docstring(next(own, module))
 
@@ -156,6 +154,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     passes through with its traceback.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and (absent := missing("commands", words[0])):
+        return _fail(absent)
     called = _called(words)
     group: Any = typer.main.get_command(command_line(called) if called else _outline())
     with warnings.catch_warnings(), _remarks():

@@ -83,7 +83,7 @@ def info(
     from rich.markup import escape
 
     from ..design import design_warnings
-    from ..extensions.raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+    from ..extension import format_of
     from ..io.files import require_writable
     from ..report.design_sheet import design_sheet
 
@@ -92,7 +92,8 @@ def info(
     if wavelength is not None:
         wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
-    recorded = source.lower().endswith((".exr", *LYTRO_SUFFIXES))
+    suffix = Path(source).suffix.lower()
+    recorded = suffix == ".exr" or format_of(suffix, "capture", source) is not None
     refuse_if(
         parameters and recorded,
         f"-D: {source} is no scene, and has no scene parameters; leave it out",

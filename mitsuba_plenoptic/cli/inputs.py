@@ -19,7 +19,6 @@ from .choices import MODELS, UNITS
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
-    from ..extensions.calibrate.calibration import LensIndex
     from ..io.captures import Capture
     from ..report.images import Drawing
     from ..runtime.batches import BatchMap
@@ -197,8 +196,11 @@ _COLOURS = "llvm_ad_rgb"
 _log = logging.getLogger(__name__)
 
 
-def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
+def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, Any]:
+    """Return the camera of a preset, a file, parameters or a scene, and the record of its calibration, if any.
+
+    A file takes precedence over what else the source names.
+    """
     from ..camera import PlenopticCamera
     from ..light.scene import load_scene, scene_names
 
@@ -208,10 +210,9 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     stated = re.match(r"\w+=", source) is not None and not Path(source).is_file()
     if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
-        # Brings libraries that take a while to load.
-        from ..extensions.calibrate.calibration import read_camera
+        from ..camera.camera_files import camera_and_record
 
-        return read_camera(source)
+        return camera_and_record(source)
     refuse_if(
         source.lower().endswith(".exr"),
         f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
@@ -232,8 +233,7 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
     A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
-    from ..extensions.raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-    from ..extensions.raw.lytro_file import read_lytro
+    from ..extension import format_of, place
     from ..io.captures import RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
 
     if path.suffix.lower() in RAW_SUFFIXES:
@@ -243,10 +243,11 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
         if camera is None:
             raise InputError(f"{path}: it states no camera and detector; such a raw picture needs its --camera")
         # Brings libraries that take a while to load.
-        from ..extensions.raw.exchange import read_picture
+        from ..io.pictures import read_picture
 
         return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
-    found = (read_lytro if path.suffix.lower() in LYTRO_SUFFIXES else read_capture)(path)
+    of_extension = format_of(path.suffix.lower(), "capture", str(path))
+    found = read_capture(path) if of_extension is None else place(*of_extension)(path)
     return found if camera is None else dataclasses.replace(found, camera=camera)
 
 

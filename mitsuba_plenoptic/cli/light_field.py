@@ -65,11 +65,11 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    from ..views.light_field_files import open_light_field
     from ..io.files import require_apart
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
     from ..views import pick_views
+    from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output, animated=True), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -123,10 +123,10 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
-    from ..views.light_field_files import open_light_field
     from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_epipolar_image
     from ..views import epipolar_image
+    from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -176,12 +176,12 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
-    from ..views.light_field_files import open_light_field
-    from ..report.animations import sweep_distances
     from ..io.files import require_apart
+    from ..report.animations import sweep_distances
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
     from ..views import focal_stack
+    from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output, animated=True), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -241,11 +241,11 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
-    from ..views.light_field_files import open_light_field, open_micro_images
     from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_depth
     from ..views import depth_error, depth_map
     from ..views.depth import is_focused
+    from ..views.light_field_files import open_light_field, open_micro_images
 
     require_apart(require_picture_path(output), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -318,8 +318,8 @@ def convert(
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
     """
-    from ..views.light_field_files import open_light_field, require_light_field_path, save_light_field
     from ..io.files import require_apart
+    from ..views.light_field_files import open_light_field, require_light_field_path, save_light_field
 
     if layout is None:
         require_light_field_path(output)

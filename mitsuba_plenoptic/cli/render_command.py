@@ -342,7 +342,7 @@ def demosaic(
     require_apart(output, capture, white)
     # Brings libraries that take a while to load.
     from ..extensions.raw.demosaic import balanced
-    from ..views import demosaic as interpolate
+    from ..extensions.raw.demosaic import demosaic as interpolate
 
     require_linear(linear, capture, white)
     known = named_camera(camera)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, has_small_lenses
-from ..camera.geometry import SMALL_LENSES
 from ..camera.entry import Captures
+from ..camera.geometry import SMALL_LENSES
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import entry_of

@@ -166,7 +166,7 @@ def make_class() -> type:
                 for package, name, text in entries("responses")
                 if getattr(self, name) is not None
             )
-            self._table = next(tables, None)
+            self._table: Any = next(tables, None)
             self._candidates = self._rays.candidates()
 
         @property

@@ -4,7 +4,8 @@ A new method is a new module with a function that `methods.method` registers, im
 """
 
 # in the order in which help and messages name them
-from . import ray, wave_methods as waves, incoherent, deconvolved  # noqa: F401, I001
+from . import ray, wave_methods, incoherent, deconvolved  # noqa: F401, I001
+from ..extension import register
 from .api import reconstruct
 from .estimates import estimate_reconstruction
 from .methods import FOOTPRINTS, RESPONSES
@@ -13,6 +14,8 @@ from .differentiable import CoherentRefocus
 from .differentiable_steps import DeconvolvedRefocus
 from .methods import METHODS
 from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
+
+register("methods")
 
 __all__ = [
     "FOOTPRINTS",

@@ -16,6 +16,8 @@ from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..optics import guards
 from ..prescription.lens_data import image_distance
+from ..runtime.backend import backend, drjit_array, one_at_a_time
+from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields
 from .lens_tiles import fine_bins
@@ -25,8 +27,6 @@ from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale
 from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
 from .wave_methods import signed_parts, white_light
-from ..runtime.backend import backend, drjit_array, one_at_a_time
-from ..runtime.fft import resting_drjit
 
 
 class RayRefocus:

@@ -24,9 +24,9 @@ from ..errors import refuse_if, require_count, require_number, require_wavelengt
 from ..io.captures import as_array, require_pixels
 from ..light.lens_kinds import regular_array
 from ..light.sampling import check_memory
+from ..runtime.backend import one_at_a_time
 from .deconvolution.solver import RichardsonLucyStep, Values
 from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
-from ..runtime.backend import one_at_a_time
 from .differentiable import as_channels
 
 

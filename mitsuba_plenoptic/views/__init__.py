@@ -3,11 +3,10 @@
 A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
 """
 
-from ..extensions.raw.demosaic import demosaic
-from .grid_estimation import estimate_lens_grid
 from .coordinates import camera_of, depth_range, disparity, distance_of, grid_of
 from .decode import decode
 from .depth import DepthError, depth_error, depth_map
+from .grid_estimation import estimate_lens_grid
 from .ground_truth import ground_truth
 from .lens_grid import LensGrid, lens_grid
 from .lens_images import MicroImages, micro_images
@@ -22,7 +21,6 @@ __all__ = [
     "MicroImages",
     "camera_of",
     "decode",
-    "demosaic",
     "depth_error",
     "depth_map",
     "depth_range",

@@ -10,18 +10,21 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
 from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
+from ..extension import format_of, place
 from ..io.captures import Capture, read_capture
 from ..io.files import atomic_output, require_file, require_size, require_writable
+from ..io.pictures import TIFF, read_picture
 from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
 from ..runtime.limits import require_memory
 from . import MicroImages, decode, estimate_lens_grid, micro_images
 from .coordinates import camera_of, require_light_field
-from ..extensions.raw.lftoolbox import read_lftoolbox, write_lftoolbox
-from ..extensions.raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-from ..io.pictures import TIFF, read_mosaic, read_picture, write_mosaic
+from .mosaics import read_mosaic, write_mosaic
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"
+
+_SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
+"""Of files to write; ``.mat`` belongs to an extension."""
 
 
 def open_light_field(
@@ -76,9 +79,9 @@ def open_light_field(
         by = None if white is None else _white_capture(white, linear)
         return decode(capture, camera=camera, white=by, truth=known)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
-    if name.endswith(".mat"):
+    if of_extension := format_of(path.suffix.lower(), "light field", str(path)):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
-        return read_lftoolbox(path)
+        return place(*of_extension)(path)
     if name.endswith((".nc", ".zarr")):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_labelled(path)
@@ -96,10 +99,10 @@ def open_light_field(
             )
         return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
     refuse_if(
-        name.endswith(LYTRO_SUFFIXES),
-        f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
+        format_of(path.suffix.lower(), "capture", str(path)),
+        f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
     )
-    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
+    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, {', '.join(_SUFFIXES)} or .tiff")
 
 
 def open_micro_images(
@@ -152,8 +155,8 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
     name = require_light_field_path(path).name.lower()
     if name.endswith((".nc", ".zarr")):
         write_labelled(path, lf)
-    elif name.endswith(".mat"):
-        write_lftoolbox(path, lf)
+    elif of_extension := format_of(Path(path).suffix.lower(), "light field", str(path), write=True):
+        place(*of_extension)(path, lf)
     else:
         write_mosaic(path, lf, layout="lenses" if name.endswith(_LENSES) else "views")
 
@@ -171,7 +174,7 @@ def require_light_field_path(path: str | Path) -> Path:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    return require_writable(path, ".nc", ".zarr", ".mat", ".eslf.png", ".png")
+    return require_writable(path, *_SUFFIXES)
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:

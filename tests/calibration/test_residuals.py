@@ -9,8 +9,8 @@ from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
 
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
+from mitsuba_plenoptic.extensions.calibrate.calibration_page import write_calibration_report
 from mitsuba_plenoptic.extensions.calibrate.calibration_result import GROUPED_BY
-from mitsuba_plenoptic.report.page import write_calibration_report
 
 TABLE, SEEN = cases.corners()
 ODD = (TABLE["k"] == TABLE["k"][500]) & (TABLE["l"] == TABLE["l"][500])

@@ -10,8 +10,8 @@ import pytest
 
 from mitsuba_plenoptic import read_capture
 from mitsuba_plenoptic.cli import step_commands
-from mitsuba_plenoptic.cli.stopping import existing_checkpoint, within_run
 from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
+from mitsuba_plenoptic.cli.stopping import existing_checkpoint, within_run
 from mitsuba_plenoptic.io.exr import read_exr
 
 STEPS = """

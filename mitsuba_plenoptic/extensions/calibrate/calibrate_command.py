@@ -143,8 +143,10 @@ def _output(output: Path | None, suffix: str) -> Path:
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
     from . import calibration
+    from .camera_files import lens_index
 
-    tested, index = load_camera(_camera(camera), {})
+    tested, record = load_camera(_camera(camera), {})
+    index = lens_index(record)
     size = _board(board, square)
     found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
     for frame, error in zip(found.frames, found.pose_errors, strict=True):
@@ -157,7 +159,7 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
 
 def _picture(path: Path, linear: bool) -> np.ndarray:
     from ...io.captures import read_capture
-    from ..raw.exchange import read_picture
+    from ...io.pictures import read_picture
 
     return read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
@@ -175,11 +177,12 @@ def _detect(
 
     from ...views import white_image
     from . import calibration
+    from .camera_files import lens_index
 
     output, known = _output(output, ".csv"), None
     if camera is not None:
-        known, index = load_camera(camera, {})
-        middles = calibration.camera_centres(known, index)
+        known, record = load_camera(camera, {})
+        middles = calibration.camera_centres(known, lens_index(record))
         light = white_image(known) if white is None else _picture(white, linear)
     elif white is not None:
         light = _picture(white, linear)
@@ -234,6 +237,8 @@ def _calibrate(
 ) -> None:
     from ...io.files import require_writable
     from . import calibration
+    from .board_model import UNITS
+    from .calibration_result import REMEDY
 
     output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
@@ -245,11 +250,11 @@ def _calibrate(
     found = calibration.calibrate(corners, size, start, middles)
     calibration.write_calibration(output, found, size)
     if report:
-        from ...report.page import write_calibration_report
+        from .calibration_page import write_calibration_report
 
         write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():
-        typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {calibration.model.UNITS[name]}".rstrip())
+        typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {UNITS[name]}".rstrip())
     if found.blur is not None:
         for value, deviation in zip(found.blur.focal_lengths, found.blur.deviations, strict=True):
             typer.echo(f"{'mla_focal_length':>18} {value:14.7g} +- {deviation:.2g} mm")
@@ -261,7 +266,7 @@ def _calibrate(
         terms = ", ".join(f"{name} {change:+.2g}" for name, change in moved.items() if name != "focal_length")
         typer.echo(
             f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
-            f"{calibration.result.REMEDY}"
+            f"{REMEDY}"
         )
     typer.echo(f"boards in other poses are predicted to {found.prediction_deviation:.2g} px")
     if found.by_frames:

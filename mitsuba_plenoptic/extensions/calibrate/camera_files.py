@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,13 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...camera.presets import PRESETS
+from ...camera.camera_files import camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
-from ...io.files import parse_yaml, read_text, read_yaml, write_text
+from ...io.files import write_text
 from ...lenses.distortion import undistort
 from .board_model import NAMES, camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
-
-_LARGEST_FILE = 2**24
 
 _PIXELS = "u is the column and v the row in the recorded picture; (0, 0) is the centre of its first pixel"
 _POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from the board's to the camera frame"
@@ -74,7 +71,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Read a camera from a JSON or YAML file or a configuration of libpleno, or take a preset or parameters as text.
+    """Read a camera as every command does, and how the data of its calibration count lenses.
 
     Parameters
     ----------
@@ -93,43 +90,13 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     InputError
         If the file is missing or is no camera.
     """
-    if str(source) in PRESETS and not Path(source).is_file():
-        return PlenopticCamera.preset(str(source)), None
-    path = Path(source)
-    if states_camera(source):
-        text = json.dumps(_stated(str(source)))
-    elif path.suffix.lower() in (".yaml", ".yml"):
-        with refusing(f"{path}: it must be camera parameters by name:", *NO_RECORD):
-            text = json.dumps(read_yaml(path))
-    else:
-        text = read_text(path, _LARGEST_FILE)
-    with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
-        values = json.loads(text)
-    with naming(path):
-        if isinstance(values, dict) and {"mla", "main_lens", "sensor"} <= set(values):
-            return libpleno_camera(values), None
-        return PlenopticCamera.from_json(text), _index(values)
+    camera, record = camera_and_record(source)
+    with naming(source):
+        return camera, lens_index(record)
 
 
-def states_camera(source: str | Path) -> bool:
-    """Return whether a text states parameters of a camera; a file of that name takes precedence."""
-    return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
-
-
-def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; of several values commas are between, too."""
-    values: dict[str, Any] = {}
-    for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
-        refuse_if(name in values, f"{name} is given twice")
-        parts = [parse_yaml(part) for part in value.split(",")]
-        refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")
-        values[name] = parts[0] if len(parts) == 1 else parts
-    return values
-
-
-def _index(values: dict[str, Any]) -> LensIndex | None:
-    """Return how data count lenses, from the object ``calibration`` of a file."""
-    record = values.get("calibration")
+def lens_index(record: Any) -> LensIndex | None:
+    """Return how data count lenses, from the object ``calibration`` of a camera's file; None without that object."""
     if record is None:
         return None
     with refusing(

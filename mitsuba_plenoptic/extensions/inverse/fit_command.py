@@ -93,10 +93,11 @@ def fit(
     from ...io.captures import read_capture
     from ...io.checkpoints import SUFFIX, Checkpoint
     from ...io.files import require_apart, require_writable
+    from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
-    from ..raw.exchange import read_picture
     from . import fitting
+    from .point_rays import vector_of
 
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
@@ -118,7 +119,7 @@ def fit(
     if isinstance(known, tuple):
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
     # Light is found below, which takes much longer than seeing what is asked for.
-    fitting.model.vector_of(first, names)
+    vector_of(first, names)
     if photons is not None:
         require_number("photons", photons, positive=True)
     views = []

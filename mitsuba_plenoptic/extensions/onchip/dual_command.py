@@ -46,12 +46,12 @@ def dual(
     from ...io.captures import read_capture
     from ...io.files import require_apart
     from ...report.output_files import require_picture_path, write_photodiodes
-    from .halves import dual_pixel
+    from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
     along, across = require_choice("layout", layout, LAYOUTS).split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
-    write_photodiodes(output, halves, drawing)
+    write_photodiodes(output, halves, photodiode_names(halves), drawing)
     views, lenses = (f"{halves.sizes[x]} x {halves.sizes[y]}" for x, y in (("u", "v"), ("s", "t")))
     typer.echo(f"{output}: {views} pictures of {lenses} lenses")

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...lenses.main_lens import Pair
 from ...errors import refuse_if
+from ...lenses.main_lens import Pair
 from ...light.noise import Mended
 from ...light.optical_system import RayPupil
 from ...light.phase_space import FINE

@@ -5,7 +5,6 @@ from ...extension import Extension, FileFormat
 EXTENSION = Extension(
     names={"demosaic": ("demosaic",)},
     modules={"exchange": "exchange"},
-    commands={"demosaic": "demosaic_command"},
     formats={
         **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
         ".mat": FileFormat("light field", "lftoolbox:read_lftoolbox", "lftoolbox:write_lftoolbox"),

@@ -1,6 +1,6 @@
 """Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
 
-from .lftoolbox import read_lftoolbox, write_lftoolbox
+from ...io.pictures import read_picture
 from ...views.light_field_files import (
     open_light_field,
     open_micro_images,
@@ -9,8 +9,9 @@ from ...views.light_field_files import (
     save_light_field,
     write_labelled,
 )
+from ...views.mosaics import LAYOUTS, read_mosaic, write_mosaic
+from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .lytro_file import nearest_white, read_lytro
-from ...io.pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
 
 __all__ = [
     "LAYOUTS",

@@ -12,9 +12,9 @@ import typer
 
 from ...cli import mistake, step_commands
 from ...cli.inputs import parse_definitions, scene_roots
+from ...cli.run_file import RunStep, parameters_of, read_run_file
 from ...cli.stopping import within_run
 from ...errors import InputError, refuse_if, short_repr
-from ...cli.run_file import RunStep, parameters_of, read_run_file
 
 _log = logging.getLogger(__name__)
 

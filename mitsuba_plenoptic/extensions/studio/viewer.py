@@ -171,7 +171,11 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         *(_plane_facts(planes) if planes else []),
         ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
     ]
-    return Viewer(template("view.html").render(title=title or "Light field", data=data, facts=facts))
+    return Viewer(
+        template("view.html", Path(__file__).parent / "templates").render(
+            title=title or "Light field", data=data, facts=facts
+        )
+    )
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:

@@ -14,7 +14,8 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_number
 from ...io.captures import read_capture
 from ...io.exr import read_attributes, read_exr, read_exr_parts
-from ..raw.exchange import open_light_field, read_picture
+from ...io.pictures import read_picture
+from ...views.light_field_files import open_light_field
 from .viewer import Recording, decoded
 
 
