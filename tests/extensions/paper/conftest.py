@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 
 import pytest
 from scene_cases import letters
@@ -13,12 +12,6 @@ from mitsuba_plenoptic import Capture
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
-
-FLAGS = (
-    "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
-    "disable-component-update disable-sync"
-)
-
 
 @pytest.fixture(scope="session")
 def tiny():
@@ -57,28 +50,3 @@ def quick_waves(monkeypatch, tiny):
     monkeypatch.setattr(reproductions, "plain_seconds", lambda camera, distance: 20.0)
     monkeypatch.setitem(reproductions.PRESETS, "quick", dataclasses.replace(tiny, points=4))
     return calls
-
-
-@pytest.fixture
-def browser(tmp_path):
-    """Return a function that opens a page in a headless Chromium of some width, or skip where there is none."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    driver = shutil.which("chromedriver")
-    if not program or not driver:
-        pytest.skip("no Chromium with its chromedriver was found")
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    for flag in [*FLAGS.split(), f"user-data-dir={tmp_path / 'browser'}"]:
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    page = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-
-    def open_page(path, width=1280, height=900):
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-        page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        page.get(path.as_uri())
-        return page
-
-    yield open_page
-    page.quit()
