@@ -12,9 +12,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scipy.ndimage
-
-import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.benchmark import (
     BASELINES,
     CAMERAS,
@@ -29,6 +26,9 @@ from mitsuba_plenoptic.benchmark import (
     score,
     table,
 )
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.data import baselines, network
 from mitsuba_plenoptic.extensions.data import dataset_production as production

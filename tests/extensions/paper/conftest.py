@@ -13,6 +13,7 @@ from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
 
+
 @pytest.fixture(scope="session")
 def tiny():
     """Settings of the letters on 16 x 16 lenses."""
