@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-
 DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
 """Direction cosines, over the largest ones, for which kernels are computed to find their changes."""
 
