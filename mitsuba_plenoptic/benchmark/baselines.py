@@ -146,7 +146,7 @@ def run_baseline(
     InputError
         If there is no such baseline or kind of capture, or a file cannot be written.
     """
-    refuse_if(name == "network", "baseline = network: it is gone since version 2.0; ray finds depths without training")
+    refuse_if(name == "network", "baseline = network: it is gone since version 2.0; use ray")
     answer = BASELINES[require_choice("baseline", name, BASELINES)]
     wanted = [require_choice("captures", capture, CAPTURES) for capture in captures]
     set_variant(DEFAULT_VARIANT)

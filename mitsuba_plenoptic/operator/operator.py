@@ -118,7 +118,7 @@ class CaptureOperator(CoherentPoints):
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
-        refuse_if(method == "bank", "method = bank: it is gone since version 2.0; use patch, which is as exact")
+        refuse_if(method == "bank", "method = bank: it is gone since version 2.0; use patch")
         require_choice("method", method, METHODS)
         refuse_if(
             method != "full_field" and camera.lens_data.images_stop,
