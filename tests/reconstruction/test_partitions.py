@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from wave_cases import HALF, LATTICES, WAVELENGTH, small_camera
 
-from mitsuba_plenoptic import Capture, InputError, reconstruct
+from mitsuba_plenoptic import Capture, reconstruct
 from mitsuba_plenoptic.lightfield.white import white_image
 from mitsuba_plenoptic.reconstruction.partitions import (
     LensArray,
