@@ -219,7 +219,6 @@ QUICK = {
 }
 SLOW = {
     "wave capture of photodiodes": lambda: capture(PHONE, model="wave", wavelength=550),
-    "bank": lambda: seen("bank"),
     "laser": laser,
     "full fields": lambda: seen("full_field"),
     "incoherent": lambda: reconstructed("incoherent"),

@@ -12,7 +12,7 @@ from mitsuba_plenoptic.capture.signed_colours import plan_of
 from mitsuba_plenoptic.capture.signed_draws import Draws, Pixels
 from mitsuba_plenoptic.capture.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
-from mitsuba_plenoptic.system.oblique import Oblique, ObliqueImages, phase, terms
+from mitsuba_plenoptic.system.oblique import Oblique, phase, terms
 
 WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
 POWER, INDEX, ENLARGEMENT = 1 / 0.45, 1.3, 1.002
@@ -107,18 +107,6 @@ def test_there_are_at_most_twice_as_many_combinations_as_polynomials():
     fast = PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=24.0)
     plan = plan_of(fast, 633.0, False, 633.0)
     assert plan.oblique.count == 2 * 15
-
-
-def test_combinations_have_the_images_of_their_factors():
-    rng = np.random.default_rng(1)
-    factors = rng.normal(size=(2, 3, 5))
-    factors[0, 1] = 0
-    cosines, values = rng.uniform(-0.2, 0.2, (2, 7)), rng.normal(size=(3, 7))
-    found = ObliqueImages(Oblique(0.2, factors, factors)).extended(
-        [mi.Float(value) for value in values], tuple(mi.Float(cosine) for cosine in cosines)
-    )
-    exact = factors @ np.array(terms(*(cosines / 0.2)))
-    assert np.array([value.numpy() for value in found[3:]]) == pytest.approx((exact * values).sum(1), rel=1e-4)
 
 
 def test_slopes_of_terms_are_their_differences():
