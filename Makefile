@@ -3,11 +3,12 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-tensors coverage slow fuzz examples pictures package docs lint clean llvm
+.PHONY: help demo test house test-tensors coverage slow fuzz examples pictures package docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
+	@echo "make house  check the package's structure against the limits in tools/house.py"
 	@echo "make test-tensors   run the tests of PyTorch and JAX in an environment of their own, .venv-tensors (GBs)"
 	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
 	@echo "make slow   run the tests that take minutes"
@@ -25,6 +26,9 @@ demo: $(VENV)/.ready llvm
 # The tests of a file stay in one process, which they share captures and compiled kernels in.
 test: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term)
+
+house: $(VENV)/.ready llvm
+	$(BIN)/python tools/house.py --check
 
 # PyTorch's default wheel brings CUDA, several GB: an environment apart, and no part of 'make test'.
 TENSORS := .venv-tensors

@@ -7,6 +7,7 @@ import signal
 
 import numpy as np
 import pytest
+from mitsuba_plenoptic.benchmark import run_baseline
 from scene_cases import letters
 
 import mitsuba_plenoptic as mp
@@ -140,10 +141,28 @@ def test_a_name_that_resembles_none_comes_without_a_guess():
     assert "did you mean" not in str(caught.value)
 
 
+POINTS = [(0, 0, 240)]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: mp.CaptureOperator(CAMERA, POINTS, wavelength=633, method="bank"), "method = bank"),
+        (lambda: mp.StoredOperator(CAMERA, POINTS, wavelength=633, method="bank"), "method = bank"),
+        (lambda: mp.point_spread_function(CAMERA, POINTS[0], wavelength=633, method="bank"), "method = bank"),
+        (lambda: mp.reconstruct(IMAGE, 240, camera=CAMERA, method="partial", partition=[[0]]), "partition"),
+        (lambda: run_baseline("network", None, "answers"), "baseline = network"),
+    ],
+)
+def test_what_is_gone_is_answered_with_what_serves_instead(call, words):
+    serves = {"method = bank": "patch", "partition": "interleave", "baseline = network": "ray"}[words]
+    with pytest.raises(InputError, match=rf"^{words}: it is gone since version 2\.0; use {serves}[^\n]*$"):
+        call()
+
+
 OPTIONS = {
     "wavelength": 633,
     "interleave": 2,
-    "partition": np.zeros((8, 8), int),
     "footprint": "lens",
     "relay": True,
     "response": "ray",
@@ -158,8 +177,8 @@ OPTIONS = {
 TAKEN = {
     "ray": {"footprint"},
     "coherent": {"wavelength", "relay"},
-    "partial": {"wavelength", "relay", "interleave", "partition"},
-    "deconvolved": OPTIONS.keys() - {"interleave", "partition", "footprint", "relay"},
+    "partial": {"wavelength", "relay", "interleave"},
+    "deconvolved": OPTIONS.keys() - {"interleave", "footprint", "relay"},
 }
 
 

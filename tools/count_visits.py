@@ -1,17 +1,15 @@
 """Count which files of the package four typical calls visit, and what they construct again and again.
 
-    python tools/count_visits.py [--files] [--calls]
+    python tools/count_visits.py
 
 For a ray capture, a wave capture, a coherent reconstruction and a gradient of a small camera a call profiler notes each
-function of the package that is entered, in all threads. The table lists the files visited, with their limits, and how
-often main lenses, checks of the camera and lattices were made, of which each should be made at most three times.
-`--files` lists the files too, `--calls` the functions that were called most often. The exit status is 1 where a limit
-is exceeded.
+function of the package that is entered, in all threads. The last line is JSON: the files visited by each call, and how
+often one call makes a main lens, checks a camera or makes a lattice. tools/house.py holds the limits.
 """
 
 from __future__ import annotations
 
-import argparse
+import json
 import sys
 import threading
 from collections import Counter
@@ -28,10 +26,6 @@ import mitsuba_plenoptic as mp  # noqa: E402
 PACKAGE = Path(mp.__file__).parent
 CAMERA = mp.PlenopticCamera(detector_width=0.064 * 4, resolution=(64, 64))
 WAVELENGTH = 550.0
-MOST_BUILT = 3
-
-FILES = {"ray capture": 30, "wave capture": 35, "coherent reconstruction": 30, "gradient": 40}
-"""Files that each of the calls may visit."""
 
 BUILT = {
     "thin lenses": ("lenses/thin.py", "__post_init__"),
@@ -85,27 +79,19 @@ def calls() -> dict[str, Callable[[], Any]]:
     }
 
 
-def main() -> int:
+def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--files", action="store_true", help="list the files that each call visits")
-    parser.add_argument("--calls", action="store_true", help="list the functions that each call enters most often")
-    given = parser.parse_args()
-    exceeded = False
-    print(f"{'':26}{'files':>6}{'limit':>6}" + "".join(f"{name:>13}" for name in BUILT))
+    for file, _ in BUILT.values():
+        if not (PACKAGE / file).exists():
+            sys.exit(f"tools/count_visits.py: there is no {file}, whose functions BUILT counts")
+    rows: dict[str, Any] = {}
+    most = 0
     for name, call in calls().items():
-        found = visited(call)
-        files = sorted({file for file, _ in found})
-        built = [found[key] for key in BUILT.values()]
-        exceeded |= len(files) > FILES[name] or max(built) > MOST_BUILT
-        print(f"{name:26}{len(files):6}{FILES[name]:6}" + "".join(f"{count:13}" for count in built))
-        if given.files:
-            print("".join(f"    {file}\n" for file in files), end="")
-        if given.calls:
-            for (file, function), count in found.most_common(20):
-                print(f"    {count:6} {file}: {function}")
-    return int(exceeded)
+        entered = visited(call)
+        rows[f"files visited by a {name}"] = sorted({file for file, _ in entered})
+        most = max(most, *(entered[key] for key in BUILT.values()))
+    print(json.dumps(rows | {"most lenses, checks or lattices made by a call": most}))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

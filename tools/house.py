@@ -1,209 +1,332 @@
-"""Counts of how the house looks: statements, files, clones, docstrings, imports; a Markdown table.
+"""Gauges of the package's structure, with one table of limits.
 
-    python tools/house.py [ROOT ...]
+    python tools/house.py [--check | --json | --docs | --list WORD] [ROOT]
 
-With several checkouts, one column for each, such as before and after a change. Statements are those of Python's syntax
-tree without docstrings, so that neither comments nor the formatter count. A clone is a run of eight statements or more
-that stands in two places, with names and constants made equal.
+Without an option the command prints each gauge at the beginning (commit 32fb4b1f) and now, its limit and its goal.
+`--check` prints the gauges beyond their limits, with exit status 1 if there are any; `--json` prints numbers by name;
+`--docs` writes the table into docs/develop/house.md; `--list WORD` prints what the gauges with this word in their names
+count. ROOT is another checkout. The core is the package without the folder `extensions`.
 """
 
 from __future__ import annotations
 
+import argparse
 import ast
+import json
+import os
 import re
+import statistics
+import subprocess
 import sys
-from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
-PACKAGE = "mitsuba_plenoptic"
-CLONE = 8
+from clones import clones, is_docstring, statements
+from import_circles import PACKAGE, import_gauges
 
-LENS_KIND = re.compile(
-    r"\.objective is |\.prescription is |(if|and|or|not) \w+(\.\w+)*\.(objective|prescription)\b(?!\.)|"
-    r"isinstance\([\w.]+, \(?(FittedLens|ThinLens|TelecentricLens|LensSystem|DistortedLens)|is_fourier\b"
+BEGINNING = "32fb4b1f"
+LONGEST_FILE = 600
+SHARED_NAMES = {"__init__.py", "__main__.py", "conftest.py"}
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+Trees = dict[Path, ast.Module]
+Gauge = float | list[str]
+
+
+class Limit(NamedTuple):
+    """A row of the table: today's limit, which is an interim one until the goal is reached; None: no limit."""
+
+    name: str
+    beginning: float
+    limit: float | None
+    goal: float | None = None
+    reason: str = ""
+
+
+# fmt: off
+LIMITS = (
+    Limit("files", 316, None),
+    Limit("lines of the core", 66_151, 66_151, 43_659, "0.66 of the package at the beginning"),
+    Limit("lines of the package", 66_151, 66_151, 61_520, "0.93 of the package at the beginning"),
+    Limit("statements of the package", 31_622, None),
+    Limit("files above 600 lines", 0, 0, 0),
+    Limit("functions", 3_878, None),
+    Limit("private helpers of the core, % of its functions", 31.8, 31.8, 14.9),
+    Limit("lines of the median function of the core", 7, 7, 9),
+    Limit("functions used once", 773, None),
+    Limit("private functions used once, of at most 3 statements", 174, 174),
+    Limit("functions that only forward", 176, 176),
+    Limit("parameters", 7_519, None),
+    Limit("parameters typed Any", 1_159, 1_159),
+    Limit("definitions of white", 28, 28, 4),
+    Limit("stores for going on after a stop", 5, 5, 1),
+    Limit("lines that ask for the lens's kind", 106, 106),
+    Limit("modules on circles of imports", 16, 16, 0),
+    Limit("folders on circles of imports", 22, 22, 0),
+    Limit("imports inside functions", 8, 8, 0, "others than of libraries, in commands and in `__init__`"),
+    Limit("imports of extensions by the core", 0, 0, 0),
+    Limit("clones of eight statements", 0, 0, 0),
+    Limit("class names used twice", 5, 5),
+    Limit("file names that stand twice", 24, 24, 0),
+    Limit("internal names that tests import", 313, 313, 150),
+    Limit("modules of tools/bench/cases", 59, 59, 30),
+    Limit("words of the documentation", 91_870, 91_916, 68_902, "0.75 of the beginning; interim: + the gauges section"),
+    Limit("files visited by a ray capture", 24, 24, 20),
+    Limit("files visited by a wave capture", 40, 40, 30),
+    Limit("files visited by a coherent reconstruction", 33, 33, 28),
+    Limit("files visited by a gradient", 38, 38, 35),
+    Limit("most lenses, checks or lattices made by a call", 5, 5, 3),
 )
+# fmt: on
 
-WORDS = {
-    "tell": r"\b(tell|tells|told)\b", "so many": r"\bso (many|few|much)\b", "is none": r"\b(is|are) none\b",
-    "as of": r"\bas of\b", "goes on": r"\b(go|goes|going) on\b", "kept": r"\bkept\b", "but for": r"\bbut for\b",
-    "beside": r"\bbeside\b", "what": r'"""What\b', "number": r"\bnumbers?\b",
-    "place": r"\bplaces?\b", "way": r"\bways?\b", "share": r"\bshares?\b",
+AT_LEAST = {"lines of the median function of the core"}
+"""Gauges whose limit is a lower one."""
+
+LENS_FLAGS = {"is_thin", "images_stop", "is_fourier", "is_paraxial", "converges"}
+"""Names that ask for the kind of a main lens wherever their values are read."""
+
+LENS_NAMES = {
+    "lens_model", "main_lens", "objective", "prescription", "traced_surfaces", "LensData", "Objective", "Prescription",
+    "Collimator", "ThinLens", "DistortedLens", "TelecentricLens", "CollimatedLens", "FittedLens", "LensSystem",
+    "RealLens", "VaryingLens", "ExitPupil", "UniformLens", "FiniteDistance", "FinitePupil",
 }  # fmt: skip
+"""Names that ask for the kind of a main lens where a condition compares them, is true of them, or tests a type."""
+
+STORES = re.compile(r"(Store|Checkpoint|Log|Layout)$")
+"""Classes that store what a run needs to go on after a stop."""
 
 
-def sources(root: Path) -> dict[Path, ast.Module]:
-    """Parse the package's files."""
-    return {path: ast.parse(path.read_text()) for path in sorted((root / PACKAGE).rglob("*.py"))}
+def sources(root: Path) -> Trees:
+    """Parse the package's files, by their paths in the package."""
+    package = root / PACKAGE
+    return {path.relative_to(package): ast.parse(path.read_text()) for path in sorted(package.rglob("*.py"))}
 
 
-def is_docstring(node: ast.stmt) -> bool:
-    """Whether a statement is a string and nothing else."""
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+def asks_for_lens(node: ast.AST) -> bool:
+    """Whether an expression asks for the kind of a main lens, by a flag, a condition or a type."""
+
+    def has(part: ast.AST, words: set[str]) -> bool:
+        if isinstance(part, ast.Tuple | ast.List | ast.Set | ast.BinOp):
+            return any(has(child, words) for child in ast.iter_child_nodes(part))
+        return getattr(part, "attr", getattr(part, "id", None)) in words
+
+    # A lens model is never empty, so that its truth is no question.
+    may_be_none = LENS_NAMES - {"lens_model"}
+    match node:
+        case ast.Attribute(ctx=ast.Load()) | ast.Name(ctx=ast.Load()):
+            return has(node, LENS_FLAGS)
+        case ast.Compare():
+            return any(has(part, LENS_NAMES) for part in (node.left, *node.comparators))
+        case ast.BoolOp():
+            return any(has(part, may_be_none) for part in node.values)
+        case ast.UnaryOp(op=ast.Not()):
+            return has(node.operand, may_be_none)
+        case ast.If() | ast.While() | ast.IfExp() | ast.Assert():
+            return has(node.test, may_be_none)
+        case ast.ListComp() | ast.SetComp() | ast.DictComp() | ast.GeneratorExp():
+            return any(has(test, may_be_none) for part in node.generators for test in part.ifs)
+        case ast.Match():
+            return has(node.subject, LENS_NAMES)
+        case ast.MatchClass():
+            return has(node.cls, LENS_NAMES)
+        case ast.Call(func=ast.Name(id="isinstance" | "issubclass" | "bool" | "hasattr" | "callable")):
+            return any(has(part, LENS_NAMES) for part in node.args)
+    return False
 
 
-def statements(tree: ast.AST) -> int:
-    """Count the statements of a tree without docstrings."""
-    return sum(isinstance(node, ast.stmt) and not is_docstring(node) for node in ast.walk(tree))
+def function_gauges(trees: Trees) -> dict[str, Gauge]:
+    """Return the gauges of functions; lines of a function are those from `def` to its end."""
+    functions = {node: path for path, tree in trees.items() for node in ast.walk(tree) if isinstance(node, Function)}
+    core = [node for node, path in functions.items() if path.parts[0] != "extensions"]
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    uses = Counter(getattr(node, "attr", getattr(node, "id", None)) for node in nodes)
 
+    def lines(node: Function) -> int:
+        return (node.end_lineno or 0) - node.lineno + 1
 
-class _Normal(ast.NodeTransformer):
-    """Makes names, attributes, and constants equal."""
+    def is_private(node: Function) -> bool:
+        return node.name.startswith("_") and not node.name.startswith("__")
 
-    def visit_Name(self, node: ast.Name) -> ast.AST:
-        return ast.Name("x", ast.Load())
+    def body(node: Function) -> list[ast.stmt]:
+        return [part for part in node.body if not is_docstring(part)]
 
-    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
-        return ast.Attribute(self.visit(node.value), "x", ast.Load())
+    def forwards(node: Function) -> bool:
+        """Whether a function's one statement calls another with names and constants."""
+        call = getattr(body(node)[0], "value", None) if len(body(node)) == 1 else None
+        calm = (ast.Name, ast.Attribute, ast.Constant, ast.Starred, ast.expr_context)
+        return isinstance(call, ast.Call) and all(
+            isinstance(part, calm)
+            for argument in (*call.args, *(keyword.value for keyword in call.keywords))
+            for part in ast.walk(argument)
+        )
 
-    def visit_Constant(self, node: ast.Constant) -> ast.AST:
-        return ast.Constant(0)
+    def listed(chosen: list[Function]) -> list[str]:
+        return [f"{functions[node]}:{node.lineno} {node.name}" for node in chosen]
 
-    def visit_arg(self, node: ast.arg) -> ast.AST:
-        return ast.arg("x", None)
-
-
-def _blocks(tree: ast.AST) -> Iterator[list[ast.stmt]]:
-    for node in ast.walk(tree):
-        for name in ("body", "orelse", "finalbody"):
-            block = getattr(node, name, None)
-            if isinstance(block, list) and not isinstance(node, (ast.Module, ast.ClassDef)):
-                yield [each for each in block if not is_docstring(each)]
-
-
-def clones(trees: dict[Path, ast.Module]) -> list[tuple[str, str]]:
-    """List pairs of places with the same run of statements, each pair of blocks once."""
-    found: dict[str, list[tuple[str, int]]] = defaultdict(list)
-    for path, tree in trees.items():
-        for number, block in enumerate(_blocks(tree)):
-            normal = [ast.dump(_Normal().visit(ast.parse(ast.unparse(each)))) for each in block]
-            for first in range(len(block)):
-                # Runs of as many statements as hold eight, nested ones included.
-                count, last = 0, first
-                while last < len(block) and count < CLONE:
-                    count += statements(block[last])
-                    last += 1
-                if count >= CLONE and last - first > 1:
-                    key = "\n".join(normal[first:last])
-                    found[key].append((f"{path.name}:{block[first].lineno}", hash((path, number))))
-    pairs = {}
-    for places in found.values():
-        for i, (a, block_a) in enumerate(places):
-            for b, block_b in places[i + 1 :]:
-                if block_a != block_b:
-                    pairs.setdefault((block_a, block_b), (a, b))
-    return sorted(pairs.values())
+    once = [node for node in functions if uses[node.name] == 1]
+    private = [node for node in core if is_private(node)]
+    parameters = [
+        argument
+        for node in functions
+        for argument in ast.walk(node.args)
+        if isinstance(argument, ast.arg) and argument.arg not in ("self", "cls")
+    ]
+    stores = [
+        node.name
+        for node in nodes
+        if isinstance(node, ast.ClassDef)
+        and STORES.search(node.name)
+        and "Protocol" not in map(ast.unparse, node.bases)
+    ]
+    return {
+        "functions": len(functions),
+        "private helpers of the core, % of its functions": round(100 * len(private) / max(len(core), 1), 1),
+        "lines of the median function of the core": statistics.median_low([lines(node) for node in core] or [0]),
+        "functions used once": listed(once),
+        "private functions used once, of at most 3 statements": listed(
+            [node for node in once if is_private(node) and len(body(node)) <= 3]
+        ),
+        "functions that only forward": listed([node for node in functions if forwards(node)]),
+        "parameters": len(parameters),
+        "parameters typed Any": sum(getattr(argument.annotation, "id", None) == "Any" for argument in parameters),
+        "definitions of white": listed([node for node in functions if "white" in node.name.lower()]),
+        "stores for going on after a stop": stores,
+    }
 
 
 def shown(root: Path) -> set[str]:
     """Return the modules whose members the pages of the reference list, and the names that the package offers."""
     pages = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
     names = set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", pages, flags=re.MULTILINE))
-    listed: set[str] = set()
     for package in (root / PACKAGE).rglob("__init__.py"):
         for node in ast.parse(package.read_text()).body:
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-                listed |= set(ast.literal_eval(node.value))
-    return names | listed
+                names |= set(ast.literal_eval(node.value))
+    return names
 
 
-def internal_sections(root: Path, trees: dict[Path, ast.Module]) -> int:
-    """Count objects with NumPy sections that the reference does not show."""
-    public, count = shown(root), 0
-
-    def visit(node: ast.AST, is_public: bool) -> Iterator[int]:
-        for child in ast.iter_child_nodes(node):
-            if isinstance(child, (ast.FunctionDef, ast.ClassDef)):
-                seen = is_public or child.name in public
-                doc = ast.get_docstring(child) or ""
-                yield int(not seen and re.search(r"^-{3,}$", doc, flags=re.MULTILINE) is not None)
-                yield from visit(child, seen)
-
-    for path, tree in trees.items():
-        module = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
-        count += sum(visit(tree, module in public))
-    return count
-
-
-def circles(root: Path, trees: dict[Path, ast.Module]) -> int:
-    """Count modules on a circle of imports that stand at the top of files."""
-    names = {".".join(p.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): p for p in trees}
-    edges: dict[str, set[str]] = {}
-    for name, path in names.items():
-        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-        edges[name] = set()
-        for node in trees[path].body:
-            if isinstance(node, ast.ImportFrom) and node.level:
-                base = package.split(".")[: len(package.split(".")) - node.level + 1]
-                module = ".".join([*base, *([node.module] if node.module else [])])
-                edges[name] |= {
-                    f"{module}.{alias.name}" if f"{module}.{alias.name}" in names else module for alias in node.names
-                }
-    on_circles = 0
-    for start in names:
-        seen, waiting = set(), list(edges[start])
-        while waiting:
-            module = waiting.pop()
-            if module not in seen:
-                seen.add(module)
-                waiting += edges.get(module, ())
-        on_circles += start in seen and not start.endswith(PACKAGE)
-    return on_circles
-
-
-def tested_internals(root: Path) -> int:
-    """Count internal names that tests import: of modules of which the reference does not list the members."""
-    public, found = shown(root), set()
+def tested_internals(root: Path) -> list[str]:
+    """Return the internal names that tests import: of modules of which the reference does not list the members."""
+    public, names = shown(root), set()
     for path in (root / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
-            if (
-                isinstance(node, ast.ImportFrom)
-                and (node.module or "").startswith(PACKAGE)
-                and node.module not in public
-            ):
-                found |= {(node.module, alias.name) for alias in node.names if alias.name not in public}
-    return len(found)
+            if isinstance(node, ast.ImportFrom) and (module := node.module or "").split(".")[0] == PACKAGE:
+                names |= {
+                    f"{module}.{alias.name}"
+                    for alias in node.names
+                    if module not in public and alias.name not in public
+                }
+    return sorted(names)
 
 
-def counts(root: Path) -> dict[str, int]:
-    """Return the counts of a checkout by their names."""
+def names_twice(root: Path) -> list[str]:
+    """Return the names of files that stand twice in the package, the tests or the tools."""
+    files = [(part, path.name) for part in (PACKAGE, "tests", "tools") for path in (root / part).rglob("*.py")]
+    return [
+        f"{part}: {name}" for (part, name), count in Counter(files).items() if count > 1 and name not in SHARED_NAMES
+    ]
+
+
+TABLE = re.compile(r"(<!-- gauges -->\n).*(?=<!-- end of gauges -->)", flags=re.DOTALL)
+"""The table that this tool writes into docs/develop/house.md, which counts no words."""
+
+
+def docs_words(root: Path) -> int:
+    """Count the words of the handwritten pages, those of the changelog left out."""
+    pages = [page for page in (root / "docs").rglob("*.md") if page.name != "changelog.md"]
+    return sum(len(TABLE.sub("", page.read_text()).split()) for page in pages)
+
+
+def visits(root: Path) -> dict[str, Gauge]:
+    """Return the files that typical calls visit, by a process that imports the checkout's package."""
+    environment = os.environ | {"PYTHONPATH": str(root.resolve()), "PYTHONWARNINGS": "ignore"}
+    command = [sys.executable, str(Path(__file__).with_name("count_visits.py"))]
+    output = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+    return dict(json.loads(output.splitlines()[-1]))
+
+
+def measure(root: Path) -> dict[str, Gauge]:
+    """Return the gauges of a checkout that need no run, by their names."""
     trees = sources(root)
-    texts = {path: path.read_text() for path in trees}
+    lines = {path: len((root / PACKAGE / path).read_text().splitlines()) for path in trees}
     classes = Counter(n.name for tree in trees.values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
-    tools = list((root / "tools").rglob("*.py"))
-    everything = "\n".join(texts.values())
-    rows = {
-        "files": len(trees),
-        "lines": sum(len(text.splitlines()) for text in texts.values()),
-        "statements": sum(statements(tree) for tree in trees.values()),
-        "files above 400 lines": sum(len(text.splitlines()) > 400 for text in texts.values()),
-        "clones of eight statements": len(clones(trees)),
-        "internal objects with NumPy sections": internal_sections(root, trees),
-        "class names used twice": sum(count > 1 for name, count in classes.items()),
-        "modules on circles of imports": circles(root, trees),
-        "lines that ask for the lens's kind": sum(
-            bool(LENS_KIND.search(line)) for text in texts.values() for line in text.splitlines()
-        ),
-        "hidden caches": len(re.findall(r"^@(?:functools\.)?(?:lru_)?cache\b", everything, flags=re.MULTILINE)),
-        "internal names that tests import": tested_internals(root),
-        "lines of tools": sum(len(p.read_text().splitlines()) for p in tools),
-        "lines of tests": sum(len(p.read_text().splitlines()) for p in (root / "tests").rglob("*.py")),
+    questions = {
+        f"{path}:{node.lineno}": None
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.expr | ast.stmt | ast.pattern) and asks_for_lens(node)
     }
-    return rows | {f'"{word}"': len(re.findall(how, everything)) for word, how in WORDS.items()}
+    return {
+        "files": len(trees),
+        "lines of the core": sum(count for path, count in lines.items() if path.parts[0] != "extensions"),
+        "lines of the package": sum(lines.values()),
+        "statements of the package": sum(statements(tree) for tree in trees.values()),
+        f"files above {LONGEST_FILE} lines": [f"{path.name} {n}" for path, n in lines.items() if n > LONGEST_FILE],
+        **function_gauges(trees),
+        **import_gauges(trees),
+        "lines that ask for the lens's kind": list(questions),
+        "clones of eight statements": clones(trees),
+        "class names used twice": [name for name, count in classes.items() if count > 1],
+        "file names that stand twice": names_twice(root),
+        "internal names that tests import": tested_internals(root),
+        "modules of tools/bench/cases": [
+            p.name for p in (root / "tools/bench/cases").rglob("*.py") if p.name[0] != "_"
+        ],
+        "words of the documentation": docs_words(root),
+    }
 
 
-def main() -> None:
-    """Print the table."""
-    roots = [Path(each) for each in sys.argv[1:]] or [Path()]
-    if "--clones" in sys.argv:
-        print(*(f"{a}  {b}" for a, b in clones(sources(Path()))), sep="\n")
-        return
-    columns = [counts(root) for root in roots]
-    print("| count | " + " | ".join(str(root) for root in roots) + " |")
-    print("|---|" + "---:|" * len(roots))
-    for name in columns[0]:
-        print(f"| {name} | " + " | ".join(f"{column[name]:,}" for column in columns) + " |")
+def value(gauge: Gauge) -> float:
+    """Return the number of a gauge."""
+    return len(gauge) if isinstance(gauge, list) else gauge
+
+
+def exceeded(values: dict[str, Gauge]) -> list[str]:
+    """Return a line for each gauge beyond its limit."""
+    return [
+        f"{row.name}: {value(values[row.name]):,}, {'at least' if row.name in AT_LEAST else 'at most'} {row.limit:,}"
+        for row in LIMITS
+        if row.limit is not None and (value(values[row.name]) - row.limit) * (-1 if row.name in AT_LEAST else 1) > 0
+    ]
+
+
+def table(values: dict[str, Gauge], *, with_limits: bool) -> str:
+    """Return the gauges as a Markdown table."""
+    rows = [("gauge", "at the beginning", "now", "limit", "goal", "reason"), ("---", *["---:"] * 4, "---")]
+    for row in LIMITS:
+        numbers = (row.beginning, value(values[row.name]), row.limit, row.goal)
+        rows.append((row.name, *("" if n is None else f"{n:,}" for n in numbers), row.reason))
+    chosen = range(6) if with_limits else (0, 1, 2, 4)
+    return "".join("| " + " | ".join(row[column] for column in chosen) + " |\n" for row in rows)
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("root", metavar="ROOT", nargs="?", type=Path, default=Path(__file__).parents[1])
+    options = parser.add_mutually_exclusive_group()
+    options.add_argument("--check", action="store_true", help="print the gauges beyond their limits; status 1 if any")
+    options.add_argument("--json", action="store_true", help="print numbers by name")
+    options.add_argument("--docs", action="store_true", help="write the table into docs/develop/house.md")
+    options.add_argument("--list", metavar="WORD", help="print what the gauges with this word in their names count")
+    given = parser.parse_args()
+    values = measure(given.root) | visits(given.root)
+    if given.check:
+        print(*exceeded(values) or ["house: all gauges are within their limits"], sep="\n")
+        return int(bool(exceeded(values)))
+    if given.json:
+        print(json.dumps({name: value(gauge) for name, gauge in values.items()}, indent=1))
+    elif given.docs:
+        page = given.root / "docs" / "develop" / "house.md"
+        page.write_text(TABLE.sub(lambda found: found[1] + table(values, with_limits=False), page.read_text()))
+    elif given.list:
+        for name, gauge in values.items():
+            if given.list in name and isinstance(gauge, list):
+                print(f"{name}: {len(gauge)}", *gauge, sep="\n    ")
+    else:
+        print(table(values, with_limits=True), end="")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -35,14 +35,10 @@ class Convolution:
         camera: PlenopticCamera,
         # The kernels, arrays (k, k) of any odd sizes k.
         kernels: Sequence[NDArray[np.float32]],
-        # Sample pitch of the kernels in millimetres: that of the pixels, divided by an integer.
-        pitch: float,
         # Largest rows and columns of samples that are convolved together; by default those of `box`.
         size: tuple[int, int] | None = None,
     ) -> None:
-        self.pitch = pitch
-        self._parts = round(camera.pixel_size / self.pitch)
-        self._window = box_of(camera, pitch, 0)
+        self._window = box_of(camera, 0)
         self._margin = margin_of(kernels)
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
@@ -62,10 +58,10 @@ class Convolution:
 
     def reached(self, box: Box) -> Box:
         """Return the recorded pixels, counted from the first, that light of the samples in a box may reach."""
-        grown, window, p = _grown(box, self._margin), self._window, self._parts
-        low = np.maximum((grown.left - window.left, grown.top - window.top), 0) // p
+        grown, window = _grown(box, self._margin), self._window
+        low = np.maximum((grown.left - window.left, grown.top - window.top), 0)
         high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
-        return Box.between(low, -(-np.minimum(high, (window.columns, window.rows)) // p))
+        return Box.between(low, np.minimum(high, (window.columns, window.rows)))
 
     def forward(
         self, images: Iterable[NDArray[np.float32]], box: Box | None = None, pixels: Box | None = None
@@ -74,13 +70,11 @@ class Convolution:
 
         The result has the shape (rows, columns).
         """
-        box, p, m = box or self.box, self._parts, self._margin
+        box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
         tiles = list(self._tiles(box))
         sums = np.zeros((len(tiles), *self._spectra.shape[1:]), np.complex64)
-        wanted = Box(
-            self._window.left + pixels.left * p, self._window.top + pixels.top * p, pixels.columns * p, pixels.rows * p
-        )
+        wanted = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
         result = np.zeros((1, wanted.rows, wanted.columns), np.float32)
         with resting_drjit():
             for image, spectrum in zip(images, self._spectra, strict=True):
@@ -95,7 +89,7 @@ class Convolution:
                 square = self._back(total)[: size[0] + 2 * m, : size[1] + 2 * m]
                 reached = _grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m)
                 add(Part(reached, square[None]), wanted, result)
-        return result[0].reshape(pixels.rows, p, pixels.columns, p).sum((1, 3)) if p > 1 else result[0]
+        return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
         """Apply the adjoint of `forward`: yield an image for each kernel.
@@ -105,7 +99,7 @@ class Convolution:
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
         samples = np.zeros((1, reached.rows, reached.columns), np.float32)
-        add(Part(self._window, pixels.repeat(self._parts, 0).repeat(self._parts, 1)[None]), reached, samples)
+        add(Part(self._window, pixels[None]), reached, samples)
         with resting_drjit():
             # The transform is circular: samples after these wrap around, and are cut off below.
             spectra = [
@@ -134,11 +128,10 @@ class Convolution:
         return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
 
 
-def box_of(camera: PlenopticCamera, pitch: float, margin: int) -> Box:
-    """Return the samples of the recorded pixels and a margin of them, counted from the full detector's corner."""
-    parts = round(camera.pixel_size / pitch)
-    left, top = (offset * parts for offset in camera.crop_offset)
-    return _grown(Box(left, top, camera.shape[1] * parts, camera.shape[0] * parts), margin)
+def box_of(camera: PlenopticCamera, margin: int) -> Box:
+    """Return the recorded pixels and a margin of pixels, counted from the full detector's corner."""
+    left, top = camera.crop_offset
+    return _grown(Box(left, top, camera.shape[1], camera.shape[0]), margin)
 
 
 def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:

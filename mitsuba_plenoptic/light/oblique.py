@@ -24,13 +24,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-
-from ..lenses.main_lens import Pair
-from ..runtime.backend import drjit_array
 
 DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
 """Direction cosines, over the largest ones, for which kernels are computed to find their changes."""
@@ -163,39 +158,3 @@ def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
 def _values(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return 1 and the terms (n, 1 + terms) of some cosines (n, 2)."""
     return np.column_stack([np.ones(len(cosines)), *terms(*cosines.T)])
-
-
-class ObliqueImages:
-    """The factors of an `Oblique` on the device of the active variant."""
-
-    def __init__(self, oblique: Oblique) -> None:
-        self._largest, self._count, self._functions = oblique.largest, *oblique.factors.shape[:2]
-        # The table is an input of Dr.Jit's kernels, so that those of other cameras are not compiled again.
-        self._table = drjit_array(mi.Float, oblique.factors)
-        numbers = np.arange(oblique.factors.size).reshape(oblique.factors.shape)
-        self._used = [
-            [[(k, int(numbers[r, n, k])) for k in np.flatnonzero(row)] for n, row in enumerate(rows)]
-            for r, rows in enumerate(oblique.factors)
-        ]
-
-    def _factors(self, values: list[Any]) -> list[list[Any]]:
-        """Return for each combination the factors of each function, for given values of the terms; None if it is 0."""
-        return [
-            [
-                sum((dr.gather(mi.Float, self._table, mi.UInt32(place)) * values[k] for k, place in used), mi.Float(0))
-                if used
-                else None
-                for used in rows
-            ]
-            for rows in self._used
-        ]
-
-    def extended(self, images: list[Any], cosines: Pair) -> list[Any]:
-        """Return the values of the functions' images, followed by those of the combinations' images."""
-        scale = dr.opaque(mi.Float, 1 / self._largest)
-        return images + [_product(row, images) for row in self._factors(terms(*(cosine * scale for cosine in cosines)))]
-
-
-def _product(factors: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return the sum of products, of those factors that are not None."""
-    return sum((f * value for f, value in zip(factors, values, strict=True) if f is not None), mi.Float(0))

@@ -113,7 +113,7 @@ class SignedRaySum:
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
         # Kernels are computed before the images, so that the peaks of their memory do not add up.
-        self._bins = box_of(camera, camera.pixel_size, max(map(margin_of, self._flat_kernels)))
+        self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
         values = sum(len(each) * len(node.channels) for each, node in zip(self._flat_kernels, nodes, strict=True))
         self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
         self.items = np.array([block.rows * block.columns for block in self._blocks])
@@ -171,7 +171,7 @@ class SignedRaySum:
     def _convolutions(self) -> list[Convolution]:
         """Return the convolution of each image; the channels of a node share one."""
         size = self._blocks[0].rows, self._blocks[0].columns
-        made = [Convolution(self._camera, kernels, self._camera.pixel_size, size) for kernels in self._flat_kernels]
+        made = [Convolution(self._camera, kernels, size) for kernels in self._flat_kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
     @cached_property

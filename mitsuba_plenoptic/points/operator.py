@@ -22,7 +22,6 @@ from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
 from ..runtime.jobs import Job, LongSum, SumTask
 from .accuracy import chosen_accuracy
-from .bank_plan import BankPlan
 from .coherent import CoherentFields
 from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
@@ -31,7 +30,7 @@ from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import Cost, PatchPlan
 from .pupil_weights import PupilWeights
 
-PLANS: dict[str, type] = {"patch": PatchPlan, "bank": BankPlan, "full_field": FullFieldPlan}
+PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
 """Methods of computing point spreads at one wavelength, by name: the types of their plans.
 
 A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`,
@@ -60,14 +59,13 @@ class CaptureOperator(CoherentPoints):
     spectrum : Spectrum, optional
         Wavelengths, and the channels that record them. Weights then have a value for each wavelength. Point spreads are
         computed for each wavelength, or for each of the spectrum's nodes.
-    method : {"patch", "bank", "full_field"}
-        Method of computing point spreads: each on the part of the array that its point lights; from the kernels of
-        signed rays, for sums of points of very wide blur; or each on the whole field, without shortcuts.
+    method : {"patch", "full_field"}
+        Method of computing point spreads: each on the part of the array that its point lights, or each on the whole
+        field, without shortcuts.
     accuracy : float, optional
         Allowed relative error (L2, over the image) of the method "patch", below 1; 0.01 by default. Points of nearly
         the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
-        own, and most of the diffracted light is retained. Below 0.005 the method "bank" uses finer tables; its error
-        is about that of wave captures, and larger for single points. The method "full_field" allows no error but 0.
+        own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
     pupil_weights : array (n, m, m), optional
         For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
         along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
@@ -120,6 +118,7 @@ class CaptureOperator(CoherentPoints):
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
+        refuse_if(method == "bank", "method = bank: it is gone since version 2.0; use patch")
         require_choice("method", method, METHODS)
         refuse_if(
             method != "full_field" and camera.lens_data.images_stop,

@@ -121,7 +121,8 @@ def _matrix(
 
 def windowed_sinc(distance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the weight of a sample at a distance in samples: a sinc under a Kaiser window."""
-    window = np.i0(_KAISER * np.sqrt(np.maximum(0, 1 - (distance / HALF_WIDTH) ** 2))) / np.i0(_KAISER)
+    inside = np.sqrt(np.maximum(0, 1 - (distance / HALF_WIDTH) ** 2))
+    window = scipy.special.i0(_KAISER * inside) / scipy.special.i0(_KAISER)
     return np.asarray(np.sinc(distance) * window)
 
 

@@ -36,9 +36,9 @@ def point_spread_function(
         Scene point (X, Y, g) in the camera frame, in millimetres; g is its distance from the main lens.
     wavelength : float
         Wavelength in nanometres.
-    method : {"patch", "bank", "full_field"}
+    method : {"patch", "full_field"}
         "patch" propagates the lit part of the field only, in milliseconds; "full_field" takes no shortcut and
-        seconds. They agree to 0.5 % (relative L2) or better. "bank" is meant for sums of many points.
+        seconds. They agree to 0.5 % (relative L2) or better.
 
     Returns
     -------

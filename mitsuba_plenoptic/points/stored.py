@@ -58,10 +58,6 @@ class StoredOperator(CaptureOperator):
         self, camera: PlenopticCamera, points: Any, *, budget: float = 1.0, dtype: Any = "float32", **options: Any
     ) -> None:
         super().__init__(camera, points, **options)
-        refuse_if(
-            self._method not in _SPREADS,
-            f"method = {self._method}: it has no single point spreads to store; use {' or '.join(_SPREADS)}",
-        )
         self._budget = require_number("budget", budget, positive=True)
         refuse_if(dtype not in ("float32", "float64"), f"dtype = {dtype!r}: it must be float32 or float64")
         self._dtype = np.dtype(dtype)

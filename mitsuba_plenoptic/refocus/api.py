@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import logging
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..camera import PlenopticCamera
 from ..camera.detector import require_demosaiced
@@ -51,7 +51,6 @@ from .methods import (
     require_wavelengths,
     work_of,
 )
-from .partitions import require_partition
 from .radiance import is_known
 from .ray import white_pixels
 from .results import Reconstruction
@@ -106,7 +105,6 @@ def reconstruct(
     camera: PlenopticCamera | None = ...,
     wavelength: float | Sequence[float] | None = ...,
     interleave: int | str | None = ...,
-    partition: ArrayLike | None = ...,
     footprint: str | None = ...,
     relay: bool | None = ...,
     oversample: int = ...,
@@ -130,7 +128,6 @@ def reconstruct(
     camera: PlenopticCamera | None = ...,
     wavelength: float | Sequence[float] | None = ...,
     interleave: int | str | None = ...,
-    partition: ArrayLike | None = ...,
     footprint: str | None = ...,
     relay: bool | None = ...,
     oversample: int = ...,
@@ -145,7 +142,7 @@ def reconstruct(
     checkpoint: Checkpoint | None = ...,
     batch_map: BatchMap | None = ...,
 ) -> list[Reconstruction]: ...
-@suggest_keywords
+@functools.partial(suggest_keywords, gone={"partition": "interleave, which takes every K-th lens along both axes"})
 @one_at_a_time
 def reconstruct(
     capture: Capture | np.ndarray,
@@ -155,7 +152,6 @@ def reconstruct(
     camera: PlenopticCamera | None = None,
     wavelength: float | Sequence[float] | None = None,
     interleave: int | str | None = None,
-    partition: ArrayLike | None = None,
     footprint: str | None = None,
     relay: bool | None = None,
     oversample: int = 1,
@@ -185,8 +181,8 @@ def reconstruct(
         plane.
     method : {"ray", "coherent", "partial", "incoherent", "deconvolved"}
         ``ray`` traces one ray per pixel back to the object plane. ``coherent`` propagates back one coherent wave, whose
-        amplitude is the square root of the capture. ``partial`` propagates one such wave for each subset of lenses,
-        interleaved or of a `partition`, and adds their intensities. Waves pass the lenses as thin parabolic phases.
+        amplitude is the square root of the capture. ``partial`` propagates one such wave for each interleaved
+        subset of lenses, and adds their intensities. Waves pass the lenses as thin parabolic phases.
         ``incoherent`` propagates each point of the object by itself through this camera, and weighs the capture with
         its point spread (see `mitsuba_plenoptic.refocus.incoherent`).
         ``deconvolved`` finds the plane, or the planes, whose capture by this camera is the recorded one.
@@ -200,9 +196,6 @@ def reconstruct(
         ``coherent``;
         ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits depend on the thread
         count of the BLAS.
-    partition : (rows, columns) array of integers, optional
-        For ``partial``, instead of `interleave`: a label for each lens; lenses of equal labels share a wave. See
-        `mitsuba_plenoptic.refocus.partitions`, which makes such arrays.
     footprint : {"lens", "point"}, optional
         For ``ray``: whether a pixel is spread over the area that its whole lens sees (default), or added to one bin.
     relay : bool, optional
@@ -296,7 +289,6 @@ def reconstruct(
         chosen,
         wavelength=wavelength,
         interleave=interleave,
-        partition=partition,
         footprint=footprint,
         relay=relay,
         response=response,
@@ -310,8 +302,7 @@ def reconstruct(
     )
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
-        "interleave": require_interleave(interleave, partition, camera),
-        "partition": None if partition is None else require_partition(partition, camera),
+        "interleave": require_interleave(interleave, camera),
         "relay": relay is None or require_flag("relay", relay),
         "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
@@ -372,7 +363,6 @@ def reconstruct(
         # Methods that compare with computed captures ask for each wavelength's camera themselves.
         parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
         images = _side_by_side([chosen.refocus(part, **options) for part in parts])
-    options.pop("partition", None)  # no plain data; the method's facts state the count of its subsets
     options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     options |= {"white": "capture"} if reference is not None else {}
     results = [

@@ -24,7 +24,7 @@ from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
 from .conjugates import Conjugates, FieldZone, ThinConjugates
-from .methods import Progress, portion
+from .methods import Progress
 from .passages import (
     BinSums,
     FieldWorkspace,
@@ -58,7 +58,6 @@ def reconstruct_subsets(
     wavelength: float,
     *,
     interleave: int = 1,
-    labels: NDArray[Any] | None = None,
     relay: bool = True,
     oversample: int = 1,
     checked: bool = True,
@@ -68,9 +67,8 @@ def reconstruct_subsets(
     """Propagate subsets of lenses coherently, and return the power in bins of object planes.
 
     The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
-    subset along each axis is `interleave`; 1 is one coherent field. With `labels` of the pixels, from 0 on, the pixels
-    of each label are propagated as an image of their own. If `checked`, guards check the light that is lost. Powers
-    (rows, columns) are in pixel values times pixels.
+    subset along each axis is `interleave`; 1 is one coherent field. If `checked`, guards check the light that is
+    lost. Powers (rows, columns) are in pixel values times pixels.
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
@@ -79,39 +77,6 @@ def reconstruct_subsets(
     lit = lit_window(image, camera)
     if lit is None:
         return totals
-    count = 1 if labels is None else int(labels.max()) + 1
-    passed = 0.0
-    for number in range(count):
-        part = image if labels is None else np.where(labels == number, image, np.float32(0))
-        options = interleave, relay, oversample, portion(progress, number, [1] * count)
-        passed += _add_power(totals, part, camera, distances, wavelength, conjugates, *options)
-        # Also where a subset is dark.
-        progress((number + 1) / count)
-    if checked:
-        guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
-        for total, distance in zip(totals, distances, strict=True):
-            # Where the detector's edge cuts the light nothing is known.
-            if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
-                guards.check(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
-    return totals
-
-
-def _add_power(
-    totals: Sequence[np.ndarray],
-    image: np.ndarray,
-    camera: PlenopticCamera,
-    distances: Sequence[float],
-    wavelength: float,
-    conjugates: Conjugates,
-    interleave: int,
-    relay: bool,
-    oversample: int,
-    progress: Progress,
-) -> float:
-    """Add the power of an image's interleaved subsets to the bins of each plane; return the power through the pupil."""
-    lit = lit_window(image, camera)
-    if lit is None:
-        return 0.0
     grids = plan(camera, wavelength, distances, lit, oversample)
     require_feasible(grids)
     zones = [list(conjugates.zones(distance)) for distance in distances]
@@ -132,7 +97,14 @@ def _add_power(
                     found = backend().to_host(bins.forward(fields.to_object(field, zone, step)))
                     part = zone.part(found.shape)
                     total[part] += found[part]
-    return passed
+    progress(1.0)
+    if checked:
+        guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+        for total, distance in zip(totals, distances, strict=True):
+            # Where the detector's edge cuts the light nothing is known.
+            if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
+                guards.check(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+    return totals
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:

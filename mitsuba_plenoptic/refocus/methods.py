@@ -205,14 +205,8 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     return distances
 
 
-def require_interleave(interleave: Any, partition: Any, camera: PlenopticCamera) -> int | str:
-    """Return the period of the subsets of lenses, or ``"auto"``; those of a partition are waves of their own."""
-    if partition is not None:
-        refuse_if(
-            interleave is not None,
-            f"partition with {argument('interleave')} = {short_repr(interleave)}: give one of them",
-        )
-        return 1
+def require_interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
+    """Return the period of the subsets of lenses, or ``"auto"``."""
     if interleave is None:
         return 2
     if isinstance(interleave, str) and interleave == "auto":

@@ -1,4 +1,4 @@
-r"""Partitions of the microlenses into the subsets that partially coherent reconstruction propagates one by one.
+r"""Partitions of the microlenses into subsets that are propagated one by one, for the verdict about the paper.
 
 A partition is an array of labels, one for each lens; lenses of equal labels share a coherent wave. Its rows and columns
 are the lattice indices j and i of the lenses that the recorded pixels belong to, so that of a square array it is
@@ -28,7 +28,7 @@ one.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,14 +36,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_count, require_wavelength, short_repr
 from ..io.captures import Capture
 from ..optics import rays
 from ..optics.waves import in_millimetres
 from ..runtime.limits import require_memory
-from .methods import as_capture, require_distances
-
-__all__ = ["blocks", "coloured", "interleaved", "sublattice"]
+from .api import reconstruct
 
 Labels = NDArray[np.int64]
 
@@ -58,8 +55,6 @@ _SAMPLES, _LEAST_SAMPLES = 24, 4
 
 _PAIRS = 1e8
 """Pairs of lenses that are summed in all bins together, unless those of the least bins are more."""
-
-_MOST_SUBSETS = 64
 
 _ROWS = 256
 """Rows of pixels that are followed back together."""
@@ -116,88 +111,18 @@ def _chief_points(camera: PlenopticCamera, axis: int) -> NDArray[np.float64]:
     return np.asarray(points)
 
 
-def interleaved(camera: PlenopticCamera, period: int) -> Labels:
-    """Label every `period`-th lens along both axes alike, as ``interleave=period`` does: `period` squared subsets.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    period : int
-        Count of lenses from one of a subset to the next.
-
-    Returns
-    -------
-    int64 array (rows, columns)
-        A label for each lens.
-
-    Raises
-    ------
-    InputError
-        If the period is not at least 1.
-    """
-    period = require_count("period", period)
-    lenses = LensArray.of(camera)
-    row, column = (index + first for index, first in zip(np.indices(lenses.shape), lenses.first[::-1], strict=True))
-    return np.asarray(row % period * period + column % period, np.int64)
-
-
 def blocks(camera: PlenopticCamera, count: int) -> Labels:
-    """Divide the array into `count` x `count` contiguous blocks of lenses.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    count : int
-        Count of blocks along each axis.
-
-    Returns
-    -------
-    int64 array (rows, columns)
-        A label for each lens.
-
-    Raises
-    ------
-    InputError
-        If the count is not from 1 to the lenses along an axis.
-    """
+    """Return labels of `count` x `count` contiguous blocks of lenses."""
     shape = LensArray.of(camera).shape
-    count = require_count("count", count, maximum=min(shape))
     row, column = (np.arange(size) * count // size for size in shape)
     return np.asarray(row[:, None] * count + column, np.int64)
 
 
 def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelength: float) -> Labels:
-    """Divide the lenses evenly into copies of the sublattice that interferes least in an image of white.
+    """Return labels of the copies of the sublattice that interferes least in an image of white.
 
-    Every sublattice with one of `subsets` lenses is tried; those of `interleaved` are among them. Far out of focus this
-    takes seconds.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance in scene units.
-    subsets : int
-        Count of subsets, at most 64.
-    wavelength : float
-        In nanometres.
-
-    Returns
-    -------
-    int64 array (rows, columns)
-        A label for each lens.
-
-    Raises
-    ------
-    InputError
-        If the main lens is not thin, or an argument is out of range.
+    Every sublattice with one of `subsets` lenses is tried. Far out of focus this takes seconds. The main lens is thin.
     """
-    camera.require_thin("interference of lenses is predicted", instead="give labels of your own")
-    (distance,), wavelength = require_distances([distance], camera), require_wavelength(wavelength)
-    subsets = require_count("subsets", subsets, maximum=_MOST_SUBSETS)
     lenses = LensArray.of(camera)
     row, column = np.indices(lenses.shape)
     i, j = column + lenses.first[0], row + lenses.first[1]
@@ -208,48 +133,26 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
     return _sublattice_labels(i, j, steps[best])
 
 
-def coloured(capture: Capture | NDArray[Any], distance: float, *, camera: PlenopticCamera | None = None) -> Labels:
+def coloured(capture: Capture, distance: float) -> Labels:
     """Colour the lenses of a capture so that the images of no two lit lenses of one colour overlap at a distance.
 
     Lenses are coloured one after the other, from the middle of the lit ones outwards, each by the first colour that is
-    free. Those with less than a thousandth of the light of the brightest take no colours of their own.
-
-    Parameters
-    ----------
-    capture : Capture or (rows, columns[, channels]) array
-        The capture. A plain array needs `camera`.
-    distance : float
-        Object distance in scene units.
-    camera : PlenopticCamera, optional
-        The camera of a plain array.
-
-    Returns
-    -------
-    int64 array (rows, columns)
-        A label for each lens.
-
-    Raises
-    ------
-    InputError
-        If there is no camera, the main lens is not thin, or the distance is out of range.
+    free. Those with less than a thousandth of the light of the brightest take no colours of their own. The main lens is
+    thin.
     """
-    capture = as_capture(capture, camera)
-    capture.camera.require_thin("lenses are coloured", instead="give labels of your own")
-    (distance,) = require_distances([distance], capture.camera)
     lenses = LensArray.of(capture.camera)
     return _separate(_light_in_bins(capture, lenses, distance), np.array(lenses.centres)).reshape(lenses.shape)
 
 
-def require_partition(partition: Any, camera: PlenopticCamera) -> Labels:
-    """Return labels of all lenses, numbered from 0 without gaps."""
-    shape = LensArray.of(camera).shape
-    try:
-        labels = np.asarray(partition)
-    except ValueError:
-        raise InputError(f"partition = {short_repr(partition)}: it must be an array of integers") from None
-    refuse_if(labels.shape != shape, f"partition of shape {labels.shape}: it must be that of the lenses, {shape}")
-    refuse_if(labels.dtype.kind not in "iu", f"partition of type {labels.dtype}: it must hold integers")
-    return np.unique(labels, return_inverse=True)[1].reshape(shape)
+def refocused(capture: Capture, distances: Sequence[float], labels: Labels) -> dict[float, NDArray[Any]]:
+    """Return images by distance, of one coherent wave for each label of lenses, intensities added."""
+    of_pixels, sums = LensArray.of(capture.camera).of_pixels(labels), dict.fromkeys(distances, np.zeros(()))
+    mask = of_pixels.reshape(of_pixels.shape + (1,) * (capture.image.ndim - 2))
+    for label in np.unique(labels):
+        part = replace(capture, image=np.where(mask == label, capture.image, np.float32(0)))
+        for plane in reconstruct(part, distances, method="coherent"):
+            sums[plane.distance] = sums[plane.distance] + plane.image
+    return sums
 
 
 def _sublattices(index: int) -> Iterator[tuple[int, int, int]]:

@@ -55,8 +55,7 @@ class Reconstruction(Displayed):
         Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
         of what is left of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
         ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
-        ``in_focus``, where finer bins show little more (see `design.resolution_limit`). ``partial`` with a partition:
-        the count of its ``subsets``.
+        ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
     """
 
     image: np.ndarray

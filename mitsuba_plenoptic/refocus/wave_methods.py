@@ -32,9 +32,8 @@ misses the pupil on its way back; images are divided by what a white scene gives
 Partial coherence
 -----------------
 Light that passed different microlenses from different scene points never interferes, yet the fields of all lenses of a
-coherent reconstruction do. Fields of lenses in subsets (every K-th column and row, or any others: see
-`mitsuba_plenoptic.refocus.partitions`) interfere less; where the lenses of a subset are farther apart than their
-images are wide, not at all. That limit is found by full fields with such a
+coherent reconstruction do. Fields of lenses in subsets, every K-th column and row, interfere less; where the lenses of
+a subset are farther apart than their images are wide, not at all. That limit is found by full fields with such a
 period, or lens by lens, whichever costs less.
 """
 
@@ -45,7 +44,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
@@ -70,8 +68,7 @@ from .lens_by_lens import (
     reconstruct_lens_by_lens,
 )
 from .lens_tiles import LensTile, fine_bins, tile_lenses
-from .methods import Found, Progress, Task, method, portion, work_of
-from .partitions import Labels, LensArray
+from .methods import Progress, Task, method, portion, work_of
 from .planning import plan
 from .radiance import captures, lens_scale, once_a_camera, over_lenses, to_radiance
 from .ray import ray_sums, white_pixels, white_sums
@@ -287,21 +284,13 @@ def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "partition", "relay"), waves=True)
-def partial(
-    task: Task, *, interleave: int | str, partition: Labels | None, relay: bool
-) -> Sequence[np.ndarray | Found]:
+@method("partial", options=("interleave", "relay"), waves=True)
+def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
-    if partition is None:
-        return _refocus(task, interleave, relay)
-    facts = {"subsets": int(partition.max()) + 1}
-    images = _refocus(task, interleave, relay, LensArray.of(task.camera).of_pixels(partition))
-    return [Found(image, facts) for image in images]
+    return _refocus(task, interleave, relay)
 
 
-def _refocus(
-    task: Task, interleave: int | str, relay: bool, labels: NDArray[np.int64] | None = None
-) -> list[np.ndarray]:
+def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Refocus every channel.
 
     The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
@@ -315,7 +304,7 @@ def _refocus(
         works, found = work_of([task.wavelengths[channel] for channel in channels]), {}
         for index, channel in enumerate(channels):
             system = task.system(task.wavelengths[channel])
-            given = image[..., channel], system, distances, interleave, labels, relay, oversample
+            given = image[..., channel], system, distances, interleave, relay, oversample
             found[channel] = _signed_power(*given, portion(progress, index, works))
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
@@ -343,7 +332,6 @@ def _signed_power(
     system: OpticalSystem,
     distances: Sequence[float],
     interleave: int | str,
-    labels: NDArray[np.int64] | None,
     relay: bool,
     oversample: int,
     progress: Progress,
@@ -369,8 +357,7 @@ def _signed_power(
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
         else:
-            options |= {"interleave": period, "labels": labels}
-            totals = reconstruct_subsets(part, seen, planes, wavelength, **options)
+            totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, **options)
         for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             scale = lens_scale(camera, distance)
             if real is not None:

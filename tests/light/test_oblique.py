@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.light.oblique import Oblique, ObliqueImages, phase, terms
+from mitsuba_plenoptic.light.oblique import Oblique, phase, terms
 from mitsuba_plenoptic.light.signed_colours import plan_of
 from mitsuba_plenoptic.light.signed_draws import Draws, Pixels
 from mitsuba_plenoptic.light.signed_rays import REACH
@@ -107,18 +107,6 @@ def test_there_are_at_most_twice_as_many_combinations_as_polynomials():
     fast = PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=24.0)
     plan = plan_of(fast, 633.0, False, 633.0)
     assert plan.oblique.count == 2 * 15
-
-
-def test_combinations_have_the_images_of_their_factors():
-    rng = np.random.default_rng(1)
-    factors = rng.normal(size=(2, 3, 5))
-    factors[0, 1] = 0
-    cosines, values = rng.uniform(-0.2, 0.2, (2, 7)), rng.normal(size=(3, 7))
-    found = ObliqueImages(Oblique(0.2, factors, factors)).extended(
-        [mi.Float(value) for value in values], tuple(mi.Float(cosine) for cosine in cosines)
-    )
-    exact = factors @ np.array(terms(*(cosines / 0.2)))
-    assert np.array([value.numpy() for value in found[3:]]) == pytest.approx((exact * values).sum(1), rel=1e-4)
 
 
 def test_slopes_of_terms_are_their_differences():

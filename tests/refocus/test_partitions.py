@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from wave_cases import HALF, LATTICES, WAVELENGTH, small_camera
 
-from mitsuba_plenoptic import Capture, InputError, reconstruct
+from mitsuba_plenoptic import Capture, reconstruct
 from mitsuba_plenoptic.refocus.partitions import (
     LensArray,
     blocks,
     coloured,
-    interleaved,
+    refocused,
     sublattice,
     white_interference,
 )
@@ -31,6 +31,17 @@ def scene_of(camera, seed=0):
 
 def partial(capture, **options):
     return reconstruct(capture, DISTANCE, method="partial", **options).image
+
+
+def of_subsets(capture, labels, distance=DISTANCE):
+    return refocused(capture, [distance], labels)[distance]
+
+
+def interleaved(camera, period):
+    """Label every `period`-th lens along both axes alike."""
+    lenses = LensArray.of(camera)
+    row, column = (index + first for index, first in zip(np.indices(lenses.shape), lenses.first[::-1], strict=True))
+    return row % period * period + column % period
 
 
 @pytest.mark.parametrize("crop", [{}, {"crop_offset": (40, 70), "crop_size": (150, 101)}], ids=["whole", "cropped"])
@@ -76,44 +87,12 @@ def test_every_pixel_has_the_label_of_its_lens_on_any_lattice(lattice):
 def test_interleaved_labels_are_interleave(period, lattice):
     camera = small_camera(8, **HALF, **LATTICES.get(lattice, {}))
     capture = scene_of(camera)
-    found = partial(capture, partition=interleaved(camera, period))
+    found = of_subsets(capture, interleaved(camera, period))
     expected = partial(capture, interleave=period)
     # What strays to the next lens's cell is another subset's there.
     assert interference(found, expected, np.isfinite(expected)) < 3e-3
     if period > 1:
         assert interference(found, partial(capture, interleave=1), np.isfinite(expected)) > 0.008
-
-
-def test_intensities_of_the_subsets_are_added():
-    capture = scene_of(SMALL)
-    labels = np.random.default_rng(1).integers(0, 3, LensArray.of(SMALL).shape)
-    of_pixels = LensArray.of(SMALL).of_pixels(labels)
-    alone = [
-        reconstruct(np.where(of_pixels == n, capture.image, 0), DISTANCE, camera=SMALL, method="coherent",
-                    wavelength=WAVELENGTH).image
-        for n in range(3)
-    ]  # fmt: skip
-    np.testing.assert_allclose(partial(capture, partition=labels), sum(alone), rtol=2e-6)
-    result = reconstruct(capture, DISTANCE, method="partial", partition=labels)
-    assert result.facts == {"subsets": 3} and "partition" not in result.options
-    # Only which labels are equal counts.
-    np.testing.assert_array_equal(partial(capture, partition=5 - 7 * labels), partial(capture, partition=2 - labels))
-
-
-def test_a_dark_subset_adds_nothing():
-    capture, steps = scene_of(SMALL), []
-    labels = interleaved(SMALL, 2)
-    dark = capture.image * (LensArray.of(SMALL).of_pixels(labels) < 3)
-    lit = reconstruct(
-        dark, DISTANCE, camera=SMALL, method="partial", partition=labels, wavelength=WAVELENGTH,
-        progress=lambda done, total: steps.append((done, total)),
-    )  # fmt: skip
-    assert steps[-1] == (1000, 1000)
-    # The dark subset may as well share the wave of another one.
-    shared = reconstruct(
-        dark, DISTANCE, camera=SMALL, method="partial", partition=np.minimum(labels, 2), wavelength=WAVELENGTH
-    )
-    np.testing.assert_array_equal(lit.image, shared.image)
 
 
 @pytest.mark.slow
@@ -122,7 +101,7 @@ def test_a_label_for_each_lens_is_the_limit_without_interference():
     every = np.arange(LensArray.of(SMALL).centres[0].size).reshape(LensArray.of(SMALL).shape)
     limit = partial(capture, interleave="auto")
     region = np.isfinite(limit)
-    assert interference(partial(capture, partition=every), limit, region) < 0.01
+    assert interference(of_subsets(capture, every), limit, region) < 0.01
     assert interference(partial(capture, interleave=1), limit, region) > 0.05
 
 
@@ -204,7 +183,7 @@ def white():
 def test_predicted_interference_is_that_of_white(step, labels, white):
     capture, limit = white
     j, i = np.indices(limit.shape)
-    image = reconstruct(capture, 280.0, method="partial", partition=labels(i, j)).image
+    image = of_subsets(capture, labels(i, j), 280.0)
     # Bins that get the light of whole micro-images.
     found = interference(image, limit, (slice(7, -7),) * 2)
     (predicted,) = white_interference(capture.camera, 280.0, WAVELENGTH, [step])
@@ -215,9 +194,7 @@ def test_predicted_interference_is_that_of_white(step, labels, white):
 def test_the_best_sublattice_of_four_interferes_less_than_every_second_lens(white):
     capture, limit = white
     left = {
-        name: interference(
-            reconstruct(capture, 280.0, method="partial", partition=labels).image, limit, (slice(3, -3),) * 2
-        )
+        name: interference(of_subsets(capture, labels, 280.0), limit, (slice(3, -3),) * 2)
         for name, labels in {
             "interleaved": interleaved(capture.camera, 2),
             "blocks": blocks(capture.camera, 2),
@@ -225,39 +202,3 @@ def test_the_best_sublattice_of_four_interferes_less_than_every_second_lens(whit
         }.items()
     }
     assert left["sublattice"] < 0.7 * left["interleaved"] < 0.3 * left["blocks"]
-
-
-@pytest.mark.parametrize(
-    ("labels", "words"),
-    [
-        (np.zeros((8, 7), int), r"^partition of shape \(8, 7\): it must be that of the lenses, \(8, 8\)$"),
-        (np.zeros((8, 8)), "^partition of type float64: it must hold integers$"),
-        ([[1, 2], [3]], r"^partition = \[\[1, 2\], \[3\]\]: it must be an array of integers$"),
-        ("blocks", r"^partition of shape \(\): "),
-    ],
-)
-def test_wrong_labels_are_refused(labels, words):
-    with pytest.raises(InputError, match=words):
-        partial(scene_of(SMALL), partition=labels)
-
-
-def test_a_partition_and_a_period_are_refused():
-    with pytest.raises(InputError, match=r"^partition with interleave = 2: give one of them$"):
-        partial(scene_of(SMALL), partition=np.zeros((8, 8), int), interleave=2)
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: blocks(SMALL, 9), "count"),
-        (lambda: interleaved(SMALL, 0), "period"),
-        (lambda: sublattice(SMALL, DISTANCE, 0, WAVELENGTH), "subsets"),
-        (lambda: sublattice(SMALL, DISTANCE, 4, -1), "wavelength"),
-        (lambda: coloured(scene_of(SMALL), 30.0), "distance"),
-        (lambda: sublattice(SMALL.replace(main_lens="tessar"), DISTANCE, 4, WAVELENGTH), "main_lens"),
-        (lambda: coloured(scene_of(SMALL.replace(main_lens="tessar")), DISTANCE), "main_lens"),
-    ],
-)
-def test_wrong_arguments_of_partitions_are_refused(call, words):
-    with pytest.raises(InputError, match=f"^{words}"):
-        call()

@@ -15,9 +15,10 @@ import warnings
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from mitsuba_plenoptic.fitting import Layers, View, fit, fit_layers
+from mitsuba_plenoptic.fitting import Layers, View, fit_layers
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.extensions.inverse import capture_fit as fit
 from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
 from mitsuba_plenoptic.extensions.inverse.scene_functions import RenderedValue, Rendering
 from mitsuba_plenoptic.optics.waves import propagate
@@ -219,7 +220,6 @@ QUICK = {
 }
 SLOW = {
     "wave capture of photodiodes": lambda: capture(PHONE, model="wave", wavelength=550),
-    "bank": lambda: seen("bank"),
     "laser": laser,
     "full fields": lambda: seen("full_field"),
     "incoherent": lambda: reconstructed("incoherent"),

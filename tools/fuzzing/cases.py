@@ -173,7 +173,6 @@ KINDS = tuple(
         ! reconstruct(capture(), 240, <<method=$not_name | footprint=$name_text>>)
         ! reconstruct(capture(), 240, oversample=<<$not_count | 100_000 | 10**9>>)
         ! reconstruct(capture(), 240, method='partial', interleave=<<$not_place | $not_positive | 10**9 | 'AUTO'>>)
-        ! reconstruct(capture(), 240, method='partial', partition=<<'auto' | {} | [[1], [2, 3]] | np.zeros((3, 5))>>)
         ! reconstruct(capture(), 240, camera=<<'camera' | 1 | {} | SMALL_CAMERA>>)
         ! reconstruct(image(), 240, camera=CAMERA, method=<<'coherent' | 'partial'>>, wavelength=$not_wavelength)
         reconstruct(image(at=$pixel, to=-1e-3), 240, camera=CAMERA, method='coherent', wavelength=633)

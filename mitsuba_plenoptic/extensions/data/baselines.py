@@ -17,7 +17,7 @@ import scipy.ndimage
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import require_choice
+from ...errors import refuse_if, require_choice
 from ...io.captures import Capture
 from ...io.files import atomic_output
 from ...refocus import reconstruct
@@ -25,7 +25,6 @@ from ...runtime.backend import DEFAULT_VARIANT, set_variant
 from ...runtime.jobs import Progress, counted
 from ...views import decode, depth_map, distance_of, micro_images, view
 from .contents import CAPTURES, DISTANCES, FINER, PUPIL_POINTS, WAVELENGTH, Benchmark, capture_of, model_of
-from .network import costs, depths
 from .score import answer_folder
 
 Answers = dict[str, np.ndarray]
@@ -109,18 +108,12 @@ def _deconvolved(question: Question) -> Answers:
     return {"refocus": _images(question.capture, method="deconvolved")}
 
 
-def _network(question: Question) -> Answers:
-    """Find depths by the trained network."""
-    return {"depth": depths(costs(question.light_field, question.camera))}
-
-
 BASELINES: dict[str, Callable[[Question], Answers]] = {
     "plain": _plain,
     "ray": _ray,
     "coherent": _coherent,
     "partial": _partial,
     "deconvolved": _deconvolved,
-    "network": _network,
 }
 """Baselines by name."""
 
@@ -153,6 +146,7 @@ def run_baseline(
     InputError
         If there is no such baseline or kind of capture, or a file cannot be written.
     """
+    refuse_if(name == "network", "baseline = network: it is gone since version 2.0; use ray")
     answer = BASELINES[require_choice("baseline", name, BASELINES)]
     wanted = [require_choice("captures", capture, CAPTURES) for capture in captures]
     set_variant(DEFAULT_VARIANT)

@@ -67,9 +67,7 @@ def make(
 
 @benchmark.command()
 def run(
-    baseline: Annotated[
-        str, typer.Argument(metavar="plain|ray|coherent|partial|deconvolved|network", help="The method.")
-    ],
+    baseline: Annotated[str, typer.Argument(metavar="plain|ray|coherent|partial|deconvolved", help="The method.")],
     made: BenchmarkFolder,
     output: OutputFolder,
     capture: Annotated[

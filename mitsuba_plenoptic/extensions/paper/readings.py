@@ -7,7 +7,7 @@ from typing import Any
 from ...errors import InputError
 from ...io.stage_store import StageStore
 from ...refocus import reconstruct
-from ...refocus.partitions import blocks, coloured, sublattice
+from ...refocus.partitions import blocks, coloured, refocused, sublattice
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
 
@@ -37,7 +37,7 @@ def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict
         return {result.distance: result.image for result in reconstruct(capture, distances, **options)}
 
     distances = [distance for _, distance in blurred]
-    quarters = images(distances, method="partial", partition=blocks(camera, 2))
+    quarters = refocused(capture, distances, blocks(camera, 2))
     coherent = images(distances, method="coherent", relay=False)
     partial = images(distances, method="partial", interleave=2, relay=False)
     literal = images(distances, method="partial", interleave="auto", relay=False)
@@ -47,7 +47,7 @@ def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict
         if window is None:
             raise InputError(f"{shape}: it is not in the camera's view")
         labels = sublattice(camera, distance, 4, experiment.settings.wavelength)
-        best = images([distance], method="partial", partition=labels)[distance]
+        best = refocused(capture, [distance], labels)[distance]
         known = {name: experiment.images[name, distance] for name in ("ray", "coherent", "limit")}
         compared = {
             "quarters": (quarters[distance], known["limit"]),

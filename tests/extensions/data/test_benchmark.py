@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import configparser
-import importlib
 import json
 import math
 import shutil
@@ -11,7 +10,6 @@ import shutil
 import mitsuba as mi
 import numpy as np
 import pytest
-import scipy.ndimage
 from mitsuba_plenoptic.benchmark import (
     BASELINES,
     CAMERAS,
@@ -23,14 +21,13 @@ from mitsuba_plenoptic.benchmark import (
     export_hci,
     make_benchmark,
     run_baseline,
-    score,
     table,
 )
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.data import baselines, network
+from mitsuba_plenoptic.extensions.data import baselines, score
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
 from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
@@ -307,62 +304,6 @@ def test_the_command_runs_scores_and_exports(made, tmp_path, capsys):
     assert main(["benchmark", "make", "-o", str(tmp_path / "new"), "--scene", "mirrors"]) == 2
     assert "scenes = 'mirrors': it must be one of" in capsys.readouterr().err
     assert main(["benchmark", "export", str(made.folder), "-o", str(tmp_path / "hci")]) == 0
-
-
-def test_costs_are_least_at_the_depth_of_a_plane():
-    """Of a light field made by the formula of the disparity, behind two cameras."""
-    for camera in (mp.PlenopticCamera(detector_width=1.536, resolution=(288, 288)),
-                   mp.PlenopticCamera(detector_width=1.536, resolution=(288, 288), focus_distance=250.0)):  # fmt: skip
-        image = mp.Capture(np.ones(camera.shape), camera)
-        lf = mp.views.decode(image)
-        across = np.arange(lf.sizes["s"])
-        for depth in (network.DEPTHS[4], network.DEPTHS[18]):
-            shift = mp.views.disparity(lf, depth)
-            for v, u in np.ndindex(lf.shape[:2]):
-                down, right = (across - shift * (index - lf.sizes["u"] // 2) for index in (v, u))
-                lf.values[v, u] = 1 + 0.3 * np.sin(0.9 * down)[:, None] + 0.3 * np.sin(1.1 * right)
-            seen = network.costs(lf, camera)[:, 4:-4, 4:-4]
-            assert network.DEPTHS[np.argmin(seen[:-1].mean(axis=(1, 2)))] == depth
-            assert np.abs(np.median(network.depths(network.costs(lf, camera))) / depth - 1) < 0.02
-
-
-def test_training_gives_the_same_weights_again(made, tmp_path, monkeypatch):
-    pytest.importorskip("torch")
-    train_network = importlib.import_module("train_network")
-    stored = []
-    for name in ("one.npz", "two.npz"):
-        file = tmp_path / name
-        assert train_network.main([str(made.folder), "-o", str(file), "--epochs", "2"]) == 0
-        stored.append(dict(np.load(file)))
-    shipped = dict(np.load(network.WEIGHTS))
-    assert {name: each.shape for name, each in stored[0].items()} == {
-        name: each.shape for name, each in shipped.items()
-    }
-    for name, array in stored[0].items():
-        np.testing.assert_array_equal(array, stored[1][name])
-    # What is trained is what NumPy applies, and held-out cameras are left out.
-    examples = train_network.examples_of(made)
-    assert len(examples) == len(CAPTURES)
-    torch, seen = importlib.import_module("torch"), examples[0][0]
-    monkeypatch.setattr(network, "WEIGHTS", tmp_path / "one.npz")
-    network._layers.cache_clear()
-    layers = train_network.layers_of()
-    for k, layer in enumerate(layers[::2]):
-        layer.load_state_dict(
-            {"weight": torch.tensor(stored[0][f"kernel_{k}"]), "bias": torch.tensor(stored[0][f"bias_{k}"])}
-        )
-    weights = torch.softmax(layers(torch.tensor(seen)[None]), dim=1)[0].detach().numpy()
-    np.testing.assert_allclose(1 / network.depths(seen), np.tensordot(1 / network.DEPTHS, weights, 1), rtol=1e-5)
-    network._layers.cache_clear()
-
-
-def test_convolutions_are_those_of_scipy():
-    rng = np.random.default_rng(0)
-    seen, kernel = rng.normal(size=(2, 7, 6)), rng.normal(size=(1, 2, 3, 3))
-    expected = sum(
-        scipy.ndimage.correlate(one, each, mode="nearest") for one, each in zip(seen, kernel[0], strict=True)
-    )
-    np.testing.assert_allclose(network._convolved(seen, kernel)[0], expected)
 
 
 def test_white_captures_are_those_of_the_benchmark(made, monkeypatch):

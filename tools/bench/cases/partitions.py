@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct
-from mitsuba_plenoptic.refocus.partitions import blocks, coloured, sublattice
+from mitsuba_plenoptic.refocus.partitions import blocks, coloured, refocused, sublattice
 from mitsuba_plenoptic.report.experiment import bounding_boxes
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.metrics import interference, shape_window
@@ -47,10 +47,10 @@ class Refocused:
             if kind == "interleaved":
                 yield count**2, self.images(DISTANCES, interleave=count)
             elif kind == "blocks":
-                yield count**2, self.images(DISTANCES, partition=blocks(camera, count))
+                yield count**2, refocused(self.capture, DISTANCES, blocks(camera, count))
             else:
                 labels = {distance: sublattice(camera, distance, count, WAVELENGTH) for distance in DISTANCES}
-                found = [self.images((distance,), partition=each) for distance, each in labels.items()]
+                found = [refocused(self.capture, (distance,), each) for distance, each in labels.items()]
                 yield count, {distance: image for each in found for distance, image in each.items()}
 
 
