@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from . import design as design
     from . import shipped
     from .camera import PlenopticCamera
-    from .camera.detector import Detector, expose
+    from .camera.phase_screen import PhaseScreen, frozen_flow
     from .errors import InputError
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
     from .io.checkpoints import Checkpoint
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
     from .io.truth_files import GroundTruth, read_ground_truth, write_ground_truth
     from .lenses.focusing import focus_by_group
     from .lenses.lens_system import LensSystem
+    from .light.detector import Detector, expose
     from .light.render_capture import estimate_capture, render_capture
     from .light.scene import load_scene, scene_path
     from .optics.guards import PhysicsError, PhysicsWarning
-    from .optics.phase_screen import PhaseScreen, frozen_flow
     from .optics.spectrum import Spectrum
     from .plugins.other_camera import with_camera
     from .points import far_sources as far_sources

@@ -44,8 +44,9 @@ SHIPPED: dict[str, dict[str, str]] = {
     },
     "parameters": {"photodiode_response": "onchip"},
     "presets": {"full_frame_dual": "onchip", "phone_quad": "onchip", "phone_quad_bayer": "onchip"},
+    "captures": {"small lenses": "onchip"},
+    "cameras": {"libpleno": "calibrate"},
     "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", ".mat": "raw"},
-    "plugins": {"laser_integrator": "laser"},
 }
 
 # For type checkers: at run time names are served when they are asked for.

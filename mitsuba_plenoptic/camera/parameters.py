@@ -33,11 +33,11 @@ from ..errors import (
 from ..extension import entries, place
 from ..lattice import APERTURES, LATTICES
 from ..microlens.shape import MicrolensShape, known_shape
-from ..optics.phase_screen import PhaseScreen, known_screen
 from ..prescription import Glass
 from ..prescription.lens_data import LensData
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .given_lens import known_glass, known_lens
+from .phase_screen import PhaseScreen, known_screen
 
 if TYPE_CHECKING:
     from ..shipped import ShippedParameters

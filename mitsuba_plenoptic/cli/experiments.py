@@ -38,7 +38,7 @@ from .inputs import (
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from ..io.stage_store import StageOptions
+    from ..report.stage_store import StageOptions
 
 
 def compare(
@@ -280,7 +280,7 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from ..io.stage_store import StageOptions
+    from ..report.stage_store import StageOptions
 
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())

@@ -262,10 +262,10 @@ def expose(
 
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
-    from ..camera.detector import Detector
-    from ..camera.detector import expose as record
     from ..io.captures import RAW_SUFFIXES, read_capture, write_capture, write_raw
     from ..io.files import require_apart, require_writable
+    from ..light.detector import Detector
+    from ..light.detector import expose as record
 
     require_writable(output, ".exr", *RAW_SUFFIXES)
     require_apart(output, capture)
@@ -333,10 +333,10 @@ def demosaic(
 
       mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
-    from ..camera.detector import mosaic_of
     from ..extensions.raw.lytro_file import nearest_white
     from ..io.captures import write_capture
     from ..io.files import require_apart, require_writable
+    from ..light.detector import mosaic_of
 
     require_writable(output, ".exr")
     require_apart(output, capture, white)

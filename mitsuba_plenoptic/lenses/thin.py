@@ -17,9 +17,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.phase_screen import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import rays
-from ..optics.phase_screen import PhaseScreen
 from ..optics.waves import in_millimetres, parabola
 from ..prescription.lens_data import vergence
 from ..runtime.backend import sqrt

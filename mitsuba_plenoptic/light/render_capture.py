@@ -17,11 +17,11 @@ from ..errors import InputError, advice, argument, refuse_if, require_choice, re
 from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
-from ..points.patch_plan import Cost
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
+from .cost import Cost
 from .noise import require_samples
 from .passes import RAYS_PER_PASS, render_passes
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence

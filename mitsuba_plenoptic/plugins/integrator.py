@@ -16,19 +16,19 @@ from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import entry_of
 from ..light import colour
+from ..light.cost import Cost
 from ..light.crosstalk import mix_deviations, mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.render_capture import require_wave_film
 from ..light.scene import GONE_PARAMETERS
 from ..light.scene_light import LightDerivatives, SceneLight
-from ..light.scene_points import PointsCapture, require_matte
 from ..light.signed_camera import require_parameters
 from ..light.signed_capture import SignedCapture, SignedGradients
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
-from ..points.patch_plan import Cost
+from ..points.scene_points import PointsCapture, require_matte
 from ..runtime.jobs import Job
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
 

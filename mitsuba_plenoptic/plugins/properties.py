@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
+from ..camera.phase_screen import known_screen
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -35,7 +36,6 @@ from ..light import colour
 from ..light.scene import unknown_parameter
 from ..light.signed_colours import SignedColours
 from ..microlens.shape import known_shape
-from ..optics.phase_screen import known_screen
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.collimated import CollimatedLens
 from ..lenses.telecentric import TelecentricLens
+from ..light.cost import Cost
 from ..light.microlens_orders import ArrayFactor
 from ..light.microlenses import transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
@@ -51,7 +52,6 @@ from .arrival import (
     stop_image_arrival,
     telecentric_arrival,
 )
-from .patch_plan import Cost
 from .pupil_weights import PupilWeights
 
 _FINER = 6

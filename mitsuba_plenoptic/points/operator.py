@@ -14,6 +14,7 @@ from ..camera import PlenopticCamera
 from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io.checkpoints import digest
+from ..light.cost import Cost
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
@@ -27,7 +28,7 @@ from .coherent_points import CoherentPoints
 from .derivatives import DerivativePlan, Differentials, check_changes, check_names
 from .full_field import FullFieldPlan
 from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
-from .patch_plan import Cost, PatchPlan
+from .patch_plan import PatchPlan
 from .pupil_weights import PupilWeights
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}

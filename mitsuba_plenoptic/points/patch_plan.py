@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..light.cost import Cost
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
 from ..optics import guards
@@ -47,16 +48,6 @@ _FIRST, _TRIAL_SECONDS = 2, 0.1
 
 _JUDGED = 16
 """Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain` is."""
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Cost of a capture."""
-
-    points: int  # number of points whose light reaches the recorded window; 0 if not determined
-    patterns: int  # number of point spreads that are computed for them
-    seconds: float  # time, extrapolated from a few point spreads on this machine
-    memory: float  # largest memory in bytes
 
 
 class PatchPlan:

@@ -12,7 +12,6 @@ from typing import Any, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..camera.detector import require_demosaiced
 from ..camera.plenoptic_camera import require_ideal, require_no_shape
 from ..errors import (
     InputError,
@@ -27,6 +26,7 @@ from ..errors import (
 )
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.checkpoints import Checkpoint
+from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
 from ..optics import guards
 from ..runtime.backend import one_at_a_time

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..camera.detector import require_demosaiced
 from ..errors import (
     InputError,
     argument,
@@ -25,6 +24,7 @@ from ..errors import (
 )
 from ..io.captures import Capture, as_array
 from ..io.checkpoints import Checkpoint
+from ..light.detector import require_demosaiced
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
 from ..runtime.batches import BatchMap

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import refuse_if
-from ..io.stage_store import StageOptions
 from .experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from .framing import (
     Canvas,
@@ -38,6 +37,7 @@ from .metrics import (
     ssim_text,
 )
 from .page import Report, write_report
+from .stage_store import StageOptions
 
 
 def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:

@@ -15,7 +15,6 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import naming, refuse_if
 from ..io.captures import Capture
-from ..io.stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 from ..light.passes import pass_counts
 from ..light.render_capture import plenoptic_sensor, render_capture
 from ..light.scene import load_scene
@@ -23,6 +22,7 @@ from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
+from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 
 _RAYS_PER_PASS = 2**24
 

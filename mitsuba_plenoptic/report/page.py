@@ -17,12 +17,12 @@ from PIL import Image
 
 from .. import design
 from ..io.files import write_text
-from ..io.stage_store import software, time_summary, write_json
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, common_peak, lit_window
 from .images import to_bytes
 from .metrics import ssim_text
+from .stage_store import software, time_summary, write_json
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",

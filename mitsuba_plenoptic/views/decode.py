@@ -9,11 +9,11 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike, require_camera
-from ..camera.detector import require_demosaiced
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
 from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
+from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, light_field

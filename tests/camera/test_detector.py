@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, read_capture, write_capture
-from mitsuba_plenoptic.camera.detector import Detector, expose
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.light.detector import Detector, expose
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 

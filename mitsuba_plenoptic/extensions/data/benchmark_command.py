@@ -109,7 +109,7 @@ def score_answers(
       mitsuba-plenoptic benchmark score bench answers/ray answers/mine -o scores.json
     """
     from ...io.files import require_writable
-    from ...io.stage_store import write_json
+    from ...report.stage_store import write_json
     from .benchmark import Benchmark, score, table
 
     require_writable(output, ".json")

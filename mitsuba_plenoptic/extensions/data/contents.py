@@ -15,9 +15,9 @@ import mitsuba as mi
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...camera.detector import Detector, expose
 from ...errors import refuse_if, require_choice, require_count, short_repr
 from ...io.captures import MODELS, Capture
+from ...light.detector import Detector, expose
 from ...report.experiment import photograph, photographic_sensor, thin_lens_image
 from ...runtime.backend import DEFAULT_VARIANT
 from .dataset import DataSet, Recipe, Sample, make_sample

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...camera.detector import Detector
 from ...camera.matched import MATCHED
 from ...camera.parameters import PARAMETERS
 from ...camera.presets import PRESETS
@@ -30,6 +29,7 @@ from ...errors import (
 from ...io.captures import MODELS
 from ...io.files import read_yaml
 from ...io.truth_files import QUANTITIES, require_quantities
+from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
 from ...light.scene import scene_path
 from ...runtime.backend import DEFAULT_VARIANT

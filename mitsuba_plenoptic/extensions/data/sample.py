@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...camera.detector import expose
 from ...io.captures import Capture
 from ...io.truth_files import GroundTruth
 from ...io.versions import camera_of_waves, is_of_1_0, stamped
+from ...light.detector import expose
 from ...light.render_capture import render_capture
 from ...light.scene import load_scene
 from ...plugins.other_camera import with_camera

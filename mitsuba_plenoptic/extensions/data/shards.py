@@ -26,8 +26,8 @@ from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, requir
 from ...io.captures import MODELS
 from ...io.checkpoints import digest, flattened
 from ...io.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
-from ...io.stage_store import scene_fingerprint, write_json
 from ...io.versions import KEY, is_of_1_0, stamped
+from ...report.stage_store import scene_fingerprint, write_json
 from ...runtime.limits import require_memory, software
 from .recipe import Recipe
 from .sample import Sample

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...camera.detector import require_demosaiced
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
 from ...io.captures import Capture, as_array, require_pixels, response_of
+from ...light.detector import require_demosaiced
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...light.render_capture import chosen_integrator, plenoptic_sensor
 from ...light.sampling import check_positions
 from ...light.scene_light import SceneLight
-from ...light.scene_points import find_points, require_matte
 from ...plugins.other_camera import with_camera
+from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
 from ...runtime.backend import one_at_a_time
 

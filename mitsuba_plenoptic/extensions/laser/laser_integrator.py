@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_ideal
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength
+from ...light.cost import Cost
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
-from ...light.scene_points import require_matte_surfaces
 from ...optics import guards
 from ...optics.spectrum import Spectrum
 from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain, require_read
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
-from ...points.patch_plan import Cost
+from ...points.scene_points import require_matte_surfaces
 from ...runtime.jobs import Job
 from .lit_points import LaserScene, LitPoints, named_lasers, without
 from .modes import mode_count

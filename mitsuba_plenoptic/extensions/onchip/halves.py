@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...camera.detector import filters, mosaic_of
 from ...errors import InputError, refuse_if, require_pair, short_repr, suggest_keywords
 from ...io.captures import Capture
+from ...light.detector import filters, mosaic_of
 from ...views.coordinates import light_field
 from .photodiode_response import ACROSS, require_pixel_pairs
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from ...errors import InputError
-from ...io.stage_store import StageStore
 from ...refocus import reconstruct
 from ...refocus.partitions import blocks, coloured, refocused, sublattice
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
+from ...report.stage_store import StageStore
 
 
 def measure_readings(experiment: Experiment, store: StageStore, near: str, far: str) -> list[dict[str, Any]]:

@@ -17,13 +17,13 @@ import numpy as np
 from ... import design
 from ...errors import InputError, require_choice
 from ...io.captures import read_capture
-from ...io.stage_store import StageOptions
 from ...refocus import reconstruct
 from ...report.comparison import draw_comparison, measure
 from ...report.experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from ...report.framing import Canvas, Zoom, common_peak, lit_window, mark, object_bar, scale_bar, show, zoom_at
 from ...report.images import shrink
 from ...report.page import Report, write_report
+from ...report.stage_store import StageOptions
 from ...runtime.backend import set_variant
 from .claims import check_claims, timing_table
 from .paper_limits import check_limits, plain_seconds

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera.detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
 from ...io.captures import EXPOSED, RECORDED, Capture, recording_of, require_suitable_white
+from ...light.detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
 from ...views.lens_grid import lens_numbers
 from ...views.white_image import scaled_white, white_image
 

@@ -39,10 +39,10 @@ def run(
       mitsuba-plenoptic run run.yaml
     """
     from ...io.files import files_used, read_yaml
+    from ...io.versions import VERSION, is_of_1_0
 
     # Brings libraries that take a while to load.
-    from ...io.stage_store import StepLog
-    from ...io.versions import VERSION, is_of_1_0
+    from ...report.stage_store import StepLog
 
     commands = step_commands()
     parameters = parameters_of(commands)
@@ -124,7 +124,7 @@ def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
 def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return all that a step depends on but the files that it reads; of a scene the files that it names, too."""
     # Brings libraries that take a while to load.
-    from ...io.stage_store import scene_fingerprint
+    from ...report.stage_store import scene_fingerprint
 
     words = step.words(parameters)
     scenes = [word.removeprefix("--scene=") for word in words.get("scene", ())]

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
+from ...camera.phase_screen import PhaseScreen
 from ...camera.plenoptic_camera import require_camera, require_ideal
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
-from ...optics.phase_screen import PhaseScreen
 from ...optics.waves import band_edge_fraction
 from ...points.arrival import SampledField
 from ...points.far_sources import INFINITY

@@ -20,12 +20,12 @@ from ...camera.plenoptic_camera import require_no_shape
 from ...design import resolution_limit
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
-from ...light.scene_points import sample_pairs
 from ...optics.rays import cosines_to_slopes, into_medium
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
 from ...points.patch_factors import Fields
 from ...points.recorder import Recorder
+from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime.backend import backend

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ...camera.detector import Detector
 from ...errors import refusing, require_number
+from ...light.detector import Detector
 from .cells import BinCells, CellSet
 
 _DARKEST = 0.01

@@ -23,11 +23,11 @@ from mitsuba_plenoptic import (
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import reproduce, seconds_on_one_core
-from mitsuba_plenoptic.io.stage_store import StageOptions, StageStore, scene_fingerprint
 from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
+from mitsuba_plenoptic.report.stage_store import StageOptions, StageStore, scene_fingerprint
 
 
 def files(folder):

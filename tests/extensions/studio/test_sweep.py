@@ -17,8 +17,8 @@ from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_captur
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.studio import sweep as sweeps
 from mitsuba_plenoptic.extensions.studio.sweep import SweepSettings, check_grid, parse_grid, read_grid, sweep
-from mitsuba_plenoptic.io.stage_store import StageOptions
 from mitsuba_plenoptic.light import signed_rays
+from mitsuba_plenoptic.report.stage_store import StageOptions
 
 pytest.importorskip("h5netcdf")
 

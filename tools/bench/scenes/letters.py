@@ -7,7 +7,7 @@ import numpy as np
 from mitsuba_plenoptic import PlenopticCamera, load_scene
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.light.scene_light import SceneLight
-from mitsuba_plenoptic.light.scene_points import find_points
+from mitsuba_plenoptic.points.scene_points import find_points
 from mitsuba_plenoptic.points.units import radiance_weight
 
 

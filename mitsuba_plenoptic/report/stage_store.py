@@ -20,12 +20,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..errors import InputError
+from ..io.captures import Capture, read_capture, write_capture
+from ..io.checkpoints import SUFFIX, Checkpoint, Existing
+from ..io.exr import read_exr, write_exr
+from ..io.files import FilesUsed, read_text, require_size, write_text
 from ..light.scene import LARGEST_SCENE, scene_path
 from ..runtime.limits import software as versions
-from .captures import Capture, read_capture, write_capture
-from .checkpoints import SUFFIX, Checkpoint, Existing
-from .exr import read_exr, write_exr
-from .files import FilesUsed, read_text, require_size, write_text
 
 _LARGEST_JSON = 2**26
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
 from ..errors import (
     InputError,
     put,
@@ -20,7 +21,6 @@ from ..errors import (
     suggest_keywords,
 )
 from ..io.captures import Capture, recording_of
-from . import PlenopticCamera
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9

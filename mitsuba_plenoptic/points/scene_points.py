@@ -27,17 +27,17 @@ from ..camera import PlenopticCamera
 from ..camera.plenoptic_camera import require_ideal
 from ..errors import InputError, refuse_if
 from ..io.checkpoints import digest
+from ..light.cost import Cost
+from ..light.entrance import Entrances, LensWindow
+from ..light.optical_system import OpticalSystem
+from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
-from ..points.operator import CaptureOperator
-from ..points.patch_plan import Cost
-from ..points.pupil_weights import PupilWeights, slants
-from ..points.units import radiance_weight
 from ..runtime.backend import drjit_array
 from ..runtime.jobs import Job
 from ..runtime.limits import largest_fitting, require_memory
-from .entrance import Entrances, LensWindow
-from .optical_system import OpticalSystem
-from .scene_light import SceneLight, refuse_negative, world_ray
+from .operator import CaptureOperator
+from .pupil_weights import PupilWeights, slants
+from .units import radiance_weight
 
 PATHS = 64
 """Light paths averaged for each point: this reduces their noise to an eighth in less time than a point spread takes."""
