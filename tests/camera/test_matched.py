@@ -132,7 +132,9 @@ def test_too_few_and_contradictory_arguments_are_named(changes, words):
 
 def test_a_misspelt_argument_is_answered_with_the_one_that_it_resembles():
     sheet = {name: value for name, value in FOCUSED.items() if name != "f_number"}
-    with pytest.raises(TypeError, match=r"matched\(\) got an unexpected keyword argument 'f_numbr'; did you mean f_number"):
+    with pytest.raises(
+        TypeError, match=r"matched\(\) got an unexpected keyword argument 'f_numbr'; did you mean f_number"
+    ):
         PlenopticCamera.matched(**sheet, f_numbr=2.8)
 
 
