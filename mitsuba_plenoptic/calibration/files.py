@@ -117,7 +117,7 @@ def states_camera(source: str | Path) -> bool:
 
 
 def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; of several values commas are between, too, or they are a list."""
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; several values are a list, or have commas between."""
     values: dict[str, Any] = {}
     for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
         refuse_if(name in values, f"{name} is given twice")
