@@ -79,12 +79,16 @@ def reconstruct_subsets(
         return totals
     grids = plan(camera, wavelength, distances, lit, oversample)
     require_feasible(grids)
+    columns, rows = (count * oversample for count in camera.bin_count)
     zones = [list(conjugates.zones(distance)) for distance in distances]
     to_planes = [step for step, parts in zip(grids.to_objects, zones, strict=True) for _ in parts]
     fields = BackwardFields(
         camera, wavelength, grids, interleave=interleave, relay=relay, to_planes=to_planes, progress=progress
     )
     sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
+    # Each plane keeps which of its sums are cut.
+    kept = sum(one.memory for one in sums)
+    require_memory(grids.memory + kept, f"a wave reconstruction on {columns} x {rows} bins", limit=field_memory())
     inside = tuple(
         slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
     )
