@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from scipy.special import j1
 
 from mitsuba_plenoptic import LensSystem, PlenopticCamera, bank_disparity, half_disparity, psf_bank
@@ -139,8 +138,10 @@ def light(
             radius = np.hypot(x[:, None], x)
             row["airy"] = float(((2 * j1(radius) / radius) ** 2).sum()) * (half / 2000) ** 2 / np.pi
             for method in ("full_field", "patch"):
-                options = {"model": "wave", "wavelength": WAVELENGTH, "method": method, "size": across}
-                row[method] = float(psf_bank(camera, [1000.0], **options).sum())
+                bank = psf_bank(
+                    camera, [1000.0], model="wave", wavelength=WAVELENGTH, method=method, size=across
+                )  # fmt: skip
+                row[method] = float(bank.sum())
                 row[f"{method}_off"] = abs(row[method] - row["airy"])
             yield row
 
