@@ -26,7 +26,7 @@ def cropped(name):
 
 def scene(camera):
     """Return a white scene."""
-    return mi.load_dict({"type": "scene", "s": camera.to_sensor(), "e": {"type": "constant"}})
+    return mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
 
 
 def operator(camera, distance, **options):
