@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics import guards, rays
-from ..optics.waves import fraction, parabola, phasor, power, soft_edge
+from ..optics.waves import parabola, phasor, power, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
@@ -38,14 +38,15 @@ from .passages import (
     to_directions_vjp,
 )
 from .planning import (
+    OBJECT_MARGIN,
     Directions,
     FieldPlan,
     LensAxis,
     Step,
     Strip,
     Window,
+    check_pupil_diffraction,
     field_memory,
-    object_extent,
     plan,
     require_feasible,
 )
@@ -104,10 +105,8 @@ def reconstruct_subsets(
     progress(1.0)
     if checked:
         guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
-        for total, distance in zip(totals, distances, strict=True):
-            # Where the detector's edge cuts the light nothing is known.
-            if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
-                guards.check(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+        for distance in distances:
+            check_pupil_diffraction(camera, wavelength, distance, OBJECT_MARGIN)
     return totals
 
 
