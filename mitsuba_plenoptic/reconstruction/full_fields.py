@@ -80,7 +80,6 @@ def reconstruct_subsets(
         return totals
     grids = plan(camera, wavelength, distances, lit, oversample)
     require_feasible(grids)
-    columns, rows = (count * oversample for count in camera.bin_count)
     zones = [list(conjugates.zones(distance)) for distance in distances]
     to_planes = [step for step, parts in zip(grids.to_objects, zones, strict=True) for _ in parts]
     fields = BackwardFields(
