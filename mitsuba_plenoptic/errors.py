@@ -138,6 +138,8 @@ _RELATIONS = {
         f"pixels_per_lens * pixel_size / (1 + detector_distance / mla_distance); {_MATCHED}",
     ),
     "pixel_size": ("detector_width", f"pixel_size * columns of resolution; {_MATCHED}"),
+    "pixel_pitch": ("detector_width", "pixel_pitch * columns of resolution"),
+    "sensor_size": ("detector_width", "its first number; the second follows from resolution, as pixels are square"),
     "detector_size": ("detector_width", "its first number; the second follows from resolution, as pixels are square"),
     "detector_height": ("detector_width", "detector_height * columns / rows of resolution, as pixels are square"),
     "lattice": ("mla_lattice", "square or hexagonal"),

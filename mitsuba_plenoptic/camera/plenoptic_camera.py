@@ -5,6 +5,7 @@ The table of parameters has the check of each one by itself.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -232,6 +233,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
+    @functools.partial(suggest_keywords, others=PARAMETERS)
     def matched(
         cls,
         *,

@@ -24,7 +24,7 @@ from .remedies import Finding, detector_at, finer_pixels
 def objective_of(camera: PlenopticCamera) -> Objective:
     """Return the objective of a microscope."""
     if camera.objective is None:
-        raise InputError("main_lens: it must be an Objective; this camera is no microscope")
+        raise InputError(f"main_lens = {camera.lens_data.label}: it must be an Objective; this camera is no microscope")
     return camera.objective
 
 

@@ -120,11 +120,14 @@ PUPIL = Guard(
     refuse=0.999,
 )
 
-# The planned window is wider than the geometric image by bins that only light diffracted by the pupil's edge reaches.
+# The window is six bins wider than the geometric image of a lens, for the light that the pupil's edge diffracts. What
+# is diffracted beyond comes in on the other side, so that it is not missing from sums; its fraction is that of an Airy
+# pattern. With the paper's array a hundredth is outside at f/20, and the first bound is met at f/100.
 OBJECT = Guard(
     "object_window",
-    "of the light through the main lens misses the computed window of the object plane, or comes to its rim",
-    "its aperture is so small that diffraction blurs over many bins",
+    "of the light of a lens is diffracted beyond the computed window of the object plane, and comes in on its other "
+    "side",
+    "use a larger aperture_radius: diffraction blurs over many bins",
     warn=0.05,
     refuse=0.5,
 )

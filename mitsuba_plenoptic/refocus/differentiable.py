@@ -56,6 +56,7 @@ class RayRefocus:
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
         camera = regular_array(camera)
+        camera.require_no_objective("captures are refocused by rays")
         self.camera, self._distance = camera, require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, self._distance)
         require_choice("footprint", footprint, FOOTPRINTS)

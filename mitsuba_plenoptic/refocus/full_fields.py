@@ -19,7 +19,7 @@ from ..light.microlenses import is_separable, transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..light.sampling import check_memory
 from ..optics import guards, rays
-from ..optics.waves import fraction, parabola, phasor, power, soft_edge
+from ..optics.waves import parabola, phasor, power, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
 from ..runtime.limits import require_memory
@@ -38,14 +38,15 @@ from .passages import (
     to_directions_vjp,
 )
 from .planning import (
+    OBJECT_MARGIN,
     Directions,
     FieldPlan,
     LensAxis,
     Step,
     Strip,
     Window,
+    check_pupil_diffraction,
     field_memory,
-    object_extent,
     plan,
     require_feasible,
 )
@@ -85,6 +86,9 @@ def reconstruct_subsets(
         camera, wavelength, grids, interleave=interleave, relay=relay, to_planes=to_planes, progress=progress
     )
     sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
+    # Each plane keeps which of its sums are cut.
+    kept = sum(one.memory for one in sums)
+    require_memory(grids.memory + kept, f"a wave reconstruction on {columns} x {rows} bins", limit=field_memory())
     inside = tuple(
         slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
     )
@@ -100,10 +104,8 @@ def reconstruct_subsets(
     progress(1.0)
     if checked:
         guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
-        for total, distance in zip(totals, distances, strict=True):
-            # Where the detector's edge cuts the light nothing is known.
-            if all(light == seen for light, seen in (object_extent(camera, distance, i, lit[i]) for i in (0, 1))):
-                guards.check(guards.OBJECT, 1 - fraction(float(total.sum()), passed))
+        for distance in distances:
+            check_pupil_diffraction(camera, wavelength, distance, OBJECT_MARGIN)
     return totals
 
 

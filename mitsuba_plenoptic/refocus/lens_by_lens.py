@@ -26,13 +26,14 @@ from ..camera import PlenopticCamera
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..light.sampling import check_memory
 from ..optics import guards, rays
-from ..optics.waves import fraction, in_millimetres, parabola, phasor, soft_edge
+from ..optics.waves import in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
 from ..runtime.limits import single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates
-from .lens_tiles import LensTile, reconstruction_tile
+from .lens_tiles import TILE_MARGIN, LensTile, reconstruction_tile
 from .methods import Progress
+from .planning import check_pupil_diffraction
 
 _LIT_BATCH = 512
 """Lenses that are searched for light together."""
@@ -222,24 +223,21 @@ def reconstruct_lens_by_lens(
     # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
     shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
     totals = [arrays.zeros(shape) for _ in distances]
-    in_rim = [0.0 for _ in distances]
     # Stopped once, as stopping takes as long as the transforms of a lens.
     with resting_drjit():
         for position in range(0, len(lit), tile.batch):
             batch = lenses.batch(lit[position : position + tile.batch])
             fields = pupil_fields(amplitude, tile, batch, relay=relay)
-            for index, (total, distance) in enumerate(zip(totals, distances, strict=True)):
+            for total, distance in zip(totals, distances, strict=True):
                 patches = object_patches(fields, tile, batch, distance, conjugates)
-                inner = patches[:, oversample:-oversample, oversample:-oversample]
-                in_rim[index] += float(patches.sum(dtype=np.float64) - inner.sum(dtype=np.float64))
                 for column, row, patch in zip(*batch.bin.T, patches, strict=True):
                     top, left = row * oversample, column * oversample
                     total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
             progress((position + len(batch.bin)) / len(lit))
     if checked and len(lit):
         guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
-        for total, rim in zip(totals, in_rim, strict=True):
-            guards.check(guards.OBJECT, fraction(rim, float(total.sum())))
+        for distance in distances:
+            check_pupil_diffraction(camera, wavelength, distance, TILE_MARGIN)
     return [on_bins(total, lenses) for total in totals]
 
 

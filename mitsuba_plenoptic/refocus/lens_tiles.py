@@ -30,14 +30,14 @@ _FINE_GUARD = 2 * GUARD
 _BLURRED = 1.0
 """Blur in lenses from which on the samples of the field suffice for sums over lenses."""
 
-_MARGIN = 4.5
+TILE_MARGIN = 4.5
 """Bins around the geometric image: more than full fields need, as the pupil's edge is softened over one sample."""
 
 
 def tile_lenses(camera: PlenopticCamera, distances: Sequence[float]) -> int:
     """Width of an object patch in lenses, odd: the widest blur and a margin for diffraction on both sides."""
     blur = max(camera.blur_diameter(g) for g in distances) / camera.mla_pitch
-    return 2 * math.ceil(blur / 2 + _MARGIN) + 1
+    return 2 * math.ceil(blur / 2 + TILE_MARGIN) + 1
 
 
 def reconstruction_tile(

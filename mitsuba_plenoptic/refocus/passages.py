@@ -339,6 +339,9 @@ _NEAR = (-1, 0, 1, 2)
 _MARGIN = 4
 """Dark samples on both sides, so that every edge has samples near."""
 
+_EDGES = 2**19
+"""Edges of bins that are worked out at a time."""
+
 
 def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> NDArray[np.float64]:
     """Return by how much the integral up to an edge, f samples beyond one, exceeds the sum of those up to that one.
@@ -352,33 +355,53 @@ def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> N
 class Integrals:
     """Integrals of lines of samples between neighbouring edges, the lower of which comes last.
 
-    Edges, (lines, bins + 1), count samples from the middle one; of the `count` samples of a line, an odd number, zero
-    comes first and the negative ones last.
+    `edges_of` lines are (lines, bins + 1) and count samples from the middle one; of the `count` samples of a line, an
+    odd number, zero comes first and the negative ones last. Edges are worked out again for every block of lines: those
+    of a large plane would take many times the memory of its bins.
     """
 
-    def __init__(self, edges: NDArray[np.float64], count: int) -> None:
+    def __init__(self, edges_of: Callable[[slice], NDArray[np.float64]], lines: int, bins: int, count: int) -> None:
+        self._edges_of, self._shape = edges_of, (lines, bins)
         self._half, self._size = count // 2, count + 2 * _MARGIN
-        # Beyond the samples all is dark; an edge there is as good as one just outside.
-        position = np.clip(edges, -self._half - 2, self._half + 2) + self._half + _MARGIN
-        before = np.floor(position).astype(np.int64)
-        arrays = backend().arrays
-        self._before = arrays.asarray(before)
-        self._weights = [arrays.asarray(_beyond(position - before, *unit)) for unit in np.eye(len(_NEAR))]
         self._buffer: Any = None
+
+    def _places(self, lines: slice) -> tuple[Any, Any]:
+        """Return the samples before the edges of some lines, and how far the edges are beyond these samples."""
+        arrays = backend().arrays
+        # Beyond the samples all is dark; an edge there is as good as one just outside.
+        edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)
+        position = edges + (self._half + _MARGIN)
+        before = arrays.floor(position)
+        return before.astype(np.int64), position - before
+
+    def _blocks(self, lines: slice) -> Iterator[slice]:
+        """Yield parts of some lines, of so many edges that all that is worked out for them is small."""
+        start, stop, _ = lines.indices(self._shape[0])
+        height = max(1, _EDGES // (self._shape[1] + 1))
+        for first in range(start, stop, height):
+            yield slice(first, min(first + height, stop))
 
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
         """Integrate some of the lines of samples, (lines, count), or the power of a field, over bins, (lines, bins)."""
-        arrays, before = backend().arrays, self._before[lines]
+        arrays = backend().arrays
+        found = arrays.empty((len(values), self._shape[1]))
+        start = lines.indices(self._shape[0])[0]
+        for block in self._blocks(lines):
+            part = slice(block.start - start, block.stop - start)
+            found[part] = self._forward(values[part], block)
+        return found
+
+    def _forward(self, values: Any, lines: slice) -> Any:
+        """Integrate a block of lines."""
+        arrays, (before, f) = backend().arrays, self._places(lines)
         numbers, parts = self._padded(values)
         flat, row = numbers.reshape(-1), arrays.arange(len(values))[:, None] * self._size
         # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
         upwards = before[:, ::-1] + 1
         sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
         total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
-        beyond: Any = 0.0
-        for offset, weight in zip(_NEAR, self._weights, strict=True):
-            near = parts * (row + before + offset)
-            beyond += weight[lines] * (flat[near] + flat[near + 1] if parts == 2 else flat[near])
+        near = [parts * (row + before + offset) for offset in _NEAR]
+        beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
         return total + beyond[:, :-1] - beyond[:, 1:]
 
     def _padded(self, values: Any) -> tuple[Any, int]:
@@ -401,16 +424,24 @@ class Integrals:
     def vjp(self, bins: Any) -> Any:
         """Apply the transpose of `forward` to all lines, from (lines, bins) to (lines, count)."""
         arrays = backend().arrays
+        found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
+        for block in self._blocks(slice(None)):
+            found[block] = self._vjp(bins[block], block)
+        return found
+
+    def _vjp(self, bins: Any, block: slice) -> Any:
+        """Apply the transpose to a block of lines."""
+        arrays, (before, f) = backend().arrays, self._places(block)
         total = arrays.pad(bins, ((0, 0), (0, 1))) - arrays.pad(bins, ((0, 0), (1, 0)))
         lines = arrays.arange(len(bins))[:, None] * self._size
 
         def scattered(offset: int, values: Any) -> Any:
-            positions = (lines + self._before + offset).ravel()
+            positions = (lines + before + offset).ravel()
             return arrays.bincount(positions, values.ravel(), lines.size * self._size).reshape(-1, self._size)
 
         padded = arrays.cumsum(scattered(0, total)[:, ::-1], axis=1)[:, ::-1].copy()
-        for offset, weight in zip(_NEAR, self._weights, strict=True):
-            padded += scattered(offset, weight * total)
+        for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
+            padded += scattered(offset, _beyond(f, *unit) * total)
         return arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
 
 
@@ -430,16 +461,25 @@ class BinSums:
         slope_x, slope_y = ((np.arange(count + 1) - count / 2) * -width for count in (columns, rows))
         middle = (slope_x[:-1, None] + slope_x[1:, None]) / 2
         cosine = (np.fft.fftfreq(in_y.new_padded, 1 / in_y.new_padded) * down)[:, None]
-        if is_paraxial(camera):
-            along_x, along_y = slope_x + 0 * cosine, slope_y + 0 * middle
-        else:
-            along_x = slope_x * np.sqrt((1 - cosine * cosine) / (1 + slope_x * slope_x))
-            along_y = slope_y / np.sqrt(1 + slope_y * slope_y + middle * middle)
-        self._along_x = Integrals(along_x / across, in_x.new_padded)
-        self._along_y = Integrals(along_y / down, in_y.new_padded)
+        paraxial = is_paraxial(camera)
+
+        def along_x(lines: slice) -> NDArray[np.float64]:
+            if paraxial:
+                return (slope_x + 0 * cosine[lines]) / across
+            return slope_x / np.sqrt(1 + slope_x * slope_x) * np.sqrt(1 - cosine[lines] ** 2) / across
+
+        def along_y(lines: slice) -> NDArray[np.float64]:
+            if paraxial:
+                return (slope_y + 0 * middle[lines]) / down
+            return slope_y / np.sqrt(1 + slope_y * slope_y + middle[lines] ** 2) / down
+
+        self._along_x = Integrals(along_x, in_y.new_padded, columns, in_x.new_padded)
+        self._along_y = Integrals(along_y, columns, rows, in_y.new_padded)
         # Parseval, of transforms that were divided by their lengths, over the area of a pixel.
         self._scale = step.x.window * step.y.window / camera.pixel_size**2
         self._shape = in_y.new_padded, columns
+        self.memory = 9.0 * in_y.new_padded * columns + 24.0 * rows * columns
+        """Bytes of sums along x and of sums along both axes, and where these are cut."""
 
     def forward(self, power: Iterable[tuple[slice, Any]]) -> Any:
         """Sum blocks of a power, or of a field's, (directions along y, along x); note which sums are cut."""
@@ -448,7 +488,7 @@ class BinSums:
         for lines, part in power:
             along_x[lines] = self._along_x.forward(part, lines)
         self._lit_x = along_x > 0
-        sums = self._along_y.forward(arrays.maximum(along_x, 0).T)
+        sums = self._along_y.forward(arrays.maximum(along_x, 0, out=along_x).T)
         self._lit = sums > 0
         return (arrays.maximum(sums, 0) * self._scale).T
 

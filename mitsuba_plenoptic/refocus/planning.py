@@ -38,11 +38,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import j0, j1
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
-from ..light.microlenses import bend
-from ..optics import rays
+from ..optics import guards, rays
 from ..optics.waves import in_millimetres
 from ..runtime.fft import fast_length
 from ..runtime.limits import memory_limit, require_memory
@@ -317,6 +317,16 @@ def _plan(
     # The transform to the main lens has turned rows into columns, and the next one turns these back.
     objects = tuple(Directions(y, x) for x, y in zip(*to_objects, strict=True))
     return FieldPlan(subsamples, tuple(strips), (pupil[0], pupil[1]), objects)
+
+
+def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance: float, margin: float) -> None:
+    """Check the light that the pupil diffracts more than `margin` bins beyond a lens's image, to come in elsewhere.
+
+    Of an Airy pattern J0(v)^2 + J1(v)^2 are outside a radius r, v = 2 pi R r / (lambda b) on the array.
+    """
+    reach = camera.blur_diameter(distance) / 2 + margin * camera.mla_pitch
+    edge = 2 * math.pi * camera.aperture_radius * reach / (in_millimetres(wavelength) * camera.mla_distance)
+    guards.check(guards.OBJECT, float(j0(edge) ** 2 + j1(edge) ** 2))
 
 
 def require_feasible(made: FieldPlan) -> None:

@@ -85,6 +85,7 @@ def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
 
 
 OBJECT_COLUMNS = 1024
+_FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
@@ -216,10 +217,12 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
     points = None
     if settings.points is not None:
         points, _ = by_waves("capture_points", method="points", spp=settings.points)
+    # Details much finer than the lenses are in no capture, and paths through a room of walls take long.
+    columns = min(OBJECT_COLUMNS, max(_FEWEST_COLUMNS, 8 * camera.bin_count[0]))
     pinhole, _ = store.image(
         "object",
-        {**base, "columns": OBJECT_COLUMNS},
-        lambda _: (pinhole_image(scene, camera, OBJECT_COLUMNS, 64), {"kind": "photograph"}),
+        {**base, "columns": columns},
+        lambda _: (pinhole_image(scene, camera, columns, 64), {"kind": "photograph"}),
     )
     truths = {
         distance: store.image(

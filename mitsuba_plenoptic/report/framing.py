@@ -31,6 +31,7 @@ class Window(NamedTuple):
     bottom: float
     left: float
     right: float
+    field_aspect: float = 1.0
 
     def of(self, image: np.ndarray) -> np.ndarray:
         """Cut the part out of an image."""
@@ -41,8 +42,8 @@ class Window(NamedTuple):
 
     @property
     def aspect(self) -> float:
-        """Height over width, for a square image."""
-        return (self.bottom - self.top) / (self.right - self.left)
+        """Height over width."""
+        return self.field_aspect * (self.bottom - self.top) / (self.right - self.left)
 
 
 class Zoom(NamedTuple):
@@ -64,7 +65,8 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
             if lit.size:
                 ends.append(max(abs(lit[0] - middle), abs(lit[-1] + 1 - middle)) / (2 * middle))
         reach.append(min(0.5, max(ends, default=0.5) + margin))
-    return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1])
+    rows, columns = images[0].shape[:2]
+    return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1], rows / columns)
 
 
 def common_peak(images: Sequence[np.ndarray], window: Window) -> float:

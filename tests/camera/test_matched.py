@@ -95,7 +95,7 @@ def test_files_and_texts_state_the_same_camera(tmp_path):
     (tmp_path / "camera.json").write_text(json.dumps(numbers))
     (tmp_path / "camera.yaml").write_text("".join(f"{name}: {value}\n" for name, value in numbers.items()))
     assert PlenopticCamera.from_json(json.dumps(numbers)) == camera
-    for source in (text, tmp_path / "camera.json", tmp_path / "camera.yaml"):
+    for source in (text, text.replace("60,40", "[60, 40]"), tmp_path / "camera.json", tmp_path / "camera.yaml"):
         assert read_camera(source) == (camera, None)
     assert PlenopticCamera.from_json(camera.to_json()) == camera
 
@@ -130,6 +130,14 @@ def test_too_few_and_contradictory_arguments_are_named(changes, words):
         PlenopticCamera.matched(**FOCUSED | changes)
 
 
+def test_a_misspelt_argument_is_answered_with_the_one_that_it_resembles():
+    sheet = {name: value for name, value in FOCUSED.items() if name != "f_number"}
+    with pytest.raises(
+        TypeError, match=r"matched\(\) got an unexpected keyword argument 'f_numbr'; did you mean f_number"
+    ):
+        PlenopticCamera.matched(**sheet, f_numbr=2.8)
+
+
 NAMES = {
     "f_number": r"aperture_radius is focal_length / \(2 f_number\); PlenopticCamera.matched",
     "lenses": r"detector_width is lenses \* pixels_per_lens \* pixel_size",
@@ -138,6 +146,8 @@ NAMES = {
     "pitch": "mla_pitch is the distance",
     "aperture": "aperture_radius is half the diameter",
     "detector_size": "detector_width is its first number",
+    "sensor_size": "detector_width is its first number",
+    "pixel_pitch": r"detector_width is pixel_pitch \* columns of resolution",
 }
 
 

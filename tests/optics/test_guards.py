@@ -8,6 +8,7 @@ from math import erf
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from mitsuba_plenoptic import (
     PhysicsError,
@@ -175,14 +176,19 @@ class TestReconstruction:
         beside = 1 - design.white_mean(self.CAMERA)
         assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
 
-    @pytest.mark.xfail(reason="windows are so wide now that no input is known that this guard meets", strict=True)
-    def test_light_that_leaves_the_object_window(self):
-        """One lens's light, through a pupil whose diffraction is wider than the window's margin."""
+    @pytest.mark.filterwarnings("ignore:.*does not go back through the main lens")
+    @pytest.mark.parametrize(("options", "bins"), [({"method": "coherent"}, 6), ({"interleave": "auto"}, 4.5)])
+    def test_light_that_leaves_the_object_window(self, options, bins):
+        """The Airy pattern of a pupil of f/180 beyond the window's margin, integrated over its disc."""
         camera = self.CAMERA.replace(aperture_radius=0.22)
         image = np.zeros((512, 512), np.float32)
         image[261:283, 261:283] = 1
-        with pytest.warns(PhysicsWarning, match="misses the computed window"):
-            reconstruct(image, 240, camera=camera, wavelength=633, method="coherent")
+        with pytest.warns(PhysicsWarning, match="diffracted beyond the computed window"):
+            result = reconstruct(image, 240, camera=camera, wavelength=633, **{"method": "partial", **options})
+        edge = 2 * np.pi * 0.22 * bins * 0.064 / (633e-6 * 120)
+        radius = (np.arange(1000) + 0.5) / 1000 * edge
+        within = ((2 * j1(radius) / radius) ** 2 * radius).sum() * edge / 1000 / 2
+        assert result.guards["object_window"] == pytest.approx(1 - within, rel=0.01)
 
     def test_the_number_is_in_the_header(self, tmp_path):
         image = np.zeros((512, 512), np.float32)

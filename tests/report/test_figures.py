@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure, epipolar_figure, stack_figure, views_figure
-from mitsuba_plenoptic.views import decode, depth_map, epipolar_image, focal_stack, pick_views
+from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, pick_views
+from mitsuba_plenoptic.report.figures import (
+    contact_sheet,
+    depth_figure,
+    epipolar_figure,
+    stack_figure,
+    views_figure,
+)
+from mitsuba_plenoptic.report.framing import lit_window
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
@@ -154,3 +161,11 @@ def test_files(tmp_path):
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(mp.InputError, match=r"give a name that ends in \.png or \.pdf"):
         contact_sheet([result()]).save(tmp_path / "a.svg")
+
+
+def test_panels_of_a_wide_field_have_its_shape():
+    """A disc of a field of 100 x 86 bins is as wide as it is high where the window of its light is drawn."""
+    y, x = np.mgrid[-43:43, -50:50] + 0.5
+    window = lit_window([(np.hypot(x, y) < 20).astype(float)])
+    rows, columns = window.of(np.zeros((86, 100))).shape
+    assert window.aspect == pytest.approx(rows / columns, rel=0.05)

@@ -21,18 +21,25 @@ from ...errors import (
     short_repr,
     suggest_keywords,
 )
-from ...io.captures import MODELS
-from ...lenses.common import main_lens
-from ...light.crosstalk import mix_pixels
-from ...light.lens_kinds import chief_ray_shift
-from ...light.optical_system import OpticalSystem
-from ...points.point_spread import point_spread_function
-from ..inverse.point_rays import PointRays
+from ..fitting.model import PointRays
+from ..io.captures import MODELS
+from ..lenses.common import main_lens
+from ..operator.point_spread import point_spread_function
+from ..system.lens_kinds import chief_ray_shift
+from ..system.optical_system import OpticalSystem
+from ..system.sampling import footprint
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs
 
 _MARGIN = 4
 """Lenses around the largest blur in a bank's default size."""
+
+
+_DARK_RING = 1.619
+"""Radius of the third dark ring of an Airy pattern, in wavelengths times distance over the pupil's radius.
+
+Within are 94 % of the light.
+"""
 
 
 @suggest_keywords
@@ -68,7 +75,7 @@ def psf_bank(
         For waves: as for `point_spread_function`.
     size : int, optional
         Lenses across a spread, an odd number, of which the middle one receives the chief ray. Default: the largest
-        blur on the axis, and some lenses around it.
+        blur with the aberrations of `lens_model`, for waves three dark rings of diffraction, and some lenses around.
 
     Returns
     -------
@@ -93,18 +100,20 @@ def psf_bank(
         raise InputError(
             f"depths = {short_repr(depths)}, fields = {short_repr(fields)}: they must be distances and pairs"
         )
-    widest = max(camera.blur_diameter(distance) for distance in distances) / camera.mla_pitch
-    count = 2 * math.ceil(widest / 2) + _MARGIN + 1 if size is None else require_count("size", size)
+    if size is None:
+        reach = _reach(camera, distances, positions, wavelength)
+        if model == "wave":
+            reach += _DARK_RING * wavelength * 1e-6 * camera.mla_distance / camera.aperture_radius
+        count = 2 * math.ceil(reach / camera.mla_pitch - 1e-9) + _MARGIN + 1
+    else:
+        count = require_count("size", size)
     refuse_if(count % 2 == 0, f"size = {count}: it must be odd")
     bank = np.empty((len(distances), len(positions), across, along, count, count), np.float32)
     used = np.empty_like(positions)
     for number, position in enumerate(positions):
         local, used[number], chief = _around(camera, position, count)
-        start, slope, _ = main_lens(local).ray((0.0, 0.0), chief)
         system = OpticalSystem(local, wavelength)
-        for index, distance in enumerate(distances):
-            ahead = distance - float(start[2])
-            point = np.array([float(start[i]) + ahead * float(slope[i]) for i in (0, 1)] + [distance])
+        for index, point in enumerate(_points(local, chief, distances)):
             image: NDArray[Any]
             if model == "wave":
                 image = point_spread_function(local, point, wavelength=wavelength, method=method)
@@ -120,6 +129,25 @@ def psf_bank(
         "s": ("s", steps, {"units": "lenses"}),
     }
     return xr.DataArray(bank, dims=("depth", "field", "v", "u", "t", "s"), coords=coordinates, name="point spread")
+
+
+def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> NDArray[np.float64]:
+    """Return the points (n, 3) at some distances whose chief rays meet the array at a place."""
+    start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
+    place = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
+    return np.stack([*place, np.array(distances)], -1)
+
+
+def _reach(
+    camera: PlenopticCamera, distances: Sequence[float], positions: NDArray[np.float64], wavelength: float
+) -> float:
+    """Return how far on the array rays of points go aside from the chief rays at some positions."""
+    camera = camera.replace(mla_cra=())
+    lens, farthest = OpticalSystem(camera, wavelength).lens, 0.0
+    for x, y in positions * camera.mla_distance / (camera.mla_distance + camera.reduced_distance):
+        landing = footprint(lens, _points(camera, (x, y), distances))
+        farthest = max(farthest, float((abs(landing.centre - (x, y)) + landing.half_width).max()))
+    return farthest
 
 
 def _around(

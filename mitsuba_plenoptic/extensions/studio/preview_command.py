@@ -92,7 +92,7 @@ def preview(
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
     pixels = seen_by.micro_image_pitch / seen_by.pixel_size
-    typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.bin_count[0]} x {seen_by.bin_count[1]} of them")
+    typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.lens_count[0]} x {seen_by.lens_count[1]} of them")
     for model in ("ray", "wave") if waves else ("ray",):
         try:
             cost = estimate_capture(loaded, model=model, spp=spp)

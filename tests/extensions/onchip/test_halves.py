@@ -306,3 +306,16 @@ def test_spreads_by_waves_have_the_light_of_points_in_fast_main_lenses():
     assert abs(in_focus) < 0.05
     # Diffraction mixes the halves.
     assert 0.6 < found / half_disparity(camera, near) < 0.85
+
+
+@pytest.mark.parametrize(("changes", "least"), [({"lens_model": "parabolic"}, 0.97), ({"aperture_radius": 0.07}, 0.93)])
+def test_banks_are_as_wide_as_aberrated_and_diffracted_light(changes, least):
+    """A point in focus: 13 lenses of aberration, and an Airy pattern whose third dark ring has 94 % of the light."""
+    b = 2.2
+    camera = PlenopticCamera(
+        focal_length=2.0, aperture_radius=0.55, mla_distance=b, mla_pitch=0.0028 * b / (b + 0.004 / 1.5),
+        mla_focal_length=0.004, mla_medium=1.5, detector_width=0.0028 * 100, resolution=(200, 200),
+    ).replace(**changes)  # fmt: skip
+    for model in ("ray", "wave"):
+        bank = psf_bank(camera, [camera.focus_distance], model=model)
+        assert least < float(bank.sum()) <= 1.001, model

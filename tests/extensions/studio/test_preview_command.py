@@ -31,6 +31,12 @@ def test_what_is_printed(tmp_path, run):
     assert np.asarray(Image.open(path)).shape[0] > 250
 
 
+def test_lenses_of_a_hexagonal_array_are_counted_not_bins(tmp_path, run):
+    sheet = "f_number=4,lenses=20,pixels_per_lens=10,pixel_size=0.005,focal_length=50,focus_distance=320"
+    text = run("preview", "letters", "--camera", f"{sheet},mla_lattice=hexagonal", "-o", tmp_path / "look.png")
+    assert "micro-images: 10 pixels apart, 20 x 20 of them" in text
+
+
 def test_the_picture_comes_first_and_waves_are_estimated_only_when_asked_for(tmp_path, run, monkeypatch):
     path, seen = tmp_path / "look.png", []
 

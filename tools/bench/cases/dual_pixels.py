@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import j1
 
 from mitsuba_plenoptic import LensSystem, PlenopticCamera, bank_disparity, half_disparity, psf_bank
 from mitsuba_plenoptic.report.framing import Canvas, annotate, show
@@ -103,6 +104,46 @@ def centroids(*, names: tuple[str, ...] = (), distance: float = 2000.0) -> Itera
                 "off": abs(value / expected - 1), "left": left, "expected_left": expected_left,
                 "off_light": abs(left - expected_left),
             }  # fmt: skip
+
+
+@case(
+    "dual-pixels.light",
+    "Light of a point in focus within squares of lenses by waves, and that of the Airy pattern in the same square",
+    {
+        "f-number": "f/{f_number:g}", "lens": "{pitch:g} µm", "lenses across": "{across}", "Airy pattern": "{airy:.3f}",
+        "full_field": "{full_field:.3f}", "patch": "{patch:.3f}",
+    },
+    (at_most("full_field_off", 0.004), at_most("patch_off", 0.01)),
+    page="docs/howto/dual_pixel.md",
+    quick={"sizes": (9,), "lenses": ((2.44, 4.0),)},
+)  # fmt: skip
+def light(
+    *,
+    sizes: tuple[int, ...] = (9, 31, 121),
+    lenses: tuple[tuple[float, float], ...] = ((2.44, 1.8), (2.44, 4.0)),
+) -> Iterator[Row]:
+    """Sum spreads of both methods behind main lenses of 6.86 mm; `lenses` are pitches in micrometres and f-numbers."""
+    for pitch, f_number in lenses:
+        width = 1e-3 * pitch
+        camera = PlenopticCamera(
+            focal_length=6.86, aperture_radius=3.43 / f_number, focus_distance=1000.0, mla_focal_length=0.0045,
+            mla_medium=1.5, detector_width=200 * width, resolution=(400, 400), mla_pitch=0.999 * width,
+        )  # fmt: skip
+        b = camera.mla_distance
+        camera = camera.replace(mla_pitch=width * b / (b + camera.reduced_distance))
+        for across in sizes:
+            row: dict[str, Any] = {"f_number": f_number, "pitch": pitch, "across": across}
+            half = across / 2 * camera.mla_pitch * 2 * np.pi * camera.aperture_radius / (WAVELENGTH * 1e-6 * b)
+            x = (np.arange(2000) + 0.5) / 2000 * half
+            radius = np.hypot(x[:, None], x)
+            row["airy"] = float(((2 * j1(radius) / radius) ** 2).sum()) * (half / 2000) ** 2 / np.pi
+            for method in ("full_field", "patch"):
+                bank = psf_bank(
+                    camera, [1000.0], model="wave", wavelength=WAVELENGTH, method=method, size=across
+                )  # fmt: skip
+                row[method] = float(bank.sum())
+                row[f"{method}_off"] = abs(row[method] - row["airy"])
+            yield row
 
 
 @case(
