@@ -54,11 +54,12 @@ def states_camera(source: str | Path) -> bool:
 
 
 def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; of several values commas are between, too."""
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; several values are a list, or have commas between."""
     values: dict[str, Any] = {}
     for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
         refuse_if(name in values, f"{name} is given twice")
-        parts = [parse_yaml(part) for part in value.split(",")]
+        bracketed = value.lstrip().startswith("[")
+        parts = [parse_yaml(part) for part in ([value] if bracketed else value.split(","))]
         refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")
         values[name] = parts[0] if len(parts) == 1 else parts
     return values

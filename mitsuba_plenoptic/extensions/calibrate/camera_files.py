@@ -95,26 +95,8 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
         return camera, lens_index(record)
 
 
-def states_camera(source: str | Path) -> bool:
-    """Return whether a text states parameters of a camera; a file of that name takes precedence."""
-    return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
-
-
-def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; several values are a list, or have commas between."""
-    values: dict[str, Any] = {}
-    for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
-        refuse_if(name in values, f"{name} is given twice")
-        bracketed = value.lstrip().startswith("[")
-        parts = [parse_yaml(part) for part in ([value] if bracketed else value.split(","))]
-        refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")
-        values[name] = parts[0] if len(parts) == 1 else parts
-    return values
-
-
-def _index(values: dict[str, Any]) -> LensIndex | None:
-    """Return how data count lenses, from the object ``calibration`` of a file."""
-    record = values.get("calibration")
+def lens_index(record: Any) -> LensIndex | None:
+    """Return how data count lenses, from the object ``calibration`` of a camera's file; None without that object."""
     if record is None:
         return None
     with refusing(

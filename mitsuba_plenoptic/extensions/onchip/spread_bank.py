@@ -21,13 +21,14 @@ from ...errors import (
     short_repr,
     suggest_keywords,
 )
-from ..fitting.model import PointRays
-from ..io.captures import MODELS
-from ..lenses.common import main_lens
-from ..operator.point_spread import point_spread_function
-from ..system.lens_kinds import chief_ray_shift
-from ..system.optical_system import OpticalSystem
-from ..system.sampling import footprint
+from ...io.captures import MODELS
+from ...lenses.common import main_lens
+from ...light.crosstalk import mix_pixels
+from ...light.lens_kinds import chief_ray_shift
+from ...light.optical_system import OpticalSystem
+from ...light.sampling import footprint
+from ...points.point_spread import point_spread_function
+from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs
 
