@@ -24,6 +24,8 @@ from ..errors import InputError, at_shell, relation
 
 PROGRAM = "mitsuba-plenoptic"
 
+_logger = logging.getLogger(__package__.partition(".")[0])
+
 # In the order of the help: each command is a function of its name in this module, or a `Typer` of several commands.
 COMMANDS = {
     "example": "example",
@@ -137,6 +139,55 @@ def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
             yield " ".join((*words, name)), command
 
 
+def command_group(names: Iterable[str] = COMMANDS) -> Any:
+    """Return Typer's group of some commands, each with the options that all of them have."""
+    group: Any = typer.main.get_command(command_line(names))
+    for_all = typer.Typer()
+    for_all.command()(_for_all)
+    for _, command in commands_of(group):
+        command.params += [one for one in typer.main.get_command(for_all).params if "--help" not in one.opts]
+    return group
+
+
+def _for_all(
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "-q",
+            "--quiet",
+            help="Print results and errors alone: no progress, notes or warnings.",
+            callback=lambda wanted: _be_quiet() if wanted else None,
+            is_eager=True,
+            expose_value=False,
+            rich_help_panel="Every command",
+        ),
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "-v",
+            "--verbose",
+            help="Print details, too: what is read, written and set, with times.",
+            callback=lambda wanted: _be_verbose() if wanted else None,
+            is_eager=True,
+            expose_value=False,
+            rich_help_panel="Every command",
+        ),
+    ] = False,
+) -> None:
+    """Hold the options that every command has."""
+
+
+def _be_quiet() -> None:
+    # Progress, too, is silent at this level.
+    _logger.setLevel(logging.CRITICAL)
+    warnings.showwarning = lambda *_, **__: None
+
+
+def _be_verbose() -> None:
+    _logger.setLevel(logging.DEBUG)
+
+
 def step_commands() -> dict[str, Any]:
     """Return the commands that can be steps of a run file, by name."""
     group: Any = typer.main.get_command(command_line(STEPS))
@@ -157,16 +208,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     called = _called(words)
-    group: Any = typer.main.get_command(command_line(called) if called else _outline())
-    with warnings.catch_warnings(), _remarks():
-        warnings.showwarning = _print_warning
+    group = command_group(called) if called else typer.main.get_command(_outline())
+    with _remarks():
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
             quick = not called or not words or not {"-h", "--help"}.isdisjoint(words)
             with at_shell(_OPTIONS), contextlib.nullcontext() if quick else _plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             return status if isinstance(status, int) else 0
-        except (KeyboardInterrupt, typer.Abort):
+        except (KeyboardInterrupt, typer.Abort) as stopped:
+            _complain(str(stopped) or "stopped: nothing is kept; the same command begins anew")
             return 130
         except Exception as error:
             known = dict(commands_of(group)) if called and words else {}
@@ -210,18 +261,24 @@ def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
 
 @contextlib.contextmanager
 def _remarks() -> Iterator[None]:
-    """Show the library's remarks, such as what a long rendering will take, on standard error."""
+    """Show the library's warnings and remarks, such as what a long rendering will take, on standard error."""
     handler = logging.Handler()
-    handler.emit = lambda record: _complain(record.getMessage())  # type: ignore[method-assign]
-    logger = logging.getLogger(__package__.partition(".")[0])
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
+    handler.emit = _print_record  # type: ignore[method-assign]
+    level = _logger.level
+    _logger.addHandler(handler)
+    _logger.setLevel(logging.INFO)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            yield
     finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)
+        _logger.setLevel(level)
+        _logger.removeHandler(handler)
+
+
+def _print_record(record: logging.LogRecord) -> None:
+    detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
+    _complain(f"{detail}{record.getMessage()}")
 
 
 def _with_options(message: str, options: Mapping[str, str]) -> str:

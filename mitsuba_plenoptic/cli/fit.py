@@ -19,7 +19,7 @@ from .inputs import (
     parse_definitions,
     require_in_use,
 )
-from .stopping import existing_checkpoint, stopped_by_hand
+from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..fitting import Fit, PixelNoise
@@ -72,9 +72,7 @@ def fit(
         str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
     ] = "wave",
     accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
-    ] = False,
+    resume: Resume = False,
     define: Definitions = None,
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.

@@ -74,16 +74,6 @@ Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scen
 
 Seed = Annotated[int, numeric("Seed of the random numbers.")]
 
-# For commands that always resume.
-ResumeOnly = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Refuse the checkpoint of another scene, camera or version, if the folder holds one, instead of "
-        "replacing it.",
-    ),
-]
-
 Workers = Annotated[
     int | None,
     numeric(

@@ -30,7 +30,7 @@ from .inputs import (
     read_recorded,
     require_linear,
 )
-from .stopping import existing_checkpoint, stopped_by_hand
+from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
@@ -139,10 +139,7 @@ def reconstruct(
             "depth as colour.",
         ),
     ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="For deconvolved: resume from the checkpoint of a run that was stopped."),
-    ] = False,
+    resume: Resume = False,
     workers: Annotated[
         int | None,
         numeric("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
@@ -222,8 +219,9 @@ def reconstruct(
     known = named_camera(camera)
     require_linear(linear, capture, white)
     if output is None:
-        with progress_bar("Estimating"):
+        with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, known, linear, variant)
+            progress(1, 3)
             cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **options)
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
