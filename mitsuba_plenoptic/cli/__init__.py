@@ -95,6 +95,7 @@ def _command() -> typer.Typer:
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; loading all of them takes a second."""
+    from .judging import judging
     from .run_file import recorded
 
     made = _command()
@@ -103,7 +104,8 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
         if isinstance(command, typer.Typer):
             made.add_typer(command, name=name)
         else:
-            made.command(name)(recorded(command, step_commands) if name in STEPS else command)
+            judged = judging(command)
+            made.command(name)(recorded(judged, step_commands) if name in STEPS else judged)
     return made
 
 

@@ -32,6 +32,7 @@ from .inputs import (
     parse_definitions,
     require_in_use,
 )
+from .judging import COUNTED, WAVELENGTH, one_of
 from .stopping import Resume, resumable
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ def compare(
     scene: Scene,
     output: OutputFolder,
     distance: Distances,
-    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM")] = 633.0,
-    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.")] = 16,
+    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
+    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
     resume: Resume = False,
     camera: CameraFile = None,
     unit: Unit = "mm",
@@ -126,6 +127,7 @@ def sweep(
     method: Annotated[
         str | None,
         typer.Option(metavar="|".join(METHODS), show_default="ray", help="How captures are refocused."),
+        one_of(METHODS),
     ] = None,
     spp: Samples = None,
     seed: Seed = 0,
@@ -226,9 +228,8 @@ def dataset(
     from ..dataset import make_dataset, read_recipe
 
     wanted = read_recipe(recipe)
-    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
-        with resumable(progress):
-            made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
+    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress, resumable(progress):
+        made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")
 

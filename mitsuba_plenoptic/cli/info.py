@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import printable, refuse_if, require_wavelength
+from ..errors import printable, refuse_if
 from ..presets import PRESETS
 from .inputs import Definitions, load_camera, numeric, parse_definitions, read_recorded
+from .judging import CAMERA, WAVELENGTH
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,9 +31,12 @@ def info(
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
             "parameters, as for --camera of 'render', a capture, or a raw picture of a Lytro camera.",
         ),
+        CAMERA,
     ],
     wavelength: Annotated[
-        float | None, numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM")
+        float | None,
+        numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM"),
+        WAVELENGTH,
     ] = None,
     drawing: Annotated[
         Path | None,
@@ -89,8 +93,6 @@ def info(
 
     if fix is not None:
         require_writable(fix, ".json")
-    if wavelength is not None:
-        wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
     recorded = source.lower().endswith((".exr", *LYTRO_SUFFIXES))
     refuse_if(

@@ -7,15 +7,18 @@ import dataclasses
 import logging
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element
 
 import typer
 
-from ..errors import InputError, did_you_mean, refuse_if, require_count
+from ..errors import InputError, refuse_if, require_count, require_number
 from ..presets import PRESETS
+from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
+from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
     from ..calibration import LensIndex
@@ -30,13 +33,17 @@ def output_option(metavar: str, text: str) -> Any:
     return typer.Option("-o", "--output", metavar=metavar, help=text)
 
 
-def numeric(text: str, default: str | None = None, *, unit: str = "N") -> Any:
+WAVES, EXPERT = "Options of waves", "Options for experts"
+"""Panels of the help below the one of the options that most people need."""
+
+
+def numeric(text: str, default: str | None = None, *, unit: str = "N", panel: str | None = None) -> Any:
     """Return an option that takes a number; `default` is what the help shows for a default of None."""
-    return typer.Option(metavar=unit, show_default=default or True, help=text)
+    return typer.Option(metavar=unit, show_default=default or True, help=text, rich_help_panel=panel)
 
 
-Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")]
-CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")]
+Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene."), SCENE]
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), FILE]
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
 
 Definitions = Annotated[
@@ -52,12 +59,16 @@ Definitions = Annotated[
 Distances = Annotated[
     list[float],
     numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
+    Judged(partial(require_number, finite=False)),
 ]
 
 Variant = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME", show_default="llvm_ad_mono", help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono."
+        metavar="NAME",
+        show_default="llvm_ad_mono",
+        help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+        rich_help_panel=EXPERT,
     ),
 ]
 
@@ -68,9 +79,10 @@ Model = Annotated[
         show_default="as the scene's integrator has it",
         help="How light propagates through the camera.",
     ),
+    one_of(MODELS),
 ]
 
-Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler")]
+Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler"), COUNTED]
 
 Seed = Annotated[int, numeric("Seed of the random numbers.")]
 
@@ -79,6 +91,7 @@ Workers = Annotated[
     numeric(
         "Wave captures: number of processes of this machine to sum on; the capture has the same bits.",
         "threads of one process",
+        panel=EXPERT,
     ),
 ]
 
@@ -87,6 +100,7 @@ Scheduler = Annotated[
     typer.Option(
         metavar="ADDRESS",
         help="Wave captures: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786.",
+        rich_help_panel=EXPERT,
     ),
 ]
 
@@ -99,6 +113,7 @@ CameraFile = Annotated[
         "scene's, or parameters, such as f_number=2.8,lenses=100,pixels_per_lens=10,pixel_size=0.005,focal_length=50,"
         "focus_distance=320.",
     ),
+    CAMERA,
 ]
 
 Unit = Annotated[
@@ -106,6 +121,7 @@ Unit = Annotated[
     typer.Option(
         metavar="|".join(UNITS), help="Unit of the scene's lengths, which are scaled to millimetres; not the camera's."
     ),
+    one_of(UNITS),
 ]
 
 LightFieldSource = Annotated[
@@ -116,6 +132,7 @@ LightFieldSource = Annotated[
         ".eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or .tiff, with "
         "--white or --camera).",
     ),
+    FILE,
 ]
 
 White = Annotated[
@@ -126,6 +143,7 @@ White = Annotated[
         help="White image of the same camera, .exr, .png or .tiff. For a raw picture it shows where the micro-images "
         "are.",
     ),
+    FILE,
 ]
 
 Truth = Annotated[
@@ -136,6 +154,7 @@ Truth = Annotated[
         show_default="the one next to the capture, if 'render --aov' wrote it",
         help="Ground truth of the capture.",
     ),
+    FILE,
 ]
 
 Exposure = Annotated[
@@ -190,7 +209,7 @@ _log = logging.getLogger(__name__)
 def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
     """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
     from ..camera import PlenopticCamera
-    from ..capture.scene import load_scene, scene_names
+    from ..capture.scene import load_scene
 
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
@@ -206,12 +225,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
         source.lower().endswith(".exr"),
         f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
     )
-    if not Path(source).exists() and source not in scene_names():
-        names = scene_names()
-        raise InputError(
-            f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
-            f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
-        )
+    require_camera_name("camera", source)
     sensors = load_scene(source, parameters=parameters).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
@@ -349,7 +363,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    from ..capture.scene import check_scene_file, scene_path
+    from ..capture.scene import check_scene_file
 
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.progress import ProgressBar
+from .inputs import EXPERT
 
 if TYPE_CHECKING:
     from ..io.checkpoints import Checkpoint, Existing
@@ -24,6 +25,7 @@ Resume = Annotated[
         "--resume",
         help="Refuse what another run has left at the output, instead of replacing it; the same command goes on from "
         "what it has left itself with and without this.",
+        rich_help_panel=EXPERT,
     ),
 ]
 

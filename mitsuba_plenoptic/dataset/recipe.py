@@ -17,7 +17,6 @@ from ..camera.matched import MATCHED
 from ..camera.parameters import PARAMETERS
 from ..camera.photodiodes import require_pixel_pairs
 from ..capture.render import MOST_SAMPLES
-from ..capture.scene import scene_path
 from ..detector import Detector
 from ..errors import (
     InputError,
@@ -35,6 +34,7 @@ from ..io.ground_truth import QUANTITIES, require_quantities
 from ..onchip.halves import require_layout
 from ..presets import PRESETS
 from ..runtime.backend import DEFAULT_VARIANT
+from ..scene_files import scene_path
 from .generators import GENERATORS, Illumination, SceneGenerator
 
 MOST_COUNT = 10**6
