@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import refuse_if, require_count, require_number, require_wavelength
+from ..errors import refuse_if, require_count
 from ..runtime.progress import in_words, is_quiet, moving_bar, plain_lines, progress_bar
 from .choices import METHODS
 from .inputs import (
     CameraFile,
     Definitions,
-    Distances,
     Model,
     OutputFolder,
+    PositiveDistances,
     Samples,
     Scene,
     Scheduler,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 def compare(
     scene: Scene,
     output: OutputFolder,
-    distance: Distances,
+    distance: PositiveDistances,
     wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
     resume: Resume = False,
@@ -81,11 +81,11 @@ def compare(
     settings = Settings(
         scene=scene,
         unit=unit,
-        distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
+        distances=tuple(sorted(set(distance))),
         parameters=parameters,
         camera=_instead(camera, scene, parameters),
         camera_name=camera,
-        wavelength=require_wavelength(wavelength),
+        wavelength=wavelength,
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
         variant=variant,

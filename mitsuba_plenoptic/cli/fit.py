@@ -13,6 +13,7 @@ from .choices import MODELS
 from .inputs import (
     CameraFile,
     Definitions,
+    Unit,
     named_camera,
     numeric,
     output_option,
@@ -73,6 +74,7 @@ def fit(
     ] = "wave",
     accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: Resume = False,
+    unit: Unit = "mm",
     define: Definitions = None,
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
@@ -121,7 +123,7 @@ def fit(
         require_number("photons", photons, positive=True)
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
-        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
+        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define), unit=unit)
         require_in_use(name, parse_definitions(define))
         view = fitting.known_view(
             capture.image,

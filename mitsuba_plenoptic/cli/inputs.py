@@ -56,11 +56,11 @@ Definitions = Annotated[
     ),
 ]
 
-Distances = Annotated[
-    list[float],
-    numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
-    Judged(partial(require_number, finite=False)),
-]
+_DISTANCE = numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM")
+
+# Depths before an objective may be negative, and only the capture tells whether there is one.
+Distances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, finite=False))]
+PositiveDistances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, positive=True))]
 
 Variant = Annotated[
     str | None,
@@ -206,7 +206,7 @@ _COLOURS = "llvm_ad_rgb"
 _log = logging.getLogger(__name__)
 
 
-def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, LensIndex | None]:
+def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tuple[PlenopticCamera, LensIndex | None]:
     """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
     from ..camera import PlenopticCamera
     from ..capture.scene import load_scene
@@ -216,6 +216,9 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
     preset = preset and not (parameters and source in scene_names())
     stated = re.match(r"\w+=", source) is not None and not Path(source).is_file()
     if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
+        refuse_if(
+            unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out"
+        )
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         # Brings libraries that take a while to load.
         from ..calibration import read_camera
@@ -226,7 +229,7 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
         f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
     )
     require_camera_name("camera", source)
-    sensors = load_scene(source, parameters=parameters).sensors()
+    sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
 

@@ -32,7 +32,7 @@ from .inputs import (
     read_recorded,
     require_linear,
 )
-from .judging import COUNTED, one_of
+from .judging import COUNTED, WAVELENGTH, one_of
 from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 if TYPE_CHECKING:
@@ -65,15 +65,6 @@ def reconstruct(
         ),
         one_of(METHODS),
     ] = "ray",
-    footprint: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(FOOTPRINTS),
-            show_default="lens",
-            help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
-            rich_help_panel=EXPERT,
-        ),
-    ] = None,
     interleave: Annotated[
         str | None,
         typer.Option(
@@ -84,7 +75,9 @@ def reconstruct(
         ),
     ] = None,
     wavelength: Annotated[
-        float | None, numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM", panel=WAVES)
+        float | None,
+        numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM", panel=WAVES),
+        WAVELENGTH,
     ] = None,
     relay: Annotated[
         bool | None,
@@ -104,6 +97,15 @@ def reconstruct(
             metavar="FILE",
             show_default="computed from the camera",
             help="A capture or picture of a white scene by the same camera; the result is divided by it.",
+        ),
+    ] = None,
+    footprint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(FOOTPRINTS),
+            show_default="lens",
+            help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
+            rich_help_panel=EXPERT,
         ),
     ] = None,
     response: Annotated[

@@ -40,7 +40,9 @@ def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
     """Let Ctrl-C say that the same command goes on from what is done, and how much that is where it is known."""
     try:
         yield
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stopped:
+        if stopped.args:
+            raise
         done = f" at {100 * progress.fraction:.0f} %" if progress else ""
         raise KeyboardInterrupt(f"stopped{done}: the same command goes on from there") from None
 
