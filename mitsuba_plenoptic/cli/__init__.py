@@ -20,7 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, at_shell, relation
+from ..errors import InputError, at_shell, did_you_mean, relation
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -52,6 +52,14 @@ STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf
 
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
+
+
+_STOPPED = 130
+"""Exit status after Ctrl-C."""
+
+
+class StoppedError(Exception):
+    """Ends a command after Ctrl-C with a line that says how to go on."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -217,10 +225,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             quick = not called or not words or not {"-h", "--help"}.isdisjoint(words)
             with at_shell(_OPTIONS), contextlib.nullcontext() if quick else _plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
+            # Typer makes a status of Ctrl-C.
+            if status == _STOPPED:
+                raise KeyboardInterrupt
             return status if isinstance(status, int) else 0
-        except (KeyboardInterrupt, typer.Abort) as stopped:
+        except (KeyboardInterrupt, typer.Abort, StoppedError) as stopped:
             _complain(str(stopped) or "stopped: nothing is kept; the same command begins anew")
-            return 130
+            return _STOPPED
         except Exception as error:
             known = dict(commands_of(group)) if called and words else {}
             command = known.get(words[0]) or known.get(" ".join(words[:2])) if known else None
@@ -245,8 +256,11 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
     if not _is_usage(error):
         return None
-    rule = relation(getattr(error, "option_name", "").strip("-").replace("-", "_"))
-    return str(error.format_message()).rstrip(".") + (f"; {rule}" if rule else "")  # type: ignore[attr-defined]
+    unknown = getattr(error, "option_name", "")
+    if hasattr(error, "possibilities"):
+        rule = relation(unknown.strip("-").replace("-", "_"))
+        return f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
+    return str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
 
 
 def _is_usage(error: Exception) -> bool:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.progress import ProgressBar
+from . import StoppedError
 from .inputs import EXPERT
 
 if TYPE_CHECKING:
@@ -40,11 +41,9 @@ def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
     """Let Ctrl-C say that the same command goes on from what is done, and how much that is where it is known."""
     try:
         yield
-    except KeyboardInterrupt as stopped:
-        if stopped.args:
-            raise
+    except KeyboardInterrupt:
         done = f" at {100 * progress.fraction:.0f} %" if progress else ""
-        raise KeyboardInterrupt(f"stopped{done}: the same command goes on from there") from None
+        raise StoppedError(f"stopped{done}: the same command goes on from there") from None
 
 
 @contextlib.contextmanager
@@ -65,7 +64,7 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
     try:
         with resumable(progress):
             yield
-    except KeyboardInterrupt:
+    except StoppedError:
         if not checkpoint.path.exists():
             raise KeyboardInterrupt from None
         raise

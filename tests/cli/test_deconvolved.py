@@ -9,6 +9,7 @@ import OpenEXR
 import tifffile
 
 from mitsuba_plenoptic import PlenopticCamera, write_capture
+from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.captures import Capture
 from mitsuba_plenoptic.lightfield import white_image
 
