@@ -271,7 +271,8 @@ def load_scene(
     Warns
     -----
     UserWarning
-        If the whole scene is within the focal length of its plenoptic camera, as scenes in metres are.
+        If the whole scene is within the focal length of its plenoptic camera, or nearer than half of what refocusing
+        makes sharp, as scenes in metres are.
 
     Examples
     --------

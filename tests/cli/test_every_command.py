@@ -13,7 +13,7 @@ import sys
 import pytest
 from rich.console import Console
 from stopped_runs import start_command
-from test_imports import HEAVY, loaded
+from test_imports import loaded
 
 from mitsuba_plenoptic.cli import COMMANDS, command_group, commands_of, main
 from mitsuba_plenoptic.runtime import progress

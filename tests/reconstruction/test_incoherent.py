@@ -8,7 +8,6 @@ import pytest
 from mitsuba_plenoptic import (
     Capture,
     CaptureOperator,
-    InputError,
     Objective,
     PlenopticCamera,
     load_scene,
