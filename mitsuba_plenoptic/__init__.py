@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .camera import PlenopticCamera
     from .capture.render import estimate_capture, render_capture
-    from .capture.scene import load_scene, scene_path
+    from .capture.scene import load_scene
     from .detector import Detector, expose
     from .errors import InputError
     from .fitting import fit
@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
+    from .scene_files import scene_path
     from .sharpness import EdgeSharpness, edge_sharpness
 
     __version__: str
@@ -72,7 +73,7 @@ _MODULES = {
     "calibration": ("calibrate",),
     "camera": ("PlenopticCamera",),
     "capture.render": ("estimate_capture", "render_capture"),
-    "capture.scene": ("load_scene", "scene_path"),
+    "capture.scene": ("load_scene",),
     "detector": ("Detector", "expose"),
     "errors": ("InputError",),
     "fitting": ("fit",),
@@ -100,6 +101,7 @@ _MODULES = {
     "runtime.batches": ("Cluster",),
     "runtime.jobs": ("Job",),
     "runtime.progress": ("progress_bar",),
+    "scene_files": ("scene_path",),
     "sharpness": ("EdgeSharpness", "edge_sharpness"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

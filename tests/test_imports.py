@@ -14,7 +14,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it. Of io, the modules that read lens files serve the camera, too.
 FLOORS = (
-    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "collimator", "presets",
+    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "collimator", "presets", "scene_files",
     "io.files", "microlens", "phase_screen", "far_sources", "io.lens_designs", "io.zemax_file", "io.codev_file",
     "io.lens_file", "camera",
     "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import configparser
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_choice
 from ..io.files import atomic_output, write_text
 from ..lightfield import decode, disparity
+from ..lightfield.exchange.hci import PARAMETERS, SECTION
 from ..lightfield.geometry import camera_of
 from ..report.images import Brightness, write_png
 from .contents import CAPTURES, Benchmark, capture_of, central_truth
@@ -94,17 +96,24 @@ def write_hci(
         for kind, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
             _write_pfm(folder / f"{kind}.pfm", values)
         shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
-    _write_parameters(folder / "parameters.cfg", camera, name, version, shifts, 2 * half + 1)
+    ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
+    _write_parameters(folder / PARAMETERS, camera, name, version, shifts, 2 * half + 1, ours)
     return 2 * half + 1
 
 
 def _write_parameters(
-    path: Path, camera: PlenopticCamera, name: str, version: str, shifts: tuple[float, float], views: int
+    path: Path,
+    camera: PlenopticCamera,
+    name: str,
+    version: str,
+    shifts: tuple[float, float],
+    views: int,
+    ours: dict[str, str],
 ) -> None:
-    """Write the geometry of the cameras, of which `views` stand in a row."""
+    """Write the geometry of the cameras, of which `views` stand in a row, and what only this package reads."""
     columns, rows = camera.bin_count
     low, high = shifts
-    parser = configparser.ConfigParser()
+    parser = configparser.ConfigParser(interpolation=None)
     parser["intrinsics"] = {
         "image_resolution_x_px": str(columns),
         "image_resolution_y_px": str(rows),
@@ -132,6 +141,7 @@ def _write_parameters(
         "frustum_disp_max": f"{high:.6g}",
         "depth_map_scale": "1",
     }
+    parser[SECTION] = ours
     text = io.StringIO()
     parser.write(text)
     write_text(path, text.getvalue())

@@ -13,13 +13,14 @@ from .choices import MODELS
 from .inputs import (
     CameraFile,
     Definitions,
+    Unit,
     named_camera,
     numeric,
     output_option,
     parse_definitions,
     require_in_use,
 )
-from .stopping import existing_checkpoint, stopped_by_hand
+from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..fitting import Fit, PixelNoise
@@ -72,9 +73,8 @@ def fit(
         str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
     ] = "wave",
     accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
-    ] = False,
+    resume: Resume = False,
+    unit: Unit = "mm",
     define: Definitions = None,
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
@@ -123,7 +123,7 @@ def fit(
         require_number("photons", photons, positive=True)
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
-        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
+        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define), unit=unit)
         require_in_use(name, parse_definitions(define))
         view = fitting.known_view(
             capture.image,

@@ -317,6 +317,8 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
+
+      mitsuba-plenoptic convert folder -o lf.nc
     """
     from ..io.files import require_apart
     from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field

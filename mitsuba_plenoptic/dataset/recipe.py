@@ -17,7 +17,7 @@ from ..camera.matched import MATCHED
 from ..camera.parameters import PARAMETERS
 from ..camera.photodiodes import require_pixel_pairs
 from ..capture.render import MOST_SAMPLES
-from ..capture.scene import scene_path
+from ..capture.scene_unit import UNITS
 from ..detector import Detector
 from ..errors import (
     InputError,
@@ -35,6 +35,7 @@ from ..io.ground_truth import QUANTITIES, require_quantities
 from ..onchip.halves import require_layout
 from ..presets import PRESETS
 from ..runtime.backend import DEFAULT_VARIANT
+from ..scene_files import scene_path
 from .generators import GENERATORS, Illumination, SceneGenerator
 
 MOST_COUNT = 10**6
@@ -60,6 +61,8 @@ class Source:
     share: float
     # The generator's settings or the scene's parameters, parsed by `draws.parse`.
     values: Mapping[str, Any]
+    # Of the scene's lengths.
+    unit: str = "mm"
 
 
 @dataclass(frozen=True)
@@ -290,7 +293,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
         _require_names(name, entry, ("generator", "share", *known))
         values = {key: value for key, value in entry.items() if key in known}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
-    _require_names(name, entry, ("scene", "share", "parameters"))
+    _require_names(name, entry, ("scene", "share", "parameters", "unit"))
     values = entry.get("parameters", {})
     refuse_if(
         not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
@@ -299,7 +302,8 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
     parsed = {str(key): parse(f"{name}: {key}", value) for key, value in values.items()}
-    return Source(None, str(path.resolve()), share, parsed)
+    unit = require_choice(f"{name}: unit", entry.get("unit", "mm"), UNITS)
+    return Source(None, str(path.resolve()), share, parsed, unit)
 
 
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:

@@ -13,7 +13,9 @@ from PIL import Image
 from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
-from mitsuba_plenoptic.report.images import Brightness, to_bytes
+from mitsuba_plenoptic.lightfield.exchange import open_light_field
+from mitsuba_plenoptic.lightfield.geometry import camera_of
+from mitsuba_plenoptic.report.images import Brightness, srgb, to_bytes
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
@@ -197,6 +199,21 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
         assert (np.asarray(Image.open(pictures[number]))[..., 0] == known).all()
     truth = np.frombuffer((folder / "gt_depth_lowres.pfm").read_bytes().split(b"\n", 3)[3], "<f4").reshape(8, 8)[::-1]
     assert np.nanmin(truth) == pytest.approx(0.24, rel=1e-5)
+    back = tmp_path / "back.nc"
+    assert run("convert", folder, "-o", back) == f"{back}: 15 x 15 views of 8 x 8 pixels\n"
+    found, square = open_light_field(back), lf[middle - 7 : middle + 8, middle - 7 : middle + 8]
+    assert camera_of(found) == camera
+    for axis in "vuts":
+        np.testing.assert_allclose(found[axis], square[axis])
+    # Pictures have eight bits, of which half a step is lost, and end at white.
+    white = Brightness().white([square.values])
+    codes = [255 * srgb(np.clip(one.values / white, 0, 1)) for one in (found, square)]
+    assert abs(codes[0] - codes[1]).max() < 0.51
+    assert "parameters.cfg" in complaint("convert", tmp_path, "-o", back)
+    (folder / "input_Cam007.png").unlink()
+    assert complaint("convert", folder, "-o", back) == f"{folder / 'input_Cam007.png'}: there is no such file"
+    (folder / "parameters.cfg").write_bytes(b"\xff\xfe")
+    assert "it is not text in UTF-8" in complaint("convert", folder, "-o", back)
     assert complaint("convert", raw, "-o", folder, "--format", "hcl").startswith("--format = 'hcl': it must be")
     assert complaint("convert", raw, "-o", raw, "--format", "hci") == f"{raw}: it is a file; name a folder"
     run("convert", raw, "-o", tmp_path / "a.eslf.png")

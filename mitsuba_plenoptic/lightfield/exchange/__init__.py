@@ -9,6 +9,7 @@ from .files import (
     save_light_field,
     write_labelled,
 )
+from .hci import read_hci
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .pictures import LAYOUTS, read_mosaic, read_picture, write_mosaic
 
@@ -17,6 +18,7 @@ __all__ = [
     "nearest_white",
     "open_light_field",
     "open_micro_images",
+    "read_hci",
     "read_labelled",
     "read_lftoolbox",
     "read_lytro",

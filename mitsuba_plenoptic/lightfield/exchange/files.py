@@ -17,6 +17,7 @@ from ...io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
 from ...runtime.limits import require_memory
 from .. import MicroImages, decode, estimate_lens_grid, micro_images
 from ..geometry import camera_of, require_light_field
+from .hci import is_hci, read_hci
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .pictures import TIFF, read_mosaic, read_picture, write_mosaic
 
@@ -39,8 +40,8 @@ def open_light_field(
     ----------
     path : path
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
-        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
-        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`:
+        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder of the 4D Light Field
+        Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`:
         a raw picture of some plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
@@ -76,6 +77,9 @@ def open_light_field(
         by = None if white is None else _white_capture(white, linear)
         return decode(capture, camera=camera, white=by, truth=known)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
+    if is_hci(path):
+        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
+        return read_hci(path)
     if name.endswith(".mat"):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_lftoolbox(path)
@@ -99,7 +103,10 @@ def open_light_field(
         name.endswith(LYTRO_SUFFIXES),
         f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
     )
-    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff")
+    raise InputError(
+        f"{path}: a capture or light field has a name that ends in .exr, .nc, .zarr, .mat, .png or .tiff, or is a "
+        "folder with parameters.cfg"
+    )
 
 
 def open_micro_images(
