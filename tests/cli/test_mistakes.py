@@ -199,6 +199,7 @@ def test_mistakes(line, words, raw, tmp_path, complaint):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
 def test_an_option_of_another_method_is_one_note_and_an_option_of_none_is_refused(raw, tmp_path, capfd, complaint):
     options = ["--interleave", 2, "--relay", "--wavelength", 633, "--iterations", 1, "--footprint", "lens"]
     plain = ["reconstruct", raw, "--distance", 240]
