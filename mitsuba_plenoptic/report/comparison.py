@@ -36,7 +36,7 @@ from .metrics import (
     square_sharpness,
     ssim_text,
 )
-from .page import Report, write_report
+from .page import Report, scene_name, write_report
 from .stage_store import StageOptions
 
 
@@ -51,9 +51,8 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
     measured = measure(experiment)
     zooms = [brightest_zoom(experiment)]
     columns, rows = experiment.camera.bin_count
-    name = Path(settings.scene).stem.replace("_", " ")
     report = Report(
-        title=f"Rays and waves: {name}",
+        title=f"Rays and waves: {scene_name(settings.scene)}",
         lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
         f"{settings.wavelength:g} nm, and refocused from one capture.",
         experiment=experiment,

@@ -69,6 +69,11 @@ class Report:
     timing: Sequence[dict[str, Any]] = field(default=())
 
 
+def scene_name(scene: str) -> str:
+    """Return the name of a scene in words, from its file or its built-in name."""
+    return Path(scene).stem.replace("_", " ")
+
+
 def write_report(folder: Path, report: Report) -> dict[str, Any]:
     """Write ``results.json`` and ``report.html`` into the folder that holds the figures; return the results."""
     experiment = report.experiment
