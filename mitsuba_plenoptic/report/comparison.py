@@ -16,13 +16,13 @@ from .framing import (
     Zoom,
     annotate,
     brightest_zoom,
-    common_peak,
     lit_window,
     object_bar,
     scale_bar,
     show,
     show_difference,
 )
+from .images import Brightness
 from .metrics import (
     capture_difference,
     common_scale,
@@ -220,7 +220,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     names = ["truth", *(method.name for method in METHODS)]
     rows = [(f"{distance:g} mm", distance) for distance in experiment.settings.distances]
     window = lit_window(list(experiment.truths.values()))
-    peak = common_peak([experiment.truths[distance] for _, distance in rows], window)
+    peak = Brightness().white([window.of(experiment.truths[distance]) for _, distance in rows])
     wide, gap, left, title, foot = 2.7, 0.08, 0.45, 0.4, 0.3
     tall = wide * window.aspect
     figure = Canvas(left + len(names) * (wide + gap), title + len(rows) * (tall + foot))
@@ -242,7 +242,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
     """Draw micro-images by rays, by waves, and their difference."""
     ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
-    peak = float(np.quantile(ray[ray > 0], 0.999)) if np.any(ray > 0) else 1.0
+    peak = Brightness().white([ray[zoom.rows, zoom.columns] for zoom in zooms])
     size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.35
     figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + gap) + foot)
     drawn: Any = None

@@ -55,7 +55,8 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     results : sequence of Reconstruction
         In any order; of a method and a distance the last is shown, and what is missing stays empty.
     white : float, optional
-        Radiance that becomes white. Default: that which 99.5 % of the bins do not surpass.
+        Radiance that becomes white. Default: that which 99.5 % of the bins do not surpass; less where a highlight would
+        make images dark that are lit all over.
 
     Returns
     -------

@@ -67,11 +67,6 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
     return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1])
 
 
-def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
-    """Choose the value that becomes white: all but glints stay below it."""
-    return max(float(np.nanquantile(window.of(image), 0.997)) for image in images)
-
-
 def brightest_zoom(experiment: Experiment) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera

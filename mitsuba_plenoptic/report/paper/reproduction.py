@@ -21,8 +21,8 @@ from ...reconstruction import reconstruct
 from ...runtime.backend import set_variant
 from ..comparison import draw_comparison, measure
 from ..experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
-from ..framing import Canvas, Zoom, common_peak, lit_window, mark, object_bar, scale_bar, show, zoom_at
-from ..images import shrink
+from ..framing import Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, zoom_at
+from ..images import Brightness, shrink
 from ..page import Report, write_report
 from ..stage_store import StageOptions
 from .claims import check_claims, timing_table
@@ -217,7 +217,7 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))
     images = [experiment.images[panel] for panel in panels]
-    peak = common_peak(images, window)
+    peak = Brightness().white([window.of(image) for image in images])
     edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
     tall = wide * window.aspect
     figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)
