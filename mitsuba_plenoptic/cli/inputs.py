@@ -165,9 +165,8 @@ Exposure = Annotated[
 Percentile = Annotated[
     float | None,
     numeric(
-        "Of pictures: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
-        "rest black; 100: the brightest.",
-        "99.5",
+        "Of pictures: the value that this percentage does not surpass becomes white; 100: the brightest.",
+        "99.5, less where a lamp would make the rest black",
         unit="PERCENT",
     ),
 ]

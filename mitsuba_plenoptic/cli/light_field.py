@@ -198,6 +198,7 @@ def stack(
     typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")
 
 
+_BEYOND = {"near": "nearer", "far": "farther"}
 _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
 
@@ -243,7 +244,7 @@ def depth(
     """
     from ..io.files import require_apart
     from ..lightfield import depth_error, depth_map
-    from ..lightfield.depth import is_focused
+    from ..lightfield.depth import beyond_search, is_focused
     from ..lightfield.exchange import open_light_field, open_micro_images
     from ..report.output_files import require_picture_path, write_depth
 
@@ -260,7 +261,15 @@ def depth(
     sure = found.confidence > 0.5
     where = found.depth.where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
-    if float(sure.mean()) < _LITTLE:
+    ends = dict(zip(("near", "far"), beyond_search(found), strict=True))
+    for end, beyond in ends.items():
+        if beyond >= _LITTLE:
+            warnings.warn(
+                f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
+                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}",
+                stacklevel=2,
+            )
+    if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
         warnings.warn(
             "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
             "farther than --far; look at the confidence before you use a depth",

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import configparser
 import json
+import re
 
+import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic import (
+    Capture,
+    PlenopticCamera,
+    read_capture,
+    render_capture,
+    with_camera,
+    write_capture,
+)
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.lightfield import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
 from mitsuba_plenoptic.lightfield.exchange import open_light_field
@@ -107,6 +117,52 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
     output, error = capfd.readouterr()
     assert "0 % of the bins" in output
     assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin determines it")
+
+
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory):
+    """Capture a wall with random texture 500 mm before a fast hexagonal camera that is focused to 320 mm."""
+    to_world = mi.ScalarTransform4f
+    texture = gaussian_filter(np.random.default_rng(0).random((256, 256, 1)), (2, 2, 0), mode="wrap")
+    texture = np.float32((texture - texture.min()) / np.ptp(texture))
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "light": {"type": "constant"},
+            "sensor": {"type": "perspective", "to_world": to_world().look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])},
+            "wall": {
+                "type": "rectangle",
+                "to_world": to_world().translate([0, 0, 500]).rotate([1, 0, 0], 180).scale(30),
+                "bsdf": {
+                    "type": "diffuse",
+                    "reflectance": {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True},
+                },
+            },
+        }
+    )
+    sheet = {"f_number": 2.8, "lenses": 40, "pixels_per_lens": 10, "pixel_size": 0.005}
+    camera = PlenopticCamera.matched(**sheet, focal_length=50, focus_distance=320, mla_lattice="hexagonal")
+    path = tmp_path_factory.mktemp("wall") / "wall.exr"
+    write_capture(path, render_capture(with_camera(scene, camera), spp=64))
+    return path
+
+
+def test_depth_says_where_to_widen_the_search(wall, tmp_path, capfd):
+    """By default a fast camera is searched to 458 mm, where a point moves by two lenses from view to view."""
+    assert main(["depth", str(wall), "-o", str(tmp_path / "a.exr")]) == 0
+    error = capfd.readouterr().err
+    assert re.search(
+        r"warning: depth: \d\d % of the bins agree best at the far end of the search, 458.2 mm, and are probably "
+        "farther: widen the search with --far",
+        error,
+    )
+    assert "hardly any bin" not in error
+    assert main(["depth", str(wall), "-o", str(tmp_path / "b.exr"), "--far", "600"]) == 0
+    output, error = capfd.readouterr()
+    assert "warning" not in error and int(re.search(r": (\d+) % of the bins", output)[1]) > 90
+    images, _ = parts(tmp_path / "b.exr")
+    assert np.nanmedian(images["depth"]) == pytest.approx(500, rel=0.01)
 
 
 def test_expose(raw, tmp_path, run):
