@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .lenses.lens_system import LensSystem
     from .light.detector import Detector, expose
     from .light.render_capture import estimate_capture, render_capture
-    from .light.scene import load_scene, scene_path
+    from .light.scene import load_scene
     from .optics.guards import PhysicsError, PhysicsWarning
     from .optics.spectrum import Spectrum
     from .plugins.other_camera import with_camera
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
+    from .scene_files import scene_path
     from .shipped import *  # noqa: F403
     from .views import decode, ground_truth
 

@@ -432,11 +432,8 @@ def require_numbers(
 
 
 def _is_flag(value: Any) -> bool:
-    """Return whether a value is a truth value, of Python's or of NumPy's."""
-    # The help of the command imports this module, and needs no NumPy.
-    import numpy as np
-
-    return isinstance(value, (bool, np.bool_))
+    """Return whether a value is a truth value, of Python's or of NumPy's, which need not be imported for that."""
+    return isinstance(value, bool) or (type(value).__module__ == "numpy" and type(value).__name__.startswith("bool"))
 
 
 def _plain(value: Any) -> Any:

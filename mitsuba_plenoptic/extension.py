@@ -77,7 +77,8 @@ class Extension:
         Programs whose JSON files of cameras are read, and the places of functions of such a file's object that return
         the camera.
     formats : mapping of str to FileFormat
-        Suffixes of files, such as ``.lfr``, and how they are read and written.
+        Suffixes of files, such as ``.lfr``, or the name of a file in each folder, such as ``parameters.cfg``, and how
+        they are read and written.
     """
 
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

@@ -18,7 +18,8 @@ ROOT = __name__.rpartition(".")[0]
 _NAMES = {
     "camera": ("PlenopticCamera",),
     "light.render_capture": ("estimate_capture", "render_capture"),
-    "light.scene": ("load_scene", "scene_path"),
+    "light.scene": ("load_scene",),
+    "scene_files": ("scene_path",),
     "light.detector": ("Detector", "expose"),
     "errors": ("InputError",),
     "lenses.focusing": ("focus_by_group",),
@@ -77,7 +78,6 @@ MOVED = {
     "lattice.base": "lattice.arrangement",
     "phase_screen": "camera.phase_screen",
     "detector": "light.detector",
-    "presets": "camera.presets",
     "sharpness": "report.sharpness",
     "collimator": "prescription.collimator",
     "focusing": "lenses.focusing",

@@ -14,9 +14,13 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it.
 FLOORS = (
-    "served", "errors", "shipped", "extension", "runtime", "lattice", "io.files", "prescription", "microlens",
-    "optics.phase_screen", "camera", "io", "camera.detector", "optics", "lenses", "light", "points",
-    "plugins", "design", "views", "refocus", "report", "cli", "extensions", "__main__",
+    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "collimator", "presets", "scene_files",
+    "io.files", "microlens", "phase_screen", "far_sources", "io.lens_designs", "io.zemax_file", "io.codev_file",
+    "io.lens_file", "camera",
+    "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
+    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "wavefront", "optimisation",
+    "sharpness", "array_functions", "scene_functions", "torch", "jax", "hcipy", "report", "dataset",
+    "benchmark", "cli", "__main__",
 )  # fmt: skip
 
 

@@ -182,11 +182,14 @@ TAKEN = {
 }
 
 
+@pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
 @pytest.mark.parametrize("method", TAKEN)
-def test_options_that_a_method_would_ignore_are_refused_even_at_their_defaults(method):
+def test_one_note_names_the_options_that_a_method_has_no_use_for_even_at_their_defaults(method):
+    used = {} if method == "ray" else {"wavelength": 633}
     for name in OPTIONS.keys() - TAKEN[method]:
-        with pytest.raises(InputError, match=f"^{name}: method {method} does not take it; methods that do: "):
-            mp.reconstruct(IMAGE, 240, camera=CAMERA, method=method, **{name: OPTIONS[name]})
+        with pytest.warns(UserWarning, match=rf"^method {method} has no use for {name} \(of [a-z, ]+\)$") as told:
+            mp.reconstruct(IMAGE, 240, camera=CAMERA, method=method, **used | {name: OPTIONS[name]})
+        assert [one.filename for one in told if "no use" in str(one.message)] == [__file__]
 
 
 def test_a_response_by_rays_has_no_wavelength():

@@ -217,7 +217,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build one of the known cameras; `camera.presets` lists them with the sources of their numbers.
+        """Build one of the known cameras; `presets` lists them with the sources of their numbers.
 
         Parameters
         ----------

@@ -21,12 +21,14 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, at_shell, relation
+from ..errors import InputError, at_shell, did_you_mean, relation
 from ..extension import entries, missing
 
 PROGRAM = "mitsuba-plenoptic"
 
-# In the order of the help: each command is a function of its name in a module, or a `Typer` of several commands.
+_logger = logging.getLogger(__package__.partition(".")[0])
+
+# In the order of the help: each command is a function of its name in this module, or a `Typer` of several commands.
 COMMANDS = {
     name: f"{__package__}.{module}"
     for name, module in {
@@ -47,6 +49,14 @@ STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf
 
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
+
+
+_STOPPED = 130
+"""Exit status after Ctrl-C."""
+
+
+class StoppedError(Exception):
+    """Ends a command after Ctrl-C with a line that says how to go on."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -90,6 +100,7 @@ def _command() -> typer.Typer:
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with some of its subcommands; loading all of them takes a second."""
+    from .judging import judging
     from .run_file import recorded
 
     made = _command()
@@ -98,7 +109,8 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
         if isinstance(command, typer.Typer):
             made.add_typer(command, name=name)
         else:
-            made.command(name)(recorded(command, step_commands) if name in STEPS else command)
+            judged = judging(command)
+            made.command(name)(recorded(judged, step_commands) if name in STEPS else judged)
     return made
 
 
@@ -135,6 +147,55 @@ def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
             yield " ".join((*words, name)), command
 
 
+def command_group(names: Iterable[str] = COMMANDS) -> Any:
+    """Return Typer's group of some commands, each with the options that all of them have."""
+    group: Any = typer.main.get_command(command_line(names))
+    for_all = typer.Typer()
+    for_all.command()(_for_all)
+    for _, command in commands_of(group):
+        command.params += [one for one in typer.main.get_command(for_all).params if "--help" not in one.opts]
+    return group
+
+
+def _for_all(
+    quiet: Annotated[
+        bool,
+        typer.Option(
+            "-q",
+            "--quiet",
+            help="Print results and errors alone: no progress, notes or warnings.",
+            callback=lambda wanted: _be_quiet() if wanted else None,
+            is_eager=True,
+            expose_value=False,
+            rich_help_panel="Every command",
+        ),
+    ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "-v",
+            "--verbose",
+            help="Print details, too: what is read, written and set, with times.",
+            callback=lambda wanted: _be_verbose() if wanted else None,
+            is_eager=True,
+            expose_value=False,
+            rich_help_panel="Every command",
+        ),
+    ] = False,
+) -> None:
+    """Hold the options that every command has."""
+
+
+def _be_quiet() -> None:
+    # Progress, too, is silent at this level.
+    _logger.setLevel(logging.CRITICAL)
+    warnings.showwarning = lambda *_, **__: None
+
+
+def _be_verbose() -> None:
+    _logger.setLevel(logging.DEBUG)
+
+
 def step_commands() -> dict[str, Any]:
     """Return the commands that can be steps of a run file, by name."""
     group: Any = typer.main.get_command(command_line(STEPS))
@@ -157,17 +218,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words and (absent := missing("commands", words[0])):
         return _fail(absent)
     called = _called(words)
-    group: Any = typer.main.get_command(command_line(called) if called else _outline())
-    with warnings.catch_warnings(), _remarks():
-        warnings.showwarning = _print_warning
+    group = command_group(called) if called else typer.main.get_command(_outline())
+    with _remarks():
         try:
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
             quick = not called or not words or not {"-h", "--help"}.isdisjoint(words)
             with at_shell(_OPTIONS), contextlib.nullcontext() if quick else _plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
+            # Typer makes a status of Ctrl-C.
+            if status == _STOPPED:
+                raise KeyboardInterrupt
             return status if isinstance(status, int) else 0
-        except (KeyboardInterrupt, typer.Abort):
-            return 130
+        except (KeyboardInterrupt, typer.Abort, StoppedError) as stopped:
+            _complain(str(stopped) or "stopped: nothing is kept; the same command begins anew")
+            return _STOPPED
         except Exception as error:
             known = dict(commands_of(group)) if called and words else {}
             command = known.get(words[0]) or known.get(" ".join(words[:2])) if known else None
@@ -192,8 +256,11 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
     if not _is_usage(error):
         return None
-    rule = relation(getattr(error, "option_name", "").strip("-").replace("-", "_"))
-    return str(error.format_message()).rstrip(".") + (f"; {rule}" if rule else "")  # type: ignore[attr-defined]
+    unknown = getattr(error, "option_name", "")
+    if hasattr(error, "possibilities"):
+        rule = relation(unknown.strip("-").replace("-", "_"))
+        return f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
+    return str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
 
 
 def _is_usage(error: Exception) -> bool:
@@ -210,18 +277,24 @@ def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
 
 @contextlib.contextmanager
 def _remarks() -> Iterator[None]:
-    """Show the library's remarks, such as what a long rendering will take, on standard error."""
+    """Show the library's warnings and remarks, such as what a long rendering will take, on standard error."""
     handler = logging.Handler()
-    handler.emit = lambda record: _complain(record.getMessage())  # type: ignore[method-assign]
-    logger = logging.getLogger(__package__.partition(".")[0])
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
+    handler.emit = _print_record  # type: ignore[method-assign]
+    level = _logger.level
+    _logger.addHandler(handler)
+    _logger.setLevel(logging.INFO)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            yield
     finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)
+        _logger.setLevel(level)
+        _logger.removeHandler(handler)
+
+
+def _print_record(record: logging.LogRecord) -> None:
+    detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
+    _complain(f"{detail}{record.getMessage()}")
 
 
 def _with_options(message: str, options: Mapping[str, str]) -> str:

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import refuse_if, require_count, require_number, require_wavelength
-from ..runtime.progress import plain_lines, progress_bar
+from ..errors import refuse_if, require_count
+from ..runtime.progress import in_words, is_quiet, moving_bar, plain_lines, progress_bar
 from .choices import METHODS
 from .inputs import (
     CameraFile,
     Definitions,
-    Distances,
     Model,
     OutputFolder,
-    ResumeOnly,
+    PositiveDistances,
     Samples,
     Scene,
     Scheduler,
@@ -34,6 +32,8 @@ from .inputs import (
     parse_definitions,
     require_in_use,
 )
+from .judging import COUNTED, WAVELENGTH, one_of
+from .stopping import Resume, resumable
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 def compare(
     scene: Scene,
     output: OutputFolder,
-    distance: Distances,
-    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM")] = 633.0,
-    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.")] = 16,
-    resume: ResumeOnly = False,
+    distance: PositiveDistances,
+    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
+    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
+    resume: Resume = False,
     camera: CameraFile = None,
     unit: Unit = "mm",
     define: Definitions = None,
@@ -81,11 +81,11 @@ def compare(
     settings = Settings(
         scene=scene,
         unit=unit,
-        distances=tuple(sorted({require_number("distance", value, positive=True) for value in distance})),
+        distances=tuple(sorted(set(distance))),
         parameters=parameters,
         camera=_instead(camera, scene, parameters),
         camera_name=camera,
-        wavelength=require_wavelength(wavelength),
+        wavelength=wavelength,
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
         variant=variant,
@@ -127,10 +127,11 @@ def sweep(
     method: Annotated[
         str | None,
         typer.Option(metavar="|".join(METHODS), show_default="ray", help="How captures are refocused."),
+        one_of(METHODS),
     ] = None,
     spp: Samples = None,
     seed: Seed = 0,
-    resume: ResumeOnly = False,
+    resume: Resume = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     camera: CameraFile = None,
@@ -195,9 +196,6 @@ def _instead(
     return camera.to_dict()
 
 
-_log = logging.getLogger(__name__)
-
-
 def dataset(
     recipe: Annotated[Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.")],
     output: OutputFolder,
@@ -230,12 +228,8 @@ def dataset(
     from ..extensions.data.dataset import make_dataset, read_recipe
 
     wanted = read_recipe(recipe)
-    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
-        try:
-            made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
-        except KeyboardInterrupt:
-            _log.info("stopped at %.0f %%: the same command resumes", 100 * progress.fraction)
-            raise
+    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress, resumable(progress):
+        made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")
 
@@ -249,7 +243,7 @@ def reproduce(
             help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels.",
         ),
     ] = "quick",
-    resume: ResumeOnly = False,
+    resume: Resume = False,
 ) -> None:
     """Compute the paper's figures, timing and conclusions again.
 
@@ -277,29 +271,22 @@ def reproduce(
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
     """Print a line for each stage that is done, and show the progress of the current one."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
     from ..report.stage_store import StageOptions
 
-    console = Console(stderr=True, highlight=False)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with (
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
-        plain_lines("starting") as line,
-    ):
+    with moving_bar() as bar, plain_lines("starting") as line, resumable():
         tasks: dict[str, TaskID] = {}
 
         def notify(name: str, done: int, total: int) -> None:
             line.label = name.replace("_", " ")
             line(done, total)
             if name not in tasks:
-                tasks[name] = bar.add_task(line.label, total=None)
-            bar.update(tasks[name], completed=done, total=total or None)
+                tasks[name] = bar.add_task(line.label, total=1)
+            bar.update(tasks[name], completed=done, total=total or 1)
 
         def finished(name: str, seconds: float, was_there: bool) -> None:
             if name in tasks:
                 bar.remove_task(tasks.pop(name))
-            console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else f'{seconds:.1f} s'}")
+            if not is_quiet():
+                bar.console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else in_words(seconds)}")
 
         yield StageOptions(notify, finished, resume)

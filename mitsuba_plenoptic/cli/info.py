@@ -5,21 +5,24 @@ from __future__ import annotations
 import json
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..camera.presets import PRESETS
-from ..errors import printable, refuse_if, require_wavelength
-from .inputs import Definitions, load_camera, numeric, parse_definitions, read_recorded
+from ..errors import printable, refuse_if
+from .inputs import Definitions, Unit, load_camera, numeric, parse_definitions, read_recorded
+from .judging import CAMERA, WAVELENGTH
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
     from ..report.design_sheet import Row
+
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for other programs, and nothing else.")]
 
 
 def info(
@@ -30,9 +33,12 @@ def info(
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
             "parameters, as for --camera of 'render', a capture, or a raw picture of a Lytro camera.",
         ),
+        CAMERA,
     ],
     wavelength: Annotated[
-        float | None, numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM")
+        float | None,
+        numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM"),
+        WAVELENGTH,
     ] = None,
     drawing: Annotated[
         Path | None,
@@ -58,6 +64,8 @@ def info(
             help="Write the camera that the fewest of the changes which the warnings name make of this one.",
         ),
     ] = None,
+    unit: Unit = "mm",
+    as_json: Json = False,
     define: Definitions = None,
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
@@ -78,19 +86,19 @@ def info(
       mitsuba-plenoptic info camera.json --microlens microlens.png
 
       mitsuba-plenoptic info camera.json --fix better.json
+
+      mitsuba-plenoptic info raw.exr --json
     """
     from rich.console import Console
     from rich.markup import escape
 
-    from ..design import design_warnings
+    from ..design import design_warnings, mended
     from ..extension import format_of
-    from ..io.files import require_writable
+    from ..io.files import require_writable, write_text
     from ..report.design_sheet import design_sheet
 
     if fix is not None:
         require_writable(fix, ".json")
-    if wavelength is not None:
-        wavelength = require_wavelength(wavelength)
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
     recorded = suffix == ".exr" or format_of(suffix, "capture", source) is not None
@@ -98,8 +106,9 @@ def info(
         parameters and recorded,
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
+    refuse_if(unit != "mm" and recorded, f"--unit {unit}: {source} is no scene; leave it out")
     capture = read_recorded(Path(source), None, False) if recorded else None
-    camera = capture.camera if capture else load_camera(source, parameters)[0]
+    camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if drawing is not None:
@@ -111,44 +120,46 @@ def info(
         from ..report.microlens_drawing import draw_microlens
 
         draw_microlens(microlens, camera, wavelength)
+    rows, found = design_sheet(camera, wavelength), design_warnings(camera, wavelength)
+    origin = _origin(capture) if capture else {}
+    better = None
+    if fix is not None:
+        better = mended(camera, wavelength)
+        write_text(fix, better.to_json(), ".json")
+    changed = {} if better is None else _changes(camera, better)
+    still = [] if better is None else design_warnings(better, wavelength)
+    if as_json:
+        sheet = [row._asdict() for row in rows]
+        facts = {"camera": camera.to_dict(), "sheet": sheet, "warnings": found, "capture": origin}
+        typer.echo(json.dumps(facts if fix is None else facts | {"changed": changed, "still": still}, indent=1))
+        return
     console = Console(highlight=False)
-    console.print(_table(design_sheet(camera, wavelength)))
+    console.print(_table(rows))
     if capture:
         console.print("[bold]Capture[/bold]")
-        for name, fact in _origin(capture).items():
-            console.print(f"  {escape(printable(name))}: {escape(printable(fact))}", soft_wrap=True)
-    for warning in design_warnings(camera, wavelength):
+        for name, fact in origin.items():
+            text = fact if isinstance(fact, str) else json.dumps(fact)
+            console.print(f"  {escape(printable(name))}: {escape(printable(text))}", soft_wrap=True)
+    for warning in found:
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
     if fix is not None:
-        _write_mended(console, fix, camera, wavelength)
+        what = f"with {', '.join(f'{name} = {value}' for name, value in changed.items())}" if changed else "unchanged"
+        console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {what}')}.", soft_wrap=True)
+        for warning in still:
+            console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
 
 
-def _write_mended(console: Console, path: Path, camera: PlenopticCamera, wavelength: float | None) -> None:
-    """Write the camera without the warnings, and say what has changed and what has not been mended."""
-    from rich.markup import escape
-
-    from ..design import design_warnings, mended
-    from ..io.files import write_text
-
-    better = mended(camera, wavelength)
-    write_text(path, better.to_json(), ".json")
-    old, new = camera.to_dict(), better.to_dict()
-    changed = [f"{name} = {value}" for name, value in new.items() if old.get(name) != value]
-    what = f"with {', '.join(changed)}" if changed else "unchanged"
-    console.print(f"[bold]Written:[/bold] {escape(f'{path}, {what}')}.", soft_wrap=True)
-    for warning in design_warnings(better, wavelength):
-        console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
+def _changes(camera: PlenopticCamera, better: PlenopticCamera) -> dict[str, Any]:
+    """Return the parameters of a camera that differ from another one's."""
+    old = camera.to_dict()
+    return {name: value for name, value in better.to_dict().items() if old.get(name) != value}
 
 
-def _origin(capture: Capture) -> dict[str, str]:
+def _origin(capture: Capture) -> dict[str, Any]:
     """Describe how a capture was made, as far as its header says."""
     noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
     facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
-    return {
-        name: value if isinstance(value, str) else json.dumps(value)
-        for name, value in facts.items()
-        if value not in (None, "")
-    }
+    return {name: value for name, value in facts.items() if value not in (None, "")}
 
 
 def _table(rows: list[Row]) -> Table:
@@ -167,7 +178,7 @@ def _table(rows: list[Row]) -> Table:
     return table
 
 
-def doctor() -> None:
+def doctor(as_json: Json = False) -> None:
     """Check the installation: versions, LLVM, Mitsuba variants, threads and GPU.
 
     The exit status is 0 if captures can be rendered here and 1 if not.
@@ -175,6 +186,10 @@ def doctor() -> None:
     from ..report.installation import inspect_installation
 
     found = inspect_installation()
+    if as_json:
+        sections = {title: dict(lines) for title, lines in found.sections.items()}
+        typer.echo(json.dumps({"ready": found.ready, "problem": found.problem, **sections}, indent=1))
+        raise typer.Exit(0 if found.ready else 1)
     for title, lines in found.sections.items():
         typer.echo(f"\n{typer.style(title, bold=True)}")
         for name, value in lines:

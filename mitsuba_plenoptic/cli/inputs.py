@@ -7,6 +7,7 @@ import dataclasses
 import logging
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element
@@ -14,8 +15,10 @@ from xml.etree.ElementTree import Element
 import typer
 
 from ..camera.presets import PRESETS
-from ..errors import InputError, did_you_mean, refuse_if, require_count
+from ..errors import InputError, refuse_if, require_count, require_number
+from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
+from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
@@ -29,13 +32,17 @@ def output_option(metavar: str, text: str) -> Any:
     return typer.Option("-o", "--output", metavar=metavar, help=text)
 
 
-def numeric(text: str, default: str | None = None, *, unit: str = "N") -> Any:
+WAVES, EXPERT = "Options of waves", "Options for experts"
+"""Panels of the help below the one of the options that most people need."""
+
+
+def numeric(text: str, default: str | None = None, *, unit: str = "N", panel: str | None = None) -> Any:
     """Return an option that takes a number; `default` is what the help shows for a default of None."""
-    return typer.Option(metavar=unit, show_default=default or True, help=text)
+    return typer.Option(metavar=unit, show_default=default or True, help=text, rich_help_panel=panel)
 
 
-Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.")]
-CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.")]
+Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene."), SCENE]
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), FILE]
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
 
 Definitions = Annotated[
@@ -48,15 +55,19 @@ Definitions = Annotated[
     ),
 ]
 
-Distances = Annotated[
-    list[float],
-    numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM"),
-]
+_DISTANCE = numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM")
+
+# Depths before an objective may be negative, and only the capture tells whether there is one.
+Distances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, finite=False))]
+PositiveDistances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, positive=True))]
 
 Variant = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME", show_default="llvm_ad_mono", help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono."
+        metavar="NAME",
+        show_default="llvm_ad_mono",
+        help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+        rich_help_panel=EXPERT,
     ),
 ]
 
@@ -67,27 +78,19 @@ Model = Annotated[
         show_default="as the scene's integrator has it",
         help="How light propagates through the camera.",
     ),
+    one_of(MODELS),
 ]
 
-Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler")]
+Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler"), COUNTED]
 
 Seed = Annotated[int, numeric("Seed of the random numbers.")]
-
-# For commands that always resume.
-ResumeOnly = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Refuse the checkpoint of another scene, camera or version, if the folder holds one, instead of "
-        "replacing it.",
-    ),
-]
 
 Workers = Annotated[
     int | None,
     numeric(
         "Wave captures: number of processes of this machine to sum on; the capture has the same bits.",
         "threads of one process",
+        panel=EXPERT,
     ),
 ]
 
@@ -96,6 +99,7 @@ Scheduler = Annotated[
     typer.Option(
         metavar="ADDRESS",
         help="Wave captures: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786.",
+        rich_help_panel=EXPERT,
     ),
 ]
 
@@ -108,6 +112,7 @@ CameraFile = Annotated[
         "scene's, or parameters, such as f_number=2.8,lenses=100,pixels_per_lens=10,pixel_size=0.005,focal_length=50,"
         "focus_distance=320.",
     ),
+    CAMERA,
 ]
 
 Unit = Annotated[
@@ -115,16 +120,18 @@ Unit = Annotated[
     typer.Option(
         metavar="|".join(UNITS), help="Unit of the scene's lengths, which are scaled to millimetres; not the camera's."
     ),
+    one_of(UNITS),
 ]
 
 LightFieldSource = Annotated[
     Path,
     typer.Argument(
         metavar="SOURCE",
-        help="A capture (.exr), a light field (.nc, .zarr, or LFToolbox's .mat), a mosaic (.png with --view-count, "
-        ".eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or .tiff, with "
-        "--white or --camera).",
+        help="A capture (.exr), a light field (.nc, .zarr, LFToolbox's .mat, or a folder of HCI), a mosaic (.png with "
+        "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or "
+        ".tiff, with --white or --camera).",
     ),
+    FILE,
 ]
 
 White = Annotated[
@@ -135,6 +142,7 @@ White = Annotated[
         help="White image of the same camera, .exr, .png or .tiff. For a raw picture it shows where the micro-images "
         "are.",
     ),
+    FILE,
 ]
 
 Truth = Annotated[
@@ -145,6 +153,7 @@ Truth = Annotated[
         show_default="the one next to the capture, if 'render --aov' wrote it",
         help="Ground truth of the capture.",
     ),
+    FILE,
 ]
 
 Exposure = Annotated[
@@ -155,9 +164,8 @@ Exposure = Annotated[
 Percentile = Annotated[
     float | None,
     numeric(
-        "Of pictures: the value that this percentage does not surpass becomes white, so that a lamp does not make the "
-        "rest black; 100: the brightest.",
-        "99.5",
+        "Of pictures: the value that this percentage does not surpass becomes white; 100: the brightest.",
+        "99.5, less where a lamp would make the rest black",
         unit="PERCENT",
     ),
 ]
@@ -196,19 +204,22 @@ _COLOURS = "llvm_ad_rgb"
 _log = logging.getLogger(__name__)
 
 
-def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamera, Any]:
+def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tuple[PlenopticCamera, Any]:
     """Return the camera of a preset, a file, parameters or a scene, and the record of its calibration, if any.
 
     A file takes precedence over what else the source names.
     """
     from ..camera import PlenopticCamera
-    from ..light.scene import load_scene, scene_names
+    from ..light.scene import load_scene
 
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
     preset = preset and not (parameters and source in scene_names())
     stated = re.match(r"\w+=", source) is not None and not Path(source).is_file()
     if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
+        refuse_if(
+            unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out"
+        )
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         from ..camera.camera_files import camera_and_record
 
@@ -217,13 +228,8 @@ def load_camera(source: str, parameters: dict[str, str]) -> tuple[PlenopticCamer
         source.lower().endswith(".exr"),
         f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
     )
-    if not Path(source).exists() and source not in scene_names():
-        names = scene_names()
-        raise InputError(
-            f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
-            f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
-        )
-    sensors = load_scene(source, parameters=parameters).sensors()
+    require_camera_name("camera", source)
+    sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
 
@@ -360,7 +366,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    from ..light.scene import check_scene_file, scene_path
+    from ..light.scene import check_scene_file
 
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 

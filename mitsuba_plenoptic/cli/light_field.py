@@ -198,6 +198,7 @@ def stack(
     typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")
 
 
+_BEYOND = {"near": "nearer", "far": "farther"}
 _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
 
@@ -244,7 +245,7 @@ def depth(
     from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_depth
     from ..views import depth_error, depth_map
-    from ..views.depth import is_focused
+    from ..views.depth import beyond_search, is_focused
     from ..views.light_field_files import open_light_field, open_micro_images
 
     require_apart(require_picture_path(output), source, white, truth)
@@ -260,7 +261,15 @@ def depth(
     sure = found.confidence > 0.5
     where = found.depth.where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
-    if float(sure.mean()) < _LITTLE:
+    ends = dict(zip(("near", "far"), beyond_search(found), strict=True))
+    for end, beyond in ends.items():
+        if beyond >= _LITTLE:
+            warnings.warn(
+                f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
+                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}",
+                stacklevel=2,
+            )
+    if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
         warnings.warn(
             "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
             "farther than --far; look at the confidence before you use a depth",
@@ -317,27 +326,29 @@ def convert(
       mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
-    """
-    from ..io.files import require_apart
-    from ..views.light_field_files import open_light_field, require_light_field_path, save_light_field
 
+      mitsuba-plenoptic convert folder -o lf.nc
+    """
+    from ..extension import format_of, place
+    from ..io.files import require_apart
+    from ..views.light_field_files import HCI, open_light_field, require_light_field_path, save_light_field
+
+    writer = None
     if layout is None:
         require_light_field_path(output)
     else:
         require_choice("format", layout, ("hci",))
+        writer = format_of(HCI, "light field", f"format = {layout}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
     require_apart(output, source, white, truth)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
     )
-    if layout is not None:
-        # Brings libraries that take a while to load.
-        from ..extensions.data.exchange import write_hci
-
+    if writer is not None:
         known = lf.coords.get("virtual_depth", lf.coords.get("depth"))
         central = None if known is None else known.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]
         with naming(source):
-            views = write_hci(output, lf, central, name=source.stem)
+            views = place(*writer)(output, lf, central, name=source.stem)
         typer.echo(f"{output}: {views} x {views} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
         return
     save_light_field(output, lf)

@@ -11,6 +11,7 @@ import typer
 from ..errors import naming, refuse_if
 from .choices import METHODS
 from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded
+from .judging import FILE, one_of
 
 if TYPE_CHECKING:
     from ..refocus import Reconstruction
@@ -22,11 +23,13 @@ def mtf(
         typer.Argument(
             metavar="CAPTURE", help="A capture, which is refocused to --distance, or a file that 'reconstruct' wrote."
         ),
+        FILE,
     ],
     distance: Annotated[float | None, numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
     method: Annotated[
         str | None,
         typer.Option(metavar="|".join(METHODS), show_default="ray", help="Of a capture: how it is refocused."),
+        one_of(METHODS),
     ] = None,
     oversample: Annotated[int | None, numeric("Of a capture: bins per microlens along each axis.", "1")] = None,
     region: Annotated[

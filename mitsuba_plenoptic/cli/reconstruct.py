@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, refuse_if, require_choice
+from ..errors import InputError
 from ..runtime.progress import in_words, progress_bar
 from .choices import FOOTPRINTS, METHODS, RESPONSES
 from .inputs import (
+    EXPERT,
+    WAVES,
     CameraFile,
     CaptureFile,
     Distances,
@@ -30,7 +32,8 @@ from .inputs import (
     read_recorded,
     require_linear,
 )
-from .stopping import existing_checkpoint, stopped_by_hand
+from .judging import COUNTED, WAVELENGTH, one_of
+from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
@@ -60,25 +63,21 @@ def reconstruct(
             "subset of lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, "
             "deconvolved finds the plane whose capture it is.",
         ),
+        one_of(METHODS),
     ] = "ray",
-    footprint: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(FOOTPRINTS),
-            show_default="lens",
-            help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
-        ),
-    ] = None,
     interleave: Annotated[
         str | None,
         typer.Option(
             metavar="K|auto",
             show_default="2",
             help="For partial: every K-th lens along both axes shares a wave; auto lets no two lenses interfere.",
+            rich_help_panel=WAVES,
         ),
     ] = None,
     wavelength: Annotated[
-        float | None, numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM")
+        float | None,
+        numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM", panel=WAVES),
+        WAVELENGTH,
     ] = None,
     relay: Annotated[
         bool | None,
@@ -86,11 +85,12 @@ def reconstruct(
             "--relay/--no-relay",
             show_default="relay",
             help="For coherent and partial: whether the microlenses act again on the way back, as they should.",
+            rich_help_panel=WAVES,
         ),
     ] = None,
     camera: CameraFile = None,
     linear: Linear = False,
-    oversample: Annotated[int, numeric("Bins per microlens along each axis; info prints what suits.")] = 1,
+    oversample: Annotated[int, numeric("Bins per microlens along each axis; info prints what suits."), COUNTED] = 1,
     white: Annotated[
         Path | None,
         typer.Option(
@@ -99,17 +99,31 @@ def reconstruct(
             help="A capture or picture of a white scene by the same camera; the result is divided by it.",
         ),
     ] = None,
+    footprint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(FOOTPRINTS),
+            show_default="lens",
+            help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
+            rich_help_panel=EXPERT,
+        ),
+    ] = None,
     response: Annotated[
         str | None,
         typer.Option(
             metavar="|".join(RESPONSES),
             show_default="as the capture was made",
             help="For deconvolved: how light goes through the camera.",
+            rich_help_panel=EXPERT,
         ),
     ] = None,
     iterations: Annotated[
         int | None,
-        numeric("For deconvolved: steps.", "until only noise is left, where a capture states its exposure; else 30"),
+        numeric(
+            "For deconvolved: steps.",
+            "until only noise is left, where a capture states its exposure; else 30",
+            panel=EXPERT,
+        ),
     ] = None,
     accelerate: Annotated[
         bool | None,
@@ -117,19 +131,32 @@ def reconstruct(
             "--accelerate/--no-accelerate",
             show_default="accelerate",
             help="For deconvolved: whether each step starts from an extrapolated point.",
+            rich_help_panel=EXPERT,
         ),
     ] = None,
     photons: Annotated[
         float | None,
-        numeric("For deconvolved: photons that a pixel of value 1 has counted.", "those that 'expose' recorded"),
+        numeric(
+            "For deconvolved: photons that a pixel of value 1 has counted.",
+            "those that 'expose' recorded",
+            panel=EXPERT,
+        ),
     ] = None,
     volume: Annotated[
         bool,
-        typer.Option("--volume", help="For deconvolved: all distances together explain the capture, not each alone."),
+        typer.Option(
+            "--volume",
+            help="For deconvolved: all distances together explain the capture, not each alone.",
+            rich_help_panel=EXPERT,
+        ),
     ] = False,
     variation: Annotated[
         float | None,
-        numeric("For deconvolved: weight of the total variation, which makes planes even between sharp borders.", "0"),
+        numeric(
+            "For deconvolved: weight of the total variation, which makes planes even between sharp borders.",
+            "0",
+            panel=EXPERT,
+        ),
     ] = None,
     overview: Annotated[
         Path | None,
@@ -137,19 +164,23 @@ def reconstruct(
             metavar="FILE.png",
             help="Write a picture of all distances, too: maximum projections, slices through the brightest voxel, and "
             "depth as colour.",
+            rich_help_panel=EXPERT,
         ),
     ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="For deconvolved: resume from the checkpoint of a run that was stopped."),
-    ] = False,
+    resume: Resume = False,
     workers: Annotated[
         int | None,
-        numeric("For deconvolved: number of processes that compute point spreads.", "threads of one process"),
+        numeric(
+            "For deconvolved: number of processes that compute point spreads.", "threads of one process", panel=EXPERT
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="For deconvolved: compute them on the workers of this Dask scheduler."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="For deconvolved: compute them on the workers of this Dask scheduler.",
+            rich_help_panel=EXPERT,
+        ),
     ] = None,
     estimate: Annotated[
         bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
@@ -189,41 +220,44 @@ def reconstruct(
     from .. import refocus as reconstruction
     from ..io.checkpoints import SUFFIX, Checkpoint
     from ..io.files import require_apart, require_different, require_writable
+    from ..refocus.methods import used_by
     from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
     from ..runtime.limits import GIB
 
-    chosen = reconstruction.METHODS[require_choice("method", method, METHODS)]
-    for option, value in (("resume", resume or None), ("workers", workers), ("scheduler", scheduler)):
-        refuse_if(
-            value is not None and not chosen.long,
-            f"--{option}: method {method} does not take it; methods that do: deconvolved",
-        )
-    options: dict[str, Any] = {
-        "method": method,
-        "wavelength": wavelength,
-        "interleave": _period(interleave),
-        "footprint": footprint,
-        "relay": relay,
-        "oversample": oversample,
-        "response": response,
-        "iterations": iterations,
-        "accelerate": accelerate,
-        "photons": photons,
-        "volume": volume or None,
-        "variation": variation,
-    }
+    chosen = reconstruction.METHODS[method]
     if estimate:
         refused = {"output": output, "overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
     elif output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
+    # Those that the command alone knows, too, so that there is one note on all.
+    options = used_by(
+        chosen,
+        white=white,
+        wavelength=wavelength,
+        interleave=_period(interleave),
+        footprint=footprint,
+        relay=relay,
+        response=response,
+        iterations=iterations,
+        accelerate=accelerate,
+        photons=photons,
+        volume=volume or None,
+        variation=variation,
+        resume=resume or None,
+        workers=workers,
+        scheduler=scheduler,
+    )
+    white, resume, workers, scheduler = (options.pop(name) for name in ("white", "resume", "workers", "scheduler"))
+    options |= {"method": method, "oversample": oversample}
     known = named_camera(camera)
     require_linear(linear, capture, white)
     if output is None:
-        with progress_bar("Estimating"):
+        with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, known, linear, variant)
+            progress(1, 3)
             cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **options)
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
@@ -239,7 +273,9 @@ def reconstruct(
     for path in filter(None, written):
         require_apart(path, capture, white)
     recorded, reference = _recorded(capture, white, known, linear, variant)
-    saved = Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(resume)) if chosen.long else None
+    saved = (
+        Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(bool(resume))) if chosen.long else None
+    )
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
             results = reconstruction.reconstruct(

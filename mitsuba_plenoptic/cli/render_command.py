@@ -35,7 +35,7 @@ from .inputs import (
     read_recorded,
     require_linear,
 )
-from .stopping import existing_checkpoint, stopped_by_hand
+from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 _log = logging.getLogger(__name__)
 
@@ -70,14 +70,7 @@ def render(
     estimate: Annotated[
         bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
     ] = False,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume",
-            help="Go on from the checkpoint of a wave capture that was stopped; refuse one of another scene, camera or "
-            "version.",
-        ),
-    ] = False,
+    resume: Resume = False,
     checkpoint: Annotated[
         Path | None,
         typer.Option(
@@ -118,7 +111,7 @@ def render(
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
     the camera and how it was made. A long wave capture keeps a checkpoint
-    next to the output, from which [bold]--resume[/bold] continues after Ctrl-C or a crash.
+    next to the output, from which the same command continues after Ctrl-C or a crash.
 
     [bold]Examples:[/bold]
 
@@ -131,8 +124,6 @@ def render(
       mitsuba-plenoptic render letters -o small.exr -D resolution=1024
 
       mitsuba-plenoptic render still_life --model wave --estimate
-
-      mitsuba-plenoptic render letters -o wave.exr --model wave --resume
 
       mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
 
@@ -153,8 +144,9 @@ def render(
         refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
-        with progress_bar("Estimating"):
+        with progress_bar("Estimating") as progress:
             loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
+            progress(1, 2)
             if not is_wave_capture(loaded, model):
                 refuse_by_rays(workers=workers, scheduler=scheduler)
             with batches_on(workers, scheduler) as batch_map:
@@ -177,8 +169,7 @@ def render(
     )
     with progress_bar("Loading the scene"):
         loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
-    if resume:
-        remove_leftovers(output)
+    remove_leftovers(output)
     by_waves = is_wave_capture(loaded, model)
     if not by_waves:
         refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
+from .inputs import EXPERT
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 """Words that YAML reads as they are, in lists, too."""
@@ -125,7 +126,9 @@ def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
 SaveRun = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE.yaml", help="Also write a run file that repeats this command, or add the command to one."
+        metavar="FILE.yaml",
+        help="Also write a run file that repeats this command, or add the command to one.",
+        rich_help_panel=EXPERT,
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""Commands that are stopped: the handling of Ctrl-C, and of the checkpoints that are left."""
+"""Commands that are stopped: the option ``--resume``, the handling of Ctrl-C, and the line on how to go on."""
 
 from __future__ import annotations
 
@@ -7,40 +7,48 @@ import logging
 import signal
 import threading
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from ..runtime.progress import ProgressBar
+from . import StoppedError
+from .inputs import EXPERT
 
 if TYPE_CHECKING:
     from ..io.checkpoints import Checkpoint, Existing
 
 _log = logging.getLogger(__name__)
 
-_within_run = False
-"""Whether the command is a step of a run file."""
-
-
-@contextlib.contextmanager
-def within_run() -> Iterator[None]:
-    """Let commands resume from the checkpoints of the same computation, and replace those of others."""
-    global _within_run
-    _within_run = True
-    try:
-        yield
-    finally:
-        _within_run = False
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Refuse what another run has left at the output, instead of replacing it; the same command goes on from "
+        "what it has left itself with and without this.",
+        rich_help_panel=EXPERT,
+    ),
+]
 
 
 def existing_checkpoint(resume: bool) -> Existing:
     """Return what a command does with a checkpoint that is there."""
-    if resume:
-        return "resume"
-    return "resume_if_same" if _within_run else "refuse"
+    return "resume" if resume else "resume_if_same"
+
+
+@contextlib.contextmanager
+def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
+    """Let Ctrl-C say that the same command goes on from what is done, and how much that is where it is known."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        done = f" at {100 * progress.fraction:.0f} %" if progress else ""
+        raise StoppedError(f"stopped{done}: the same command goes on from there") from None
 
 
 @contextlib.contextmanager
 def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
-    """Let Ctrl-C end a run with its checkpoint written, and say how to resume; a second Ctrl-C ends it at once."""
+    """Let Ctrl-C end a run with its checkpoint written, and say how to go on; a second Ctrl-C ends it at once."""
     # Only the main thread receives signals.
     on_main = threading.current_thread() is threading.main_thread()
     before: Any = signal.getsignal(signal.SIGINT)
@@ -54,11 +62,11 @@ def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[N
     if on_main:
         signal.signal(signal.SIGINT, stop)
     try:
-        yield
-    except KeyboardInterrupt:
-        option = "the same command resumes" if _within_run else "resume with --resume"
-        hint = f": {option}" if checkpoint.path.exists() else ""
-        _log.info("stopped at %.0f %%%s", 100 * progress.fraction, hint)
+        with resumable(progress):
+            yield
+    except StoppedError:
+        if not checkpoint.path.exists():
+            raise KeyboardInterrupt from None
         raise
     finally:
         if on_main:

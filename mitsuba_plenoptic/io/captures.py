@@ -141,7 +141,7 @@ class Capture(Displayed):
         *others : Capture, Reconstruction, xarray.DataArray or xarray.Dataset
             A capture to compare it with, focal stacks, reconstructions and a depth map.
         title : str
-            Headline of the page.
+            Headline of the page. Default: the scene and the camera.
 
         Returns
         -------

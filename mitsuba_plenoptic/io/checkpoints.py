@@ -22,7 +22,7 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, advice, require_choice, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
@@ -81,9 +81,8 @@ class Checkpoint:
     def __enter__(self) -> Checkpoint:
         if self._existing == "refuse" and self.path.exists():
             raise InputError(
-                f"{self.path}: the checkpoint of a run that was stopped; resume from it with "
-                + advice(python="existing='resume'", shell="--resume")
-                + ", or remove the file"
+                f"{self.path}: the checkpoint of a run that was stopped; resume from it with existing='resume', or "
+                "remove the file"
             )
         return self
 

@@ -7,6 +7,7 @@ import errno
 import glob
 import io
 import json
+import logging
 import math
 import os
 import re
@@ -28,6 +29,8 @@ _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
 
 _one_at_a_time = threading.Lock()
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -99,6 +102,7 @@ def require_file(path: str | Path) -> Path:
         raise InputError(f"{path}: {error.strerror}") from None
     refuse_if(not regular, f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
+    _log.debug("%s: read", path)
     if _used is not None:
         _used.read.add(path.absolute())
     return path
@@ -146,6 +150,7 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
                 raise
             temporary.replace(path)
+            _log.debug("%s: written", path)
             if _used is not None:
                 _used.written.add(path.absolute())
     except (OSError, RuntimeError) as error:

@@ -19,6 +19,7 @@ from ..io.exr import read_parts
 from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
 from ..runtime.limits import require_memory
+from ..scene_files import scene_path
 from .scene_unit import require_unit, scale_nodes, warn_of_metres
 
 _DEEPEST = 64
@@ -215,40 +216,6 @@ GONE_PARAMETERS = ("radiators_per_lens", "passes", "occlusion")
 """Parameters of ``plenoptic_wave`` up to version 0.2, for the radiators that signed rays have replaced."""
 
 
-def scene_names() -> list[str]:
-    """Return the names of the scenes that come with the package."""
-    return sorted(path.stem for path in _folder().glob("*.xml"))
-
-
-def _folder() -> Path:
-    """Return the folder of the built-in scenes: in the installed package, or at the top of a clone."""
-    installed = Path(__file__).parents[1] / "scenes"
-    return installed if installed.is_dir() else installed.parents[1] / "scenes"
-
-
-def scene_path(name: str) -> Path:
-    """Return the path of a scene that comes with the package.
-
-    Parameters
-    ----------
-    name : str
-        Name without suffix, such as ``letters``.
-
-    Raises
-    ------
-    InputError
-        If there is no scene of that name; the message lists the names.
-    """
-    path = _folder() / f"{name}.xml"
-    if path.name != f"{name}.xml" or not path.is_file():
-        names = scene_names()
-        raise InputError(
-            f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({', '.join(names)})"
-            f"{did_you_mean(name, names)}"
-        )
-    return path
-
-
 @suggest_keywords
 @one_at_a_time
 def load_scene(
@@ -289,7 +256,8 @@ def load_scene(
     Warns
     -----
     UserWarning
-        If the whole scene is within the focal length of its plenoptic camera, as scenes in metres are.
+        If the whole scene is within the focal length of its plenoptic camera, or nearer than half of what refocusing
+        makes sharp, as scenes in metres are.
 
     Examples
     --------

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ..design import depth_ranges
 from ..errors import InputError, advice, require_choice
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -150,10 +151,15 @@ _SCALINGS = {
 }
 
 
-def warn_of_metres(scene: Any, sensor: Any) -> None:
-    """Warn if all of a scene is within the focal length of its plenoptic camera, as scenes in metres are.
+_FAR_TOO_NEAR = 0.5
+"""Distance over the nearest sharp one below which a scene is not just out of focus."""
 
-    Of other cameras nothing is known.
+
+def warn_of_metres(scene: Any, sensor: Any) -> None:
+    """Warn if all of a scene is far too near to its plenoptic camera, as scenes in metres are.
+
+    That is within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Of other
+    cameras nothing is known.
     """
     camera, box = getattr(sensor, "camera", None), scene.bbox()
     # An objective sees what is nearer than its focal length.
@@ -162,10 +168,18 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     to_camera = np.linalg.inv(np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4))
     corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)])
     farthest = float((corners @ to_camera[2]).max())
-    if 0 < farthest < camera.focal_length:
-        instead = advice(python='load_scene(..., unit="m") scales them', shell="--unit m scales them")
-        warnings.warn(
-            f"the whole scene is nearer than {farthest:.4g} mm, within the main lens's focal length of "
-            f"{camera.focal_length:.4g} mm: lengths are taken as millimetres; if the scene's are metres, {instead}",
-            stacklevel=3,
-        )
+    if farthest <= 0:
+        return
+    sharp = min((found[0] for found in depth_ranges(camera) if found), default=0.0)
+    if farthest < camera.focal_length:
+        where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"
+    elif farthest < _FAR_TOO_NEAR * sharp:
+        where = f"and refocusing makes nothing sharp that is nearer than {sharp:.4g} mm"
+    else:
+        return
+    instead = advice(python='load_scene(..., unit="m") scales them', shell="--unit m scales them")
+    warnings.warn(
+        f"the whole scene is nearer than {farthest:.4g} mm, {where}: lengths are taken as millimetres; if the scene's "
+        f"are metres, {instead}",
+        stacklevel=3,
+    )

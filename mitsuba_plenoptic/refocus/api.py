@@ -46,9 +46,9 @@ from .methods import (
     require_image_memory,
     require_interleave,
     require_response,
-    require_taken,
     require_upright,
     require_wavelengths,
+    used_by,
     work_of,
 )
 from .radiance import is_known
@@ -215,7 +215,7 @@ def reconstruct(
         more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
         at their edges, then read less than the radiance (0.85 for the paper's camera), except with
         ``incoherent``, whose computed white has lost the same light.
-        ``deconvolved`` takes none.
+        ``deconvolved``, which knows the light of every bin, has no use for it.
     response : {"wave", "ray"}, optional
         For ``deconvolved``: model of the light in the camera. Default: the wave model if a `wavelength` is given, or
         else the capture's own.
@@ -251,11 +251,15 @@ def reconstruct(
     ------
     InputError
         If there is no camera, or no wavelength for a wave method; if the array does not fit the camera or holds NaN or
-        infinity; for a wave method, if pixels are wider than lenses; or if an option is out of range, or one that the
-        method does not take.
+        infinity; for a wave method, if pixels are wider than lenses; or if an option is out of range.
     PhysicsError
         If hardly any of a capture's light passes back through the main lens in the wave model, or too much of it misses
         the object plane's window.
+
+    Warns
+    -----
+    UserWarning
+        If the method has no use for an option, which other methods have, so that one call serves a loop over methods.
 
     Notes
     -----
@@ -282,11 +286,10 @@ def reconstruct(
             f"method = {method}: behind main_lens = {camera.lens_data.label} captures are reconstructed by the "
             f"camera's own point spreads; use {argument('method')} {methods}"
         )
-    if white is not None and method == "deconvolved":
-        raise InputError("white: method deconvolved knows the light of every bin itself; it takes no white capture")
     require_upright(camera)
-    require_taken(
+    used = used_by(
         chosen,
+        white=white,
         wavelength=wavelength,
         interleave=interleave,
         footprint=footprint,
@@ -300,11 +303,12 @@ def reconstruct(
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
+    white, wavelength = used["white"], used["wavelength"]
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
         "interleave": require_interleave(interleave, camera),
         "relay": relay is None or require_flag("relay", relay),
-        "response": require_response(response, capture, wavelength),
+        "response": require_response(used["response"], capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
         "accelerate": accelerate is None or require_flag("accelerate", accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),
@@ -357,8 +361,8 @@ def reconstruct(
             progress=report,
             recorded=_recorded(capture, image.shape[2]),
             exposure=capture.metadata.get("exposure"),
-            checkpoint=checkpoint,
-            batch_map=batch_map,
+            checkpoint=used["checkpoint"],
+            batch_map=used["batch_map"],
         )
         # Methods that compare with computed captures ask for each wavelength's camera themselves.
         parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]

@@ -28,7 +28,7 @@ LEAST_SEEN = 0.01
 _OPTIONS = ("response", "iterations", "accelerate", "photons", "volume", "variation")
 
 
-@method("deconvolved", options=_OPTIONS, waves=True, as_it_is=True, long=True)
+@method("deconvolved", options=_OPTIONS, waves=True, as_it_is=True, long=True, white=False)
 def refocus(task: Task, **options: Any) -> list[Found]:
     """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
 

@@ -5,6 +5,7 @@ Each method is a module that registers one function of a `Task`.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -119,27 +120,40 @@ class RegisteredMethod:
     waves: bool
     as_it_is: bool = False
     long: bool = False
+    white: bool = True
 
     def takes(self, option: str) -> bool:
         """Whether the method uses an option of `reconstruct` that not all methods take."""
-        if option == "wavelength":
-            return self.waves
-        return option in self.options or (self.long and option in ("checkpoint", "batch_map"))
+        if option in ("wavelength", "white"):
+            return self.waves if option == "wavelength" else self.white
+        return option in self.options or (self.long and option in _OF_LONG)
 
+
+_OF_LONG = ("checkpoint", "batch_map", "resume", "workers", "scheduler")
+"""Options of methods that may take long, those of the command, too."""
 
 METHODS: dict[str, RegisteredMethod] = {}
 
 
-def require_taken(chosen: RegisteredMethod, **given: Any) -> None:
-    """Refuse options of `reconstruct` that a method would ignore; None means not given."""
-    for name, value in given.items():
-        if value is not None and not chosen.takes(name):
-            methods = ", ".join(other.name for other in METHODS.values() if other.takes(name))
-            raise InputError(f"{argument(name)}: method {chosen.name} does not take it; methods that do: {methods}")
+def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
+    """Return options with None, as if not given, for those that a method has no use for, of which one warning tells."""
+    unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
+    if unused:
+        takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
+        named = ", ".join(f"{argument(name)} (of {takers[name]})" for name in unused)
+        # From where `reconstruct` is called, through its decorators.
+        warnings.warn(f"method {chosen.name} has no use for {named}", stacklevel=5)
+    return {**given, **dict.fromkeys(unused)}
 
 
 def method(
-    name: str, *, options: tuple[str, ...], waves: bool, as_it_is: bool = False, long: bool = False
+    name: str,
+    *,
+    options: tuple[str, ...],
+    waves: bool,
+    as_it_is: bool = False,
+    long: bool = False,
+    white: bool = True,
 ) -> Callable[[Refocus], Refocus]:
     """Register a function as a method of reconstruction.
 
@@ -155,10 +169,12 @@ def method(
         Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
     long : bool
         Whether it may take long: then it writes checkpoints and takes workers.
+    white : bool
+        Whether its images can be divided by those of a white capture.
     """
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = RegisteredMethod(name, refocus, options, waves, as_it_is, long)
+        METHODS[name] = RegisteredMethod(name, refocus, options, waves, as_it_is, long, white)
         return refocus
 
     return register

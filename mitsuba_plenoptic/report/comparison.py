@@ -12,17 +12,18 @@ import numpy as np
 from ..errors import refuse_if
 from .experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from .framing import (
+    ON_DETECTOR,
     Canvas,
     Zoom,
     annotate,
     brightest_zoom,
-    common_peak,
     lit_window,
     object_bar,
     scale_bar,
     show,
     show_difference,
 )
+from .images import Brightness
 from .metrics import (
     capture_difference,
     common_scale,
@@ -36,7 +37,7 @@ from .metrics import (
     square_sharpness,
     ssim_text,
 )
-from .page import Report, write_report
+from .page import Report, scene_name, write_report
 from .stage_store import StageOptions
 
 
@@ -51,9 +52,8 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
     measured = measure(experiment)
     zooms = [brightest_zoom(experiment)]
     columns, rows = experiment.camera.bin_count
-    name = Path(settings.scene).stem.replace("_", " ")
     report = Report(
-        title=f"Rays and waves: {name}",
+        title=f"Rays and waves: {scene_name(settings.scene)}",
         lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
         f"{settings.wavelength:g} nm, and refocused from one capture.",
         experiment=experiment,
@@ -216,47 +216,48 @@ def draw_comparison(
     }
 
 
+_ACROSS = 4
+"""Panels of a row: with more, text could not be read where the figure is shown as wide as a page."""
+
+
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
-    """Draw every method at every distance next to the thin lens, with a note under each."""
+    """Draw every method at every distance next to the thin lens, with a note under each, in rows of four."""
     names = ["truth", *(method.name for method in METHODS)]
-    rows = [(f"{distance:g} mm", distance) for distance in experiment.settings.distances]
+    distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
-    peak = common_peak([experiment.truths[distance] for _, distance in rows], window)
-    wide, gap, left, title, foot = 2.7, 0.08, 0.45, 0.4, 0.3
-    tall = wide * window.aspect
-    figure = Canvas(left + len(names) * (wide + gap), title + len(rows) * (tall + foot))
-    for down, (label, distance) in enumerate(rows):
-        for across, name in enumerate(names):
-            axes = figure.axes(left + across * (wide + gap), title + down * (tall + foot), wide, tall)
+    peak = Brightness().white([window.of(experiment.truths[distance]) for distance in distances])
+    wide, gap, left, title, foot = 2.3, 0.1, 0.4, 0.34, 0.32
+    tall, lines = wide * window.aspect, math.ceil(len(names) / _ACROSS)
+    high = title + tall + foot
+    figure = Canvas(left + _ACROSS * (wide + gap), len(distances) * lines * high)
+    for down, distance in enumerate(distances):
+        for index, name in enumerate(names):
+            line, across = divmod(index, _ACROSS)
+            top = (down * lines + line) * high + title
+            axes = figure.axes(left + across * (wide + gap), top, wide, tall)
             show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
-            if name == "truth":
-                object_bar(axes, experiment.camera, distance, window)
-            annotate(
-                axes,
-                title=TITLES[name] if down == 0 else "",
-                side=label if across == 0 else "",
-                foot=notes.get((name, distance), ""),
-            )
+            object_bar(axes, experiment.camera, distance, window)
+            side = f"{distance:g} mm" if across == 0 else ""
+            annotate(axes, title=TITLES[name], side=side, foot=notes.get((name, distance), ""))
     figure.save_both(path)
 
 
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
     """Draw micro-images by rays, by waves, and their difference."""
     ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
-    peak = float(np.quantile(ray[ray > 0], 0.999)) if np.any(ray > 0) else 1.0
-    size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.35
-    figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + gap) + foot)
+    peak = Brightness().white([ray[zoom.rows, zoom.columns] for zoom in zooms])
+    size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.3
+    figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + foot))
     drawn: Any = None
     for row, zoom in enumerate(zooms):
         cuts = [image[zoom.rows, zoom.columns] for image in (ray, wave)]
-        panels = [figure.axes(left + i * (size + gap), title + row * (size + gap), size, size) for i in range(3)]
+        panels = [figure.axes(left + i * (size + gap), title + row * (size + foot), size, size) for i in range(3)]
         show(panels[0], cuts[0], "", peak=peak)
         show(panels[1], cuts[1], "", peak=peak)
         drawn = show_difference(panels[2], cuts[1] - cuts[0], 0.6 * peak)
         for axes, name in zip(panels, ("By rays", "By waves", "Waves minus rays"), strict=True):
             annotate(axes, title=name if row == 0 else "", side=zoom.title if axes is panels[0] else "")
-        if row == len(zooms) - 1:
-            scale_bar(panels[0], 0.1, cuts[0].shape[1] * camera.pixel_size, "0.1 mm", below=True)
+            scale_bar(axes, cuts[0].shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
     figure.colour_bar(drawn, left + 3 * (size + gap), title, min(3.0, size), "radiance")
     figure.save_both(path)
 
@@ -275,6 +276,7 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
             axes = figure.axes(left + across * (wide + gap), title + down * (tall + foot), wide, tall)
             difference = experiment.images[name, distance] - experiment.images["limit", distance]
             drawn = show_difference(axes, window.of(difference), bound)
+            object_bar(axes, experiment.camera, distance, window)
             annotate(
                 axes,
                 title=f"{distance:g} mm" if down == 0 else "",

@@ -22,7 +22,7 @@ from ..errors import refuse_if
 from ..io.pictures import linear_of
 from ..refocus import Reconstruction
 from ..views.coordinates import camera_of
-from .framing import Canvas, bar_length, scale_bar
+from .framing import IN_FOCUS, Canvas, scale_bar
 from .images import Brightness, srgb, to_bytes
 
 __all__ = ["contact_sheet", "depth_figure", "epipolar_figure", "stack_figure", "views_figure"]
@@ -35,6 +35,7 @@ _TEXT = 7.0
 _INK, _BACK, _HATCH = "#1b1f24", "#eef0f3", "#9aa3ad"
 _GAP, _TITLE, _SIDE, _BAR = 0.06, 0.2, 0.24, 0.55
 _LONGEST_BAR = 2.0
+_AT_DISTANCE = "bars: lengths at the distance of each image"
 _MOST_LABELS = 9
 
 
@@ -55,7 +56,8 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     results : sequence of Reconstruction
         In any order; of a method and a distance the last is shown, and what is missing stays empty.
     white : float, optional
-        Radiance that becomes white. Default: that which 99.5 % of the bins do not surpass.
+        Radiance that becomes white. Default: that which 99.5 % of the bins do not surpass; less where a highlight would
+        make images dark that are lit all over.
 
     Returns
     -------
@@ -88,10 +90,10 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
         if one is None:
             return Panel(np.zeros((0, 0)), title)
         width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
-        return Panel(one.image, title, width if row == 0 else None)
+        return Panel(one.image, title, width)
 
     rows = [[panel(row, method, distance) for distance in distances] for row, method in enumerate(methods)]
-    return _sheet(rows, methods if len(methods) > 1 else [], white)
+    return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
@@ -119,7 +121,8 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
         for image in stack
     ]
     columns = len(panels) if len(panels) < 5 else int(np.ceil(np.sqrt(len(panels))))
-    return _sheet([panels[start : start + columns] for start in range(0, len(panels), columns)], [], white)
+    rows = [panels[start : start + columns] for start in range(0, len(panels), columns)]
+    return _sheet(rows, [], white, _AT_DISTANCE)
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
@@ -137,19 +140,17 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
     Canvas
         Its method `save` writes PNG or PDF.
     """
-    known = "camera" in lf.attrs
-    unit = " mm" if known else ""
+    unit = " mm" if "camera" in lf.attrs else ""
     across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
-    width = abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
     values = _sampled(lf)
     rows = [
         [
-            Panel(values[j, i], across[i] if j == 0 else "", width if known and i == j == 0 else None)
+            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if i == j == 0 else None)
             for i in range(lf.sizes["u"])
         ]
         for j in range(lf.sizes["v"])
     ]
-    return _sheet(rows, down, white)
+    return _sheet(rows, down, white, f"bar: length {IN_FOCUS}, in all views")
 
 
 def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
@@ -219,8 +220,10 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
         axes = canvas.axes(left, _TITLE, wide, tall)
         drawn = _draw(axes, values, norm, colours)
         _write(axes, title, "")
+        if (across := _in_focus(found)) is not None:
+            scale_bar(axes, across, IN_FOCUS, size=_TEXT)
         if values.ndim == 3:
-            _state_white(axes, norm)
+            _state(axes, _white(norm))
         else:
             below, end = _TITLE + tall + 0.07, _end(values, norm)
             bar = canvas.colour_bar(drawn, left, below, 0.09, label, width=wide, text=_TEXT, extend=end)
@@ -229,8 +232,8 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     return canvas
 
 
-def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None) -> Canvas:
-    """Lay out panels of one size and one scale, with labels at the left of the rows."""
+def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Canvas:
+    """Lay out panels of one size and one scale, with labels at the left of the rows, and below what `bars` are."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     aspect = images[0].shape[0] / images[0].shape[1]
     grey = images[0].ndim == 2
@@ -241,21 +244,22 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
     tall = wide * aspect
     titles = [_TITLE if any(panel.title for panel in row) else _GAP for row in rows]
     tops = [sum(titles[: index + 1]) + index * tall for index in range(len(rows))]
-    canvas = Canvas(across, tops[-1] + tall + (_GAP if grey else _TITLE), _DPI)
     norm, drawn = _grey(images, white), None
+    stated = [] if grey else [_white(norm)]
+    stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
+    canvas = Canvas(across, tops[-1] + tall + (_TITLE if stated else _GAP), _DPI)
     for down, row in enumerate(rows):
         for index, panel in enumerate(row):
             axes = canvas.axes(left + index * (wide + _GAP), tops[down], wide, tall)
             _write(axes, panel.title, labels[down] if labels and index == 0 else "")
+            if index == 0 and down == len(rows) - 1:
+                _state(axes, "; ".join(stated))
             if not panel.image.size:
                 continue
             shown = _draw(axes, panel.image, norm)
             drawn = drawn or shown
             if panel.width is not None:
-                length = bar_length(panel.width)
-                scale_bar(axes, length, panel.width, f"{length:g} mm", size=_TEXT)
-            if not grey and index == 0 and down == len(rows) - 1:
-                _state_white(axes, norm)
+                scale_bar(axes, panel.width, size=_TEXT)
     if grey:
         height = min(_LONGEST_BAR, tops[-1] + tall - tops[0])
         _radiance_bar(
@@ -289,9 +293,21 @@ def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray"
     return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
 
 
-def _state_white(axes: Axes, norm: Normalize) -> None:
-    """State below a colour image, which has no scale, which radiance is white."""
-    axes.set_xlabel(f"white: radiance {norm.vmax:.3g}", size=_TEXT, color=_INK, loc="left", labelpad=3)
+def _white(norm: Normalize) -> str:
+    """State which radiance is white in colour images, which have no scale."""
+    return f"white: radiance {norm.vmax:.3g}"
+
+
+def _state(axes: Axes, text: str) -> None:
+    """Write below an image."""
+    axes.set_xlabel(text, size=_TEXT, color=_INK, loc="left", labelpad=3)
+
+
+def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
+    """Return the width of images in the plane in focus, None without a camera."""
+    if "camera" not in lf.attrs or "s" not in lf.coords:
+        return None
+    return abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
 
 
 def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, top: float, height: float) -> None:

@@ -69,11 +69,6 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
     return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1], rows / columns)
 
 
-def common_peak(images: Sequence[np.ndarray], window: Window) -> float:
-    """Choose the value that becomes white: all but glints stay below it."""
-    return max(float(np.nanquantile(window.of(image), 0.997)) for image in images)
-
-
 def brightest_zoom(experiment: Experiment) -> Zoom:
     """Look closely at where a capture has most contrast from lens to lens."""
     camera = experiment.camera
@@ -201,9 +196,17 @@ def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: s
     )
 
 
-def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: bool = False, size: float = 8) -> None:
-    """Draw a bar of `length` into an image that is `width` wide, in the same unit, or below it."""
-    fraction = length / width
+ON_DETECTOR, IN_FOCUS = "on the detector", "in the plane in focus"
+"""Planes of scale bars, besides distances."""
+
+
+def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
+    """Draw a bar of a round length into a picture that is `width` millimetres wide, or below it.
+
+    Its label states the length and the plane in which it is one.
+    """
+    length = _bar_length(width)
+    fraction, label = length / width, f"{length:g} mm {plane}".strip()
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")
     frame: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
@@ -216,14 +219,14 @@ def scale_bar(axes: Axes, length: float, width: float, label: str, *, below: boo
         axes.text(x, y + 1.8 * height, label, color=colour, size=size, va="bottom", path_effects=outline, **frame)
 
 
-def bar_length(width: float) -> float:
+def _bar_length(width: float) -> float:
     """Return a round length that suits a field of a width."""
     digit = 10.0 ** math.floor(math.log10(0.3 * width))
     return next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
-    """Lay a scale bar in the object plane, of a length that suits the field."""
-    width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
-    length = bar_length(width)
-    scale_bar(axes, length, width, f"{length:g} mm")
+    """Lay a scale bar in an object plane; at infinity there are no lengths."""
+    if math.isfinite(distance):
+        width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
+        scale_bar(axes, width, f"at {distance:g} mm")

@@ -94,6 +94,12 @@ _MOST_STOPS = 100.0
 
 _DEFAULT_PERCENTILE = 99.5
 
+# A lamp in sight covers more than the rest of the percentile once it is out of focus. Of a picture that is lit all
+# over, white is at most the last number times the 90th percentile. It is so where that percentile is at most the first
+# number times the median, and what does not surpass it holds at least the second part of the light: not so of stars
+# and letters on black, whose faint surroundings are even, too.
+_BULK, _ALIKE, _SHARE, _HIGHLIGHT = 90.0, 10.0, 0.1, 5.0
+
 
 @dataclass(frozen=True)
 class Brightness:
@@ -102,7 +108,8 @@ class Brightness:
     # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
     exposure: float | None = None
     # Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default: 99.5
-    # where there is no exposure. If it is black, the brightest becomes white.
+    # where there is no exposure, and less where a highlight would make a picture dark that is lit all over. If the
+    # value is black, the brightest becomes white.
     percentile: float | None = None
 
     def __post_init__(self) -> None:
@@ -121,10 +128,11 @@ class Brightness:
         if not values.size:
             return 1.0
         percentile = _DEFAULT_PERCENTILE if self.percentile is None else self.percentile
-        for value in (np.percentile(values, percentile), values.max()):
-            if value > 0:
-                return float(value)
-        return 1.0
+        half, most, value = np.percentile(values, (50, _BULK, percentile))
+        if self.percentile is None and most <= _ALIKE * half:
+            shared = values[values <= most].sum(dtype=np.float64) >= _SHARE * values.sum(dtype=np.float64)
+            value = min(value, _HIGHLIGHT * most) if shared else value
+        return next((float(one) for one in (value, values.max()) if one > 0), 1.0)
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from .. import design
 from ..io.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
-from .framing import Window, Zoom, common_peak, lit_window
-from .images import to_bytes
+from .framing import Window, Zoom, lit_window
+from .images import Brightness, to_bytes
 from .metrics import ssim_text
 from .stage_store import software, time_summary, write_json
 
@@ -62,6 +62,11 @@ class Report:
     claims: Sequence[Claim] = field(default=())
     # Rows as from `timing_table`; none for other scenes.
     timing: Sequence[dict[str, Any]] = field(default=())
+
+
+def scene_name(scene: str) -> str:
+    """Return the name of a scene in words, from its file or its built-in name."""
+    return Path(scene).stem.replace("_", " ")
 
 
 def write_report(folder: Path, report: Report) -> dict[str, Any]:
@@ -203,7 +208,7 @@ def shown_distances(experiment: Experiment) -> list[float]:
 def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
     """Return pictures by method and distance, with the metrics of those that have some."""
     distances = shown_distances(experiment)
-    peak = common_peak([experiment.truths[distance] for distance in distances], window)
+    peak = Brightness().white([window.of(experiment.truths[distance]) for distance in distances])
     facts: dict[str, dict[str, list[list[str]]]] = {}
     for row in measured["reconstructions"]:
         metrics = [

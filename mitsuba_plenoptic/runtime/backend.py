@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import logging
 import math
 import os
 import threading
@@ -30,6 +31,8 @@ from . import llvm
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+_log = logging.getLogger(__name__)
 
 _turn = threading.RLock()
 _started = False
@@ -223,6 +226,7 @@ def set_variant(variant: str | None) -> None:
     )
     if mi.variant() != variant:
         mi.set_variant(variant)
+    _log.debug("variant %s", variant)
 
 
 def module_of(value: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import sys
 import threading
 import time
@@ -12,9 +13,9 @@ from typing import TextIO
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     SpinnerColumn,
+    TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -97,11 +98,22 @@ def progress_bar(label: str) -> Iterator[ProgressBar]:
         with plain_lines(label) as line:
             yield line
         return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    times = (TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, *times, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=None)
+    with moving_bar() as bar:
+        task = bar.add_task(label, total=1)
         yield ProgressBar(label, lambda done, total: bar.update(task, completed=done, total=total))
+
+
+def moving_bar() -> Progress:
+    """Return bars with percentage and time left on standard error, which show where they can move."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    times = (TimeElapsedColumn(), TimeRemainingColumn())
+    console = Console(stderr=True, highlight=False)
+    return Progress(*columns, *times, console=console, transient=True, disable=is_quiet() or not has_screen())
+
+
+def is_quiet() -> bool:
+    """Return whether no progress is shown: where the package logs what is critical alone."""
+    return logging.getLogger("mitsuba_plenoptic").level == logging.CRITICAL
 
 
 def has_screen() -> bool:
@@ -139,7 +151,8 @@ def _print_lines(ended: threading.Event, output: TextIO) -> None:
         line, elapsed = _under_way[-1], time.monotonic() - start
         done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
         try:
-            print(f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s", file=output, flush=True)
+            if not is_quiet():
+                print(f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.
         wait = min(max(INTERVAL, elapsed / 10), LONGEST_INTERVAL)

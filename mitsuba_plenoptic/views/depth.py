@@ -150,6 +150,17 @@ def depth_map(
     )
 
 
+def beyond_search(found: xr.Dataset) -> tuple[float, float]:
+    """Return which fractions of the bins probably see what is nearer and what is farther than a depth map's search.
+
+    Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
+    """
+    distance = distance_of(found.disparity.assign_attrs(found.attrs), found.disparity.values)
+    unknown, reach = found.confidence.values == 0, 1 + 2 * RIGHT
+    near, far = distance < found.attrs["near"] * reach, distance > found.attrs["far"] / reach
+    return float((unknown & near).mean()), float((unknown & far).mean())
+
+
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
     """Return the nearest and the farthest distance of which views or micro-images can show the depth.
 

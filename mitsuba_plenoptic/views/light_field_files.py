@@ -23,6 +23,9 @@ from .mosaics import read_mosaic, write_mosaic
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"
 
+HCI = "parameters.cfg"
+"""File in each folder of the 4D Light Field Benchmark, which belongs to an extension."""
+
 _SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
 """Of files to write; ``.mat`` belongs to an extension."""
 
@@ -42,9 +45,9 @@ def open_light_field(
     ----------
     path : path
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
-        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; ``.eslf.png`` with `views`: samples
-        of each lens together; ``.png`` with `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`:
-        a raw picture of some plenoptic camera.
+        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder of the 4D Light Field
+        Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with `views`: a mosaic of
+        views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of some plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
         it replaces the computed one; for a raw picture it shows where the micro-images are.
@@ -79,7 +82,8 @@ def open_light_field(
         by = None if white is None else _white_capture(white, linear)
         return decode(capture, camera=camera, white=by, truth=known)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
-    if of_extension := format_of(path.suffix.lower(), "light field", str(path)):
+    key = HCI if (path / HCI).is_file() else path.suffix.lower()
+    if of_extension := format_of(key, "light field", str(path)):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return place(*of_extension)(path)
     if name.endswith((".nc", ".zarr")):
@@ -102,7 +106,10 @@ def open_light_field(
         format_of(path.suffix.lower(), "capture", str(path)),
         f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
     )
-    raise InputError(f"{path}: a capture or light field has a name that ends in .exr, {', '.join(_SUFFIXES)} or .tiff")
+    raise InputError(
+        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(_SUFFIXES)} or .tiff, or is a "
+        f"folder with {HCI}"
+    )
 
 
 def open_micro_images(

@@ -179,7 +179,7 @@ def test_interrupt_leaves_nothing(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
-    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "16", "--resume"]
+    words = ["render", "letters", "-o", tmp_path / "raw.exr", "--model", "wave", "--spp", "16"]
     words += ["--checkpoint", tmp_path / "kept", "--method", "points"]
     words += definitions(letters(4))
     # The keys are pressed where the first checkpoint is written, which this command does after the first batch.
@@ -188,7 +188,7 @@ def test_interrupted_waves_write_a_checkpoint_and_say_how_to_go_on(tmp_path):
     assert process.returncode == 130, error
     stopping, stopped = error.splitlines()[-2:]
     assert "stopping after the current batch" in stopping
-    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: resume with --resume", stopped)
+    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: the same command goes on from there", stopped)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 

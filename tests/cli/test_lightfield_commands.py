@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import configparser
 import json
+import re
 
+import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, render_capture, with_camera, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.report.images import Brightness, to_bytes
+from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
+from mitsuba_plenoptic.report.images import Brightness, srgb, to_bytes
 from mitsuba_plenoptic.views import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
+from mitsuba_plenoptic.views.coordinates import camera_of
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
@@ -107,6 +112,52 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
     assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin determines it")
 
 
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory):
+    """Capture a wall with random texture 500 mm before a fast hexagonal camera that is focused to 320 mm."""
+    to_world = mi.ScalarTransform4f
+    texture = gaussian_filter(np.random.default_rng(0).random((256, 256, 1)), (2, 2, 0), mode="wrap")
+    texture = np.float32((texture - texture.min()) / np.ptp(texture))
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "light": {"type": "constant"},
+            "sensor": {"type": "perspective", "to_world": to_world().look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])},
+            "wall": {
+                "type": "rectangle",
+                "to_world": to_world().translate([0, 0, 500]).rotate([1, 0, 0], 180).scale(30),
+                "bsdf": {
+                    "type": "diffuse",
+                    "reflectance": {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True},
+                },
+            },
+        }
+    )
+    sheet = {"f_number": 2.8, "lenses": 40, "pixels_per_lens": 10, "pixel_size": 0.005}
+    camera = PlenopticCamera.matched(**sheet, focal_length=50, focus_distance=320, mla_lattice="hexagonal")
+    path = tmp_path_factory.mktemp("wall") / "wall.exr"
+    write_capture(path, render_capture(with_camera(scene, camera), spp=64))
+    return path
+
+
+def test_depth_says_where_to_widen_the_search(wall, tmp_path, capfd):
+    """By default a fast camera is searched to 458 mm, where a point moves by two lenses from view to view."""
+    assert main(["depth", str(wall), "-o", str(tmp_path / "a.exr")]) == 0
+    error = capfd.readouterr().err
+    assert re.search(
+        r"warning: depth: \d\d % of the bins agree best at the far end of the search, 458.2 mm, and are probably "
+        "farther: widen the search with --far",
+        error,
+    )
+    assert "hardly any bin" not in error
+    assert main(["depth", str(wall), "-o", str(tmp_path / "b.exr"), "--far", "600"]) == 0
+    output, error = capfd.readouterr()
+    assert "warning" not in error and int(re.search(r": (\d+) % of the bins", output)[1]) > 90
+    images, _ = parts(tmp_path / "b.exr")
+    assert np.nanmedian(images["depth"]) == pytest.approx(500, rel=0.01)
+
+
 def test_expose(raw, tmp_path, run):
     told = run(
         "expose", raw, "-o", tmp_path / "a.exr", "--photons", 500, "--bits", 10, "--seed", 4, "--full-well", 2000
@@ -197,6 +248,21 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
         assert (np.asarray(Image.open(pictures[number]))[..., 0] == known).all()
     truth = np.frombuffer((folder / "gt_depth_lowres.pfm").read_bytes().split(b"\n", 3)[3], "<f4").reshape(8, 8)[::-1]
     assert np.nanmin(truth) == pytest.approx(0.24, rel=1e-5)
+    back = tmp_path / "back.nc"
+    assert run("convert", folder, "-o", back) == f"{back}: 15 x 15 views of 8 x 8 pixels\n"
+    found, square = open_light_field(back), lf[middle - 7 : middle + 8, middle - 7 : middle + 8]
+    assert camera_of(found) == camera
+    for axis in "vuts":
+        np.testing.assert_allclose(found[axis], square[axis])
+    # Pictures have eight bits, of which half a step is lost, and end at white.
+    white = Brightness().white([square.values])
+    codes = [255 * srgb(np.clip(one.values / white, 0, 1)) for one in (found, square)]
+    assert abs(codes[0] - codes[1]).max() < 0.51
+    assert "parameters.cfg" in complaint("convert", tmp_path, "-o", back)
+    (folder / "input_Cam007.png").unlink()
+    assert complaint("convert", folder, "-o", back) == f"{folder / 'input_Cam007.png'}: there is no such file"
+    (folder / "parameters.cfg").write_bytes(b"\xff\xfe")
+    assert "it is not text in UTF-8" in complaint("convert", folder, "-o", back)
     assert complaint("convert", raw, "-o", folder, "--format", "hcl").startswith("--format = 'hcl': it must be")
     assert complaint("convert", raw, "-o", raw, "--format", "hci") == f"{raw}: it is a file; name a folder"
     run("convert", raw, "-o", tmp_path / "a.eslf.png")

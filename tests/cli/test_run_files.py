@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import read_capture
-from mitsuba_plenoptic.cli import step_commands
+from mitsuba_plenoptic.cli import command_group, commands_of, step_commands
 from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
-from mitsuba_plenoptic.cli.stopping import existing_checkpoint, within_run
+from mitsuba_plenoptic.cli.stopping import existing_checkpoint
 from mitsuba_plenoptic.io.exr import read_exr
 
 STEPS = """
@@ -204,8 +204,12 @@ def test_a_step_is_not_added_where_it_would_mean_something_else(raw, tmp_path, c
     assert complaint(*words, tmp_path / "run.json").endswith("give a name that ends in .yaml or .yml")
 
 
-def test_checkpoints_within_a_run():
-    assert existing_checkpoint(False) == "refuse" and existing_checkpoint(True) == "resume"
-    with within_run():
-        assert existing_checkpoint(False) == "resume_if_same"
-    assert existing_checkpoint(False) == "refuse"
+def test_resume_means_the_same_in_every_command_that_has_it():
+    assert existing_checkpoint(False) == "resume_if_same" and existing_checkpoint(True) == "resume"
+    texts = {
+        option.help
+        for _, command in commands_of(command_group())
+        for option in command.params
+        if "--resume" in option.opts
+    }
+    assert len(texts) == 1

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.scene_files import scene_names
 
 _WORDS = r"the whole scene is nearer than 4\.9 mm, within the main lens's focal length of 6\.84 mm: .* "
 
@@ -172,3 +173,22 @@ def test_scenes_in_metres_are_warned_of_everywhere():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         mp.with_camera(mp.load_scene(box, unit="m"), camera)
+
+
+@pytest.mark.parametrize(("depth", "told"), [(40.0, True), (60.0, False), (230.0, False)])
+def test_a_scene_in_metres_that_is_larger_than_the_focal_length_is_told(depth, told):
+    """The camera's focal length is 6.84 mm, and it makes sharp what is 106.6 mm away or more."""
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, depth]).scale(0.5)}
+    scene = {"type": "scene", "wall": wall, "sensor": mp.PlenopticCamera.preset("lytro").to_sensor()}
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        mp.load_scene(scene, variant="llvm_ad_mono")
+    words = r"nearer than 40 mm, and refocusing makes nothing sharp that is nearer than 106\.6 mm"
+    assert [bool(re.search(words, str(one.message))) for one in found] == [True] * told
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_no_scene_of_the_package_is_taken_for_one_in_metres(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mp.load_scene(name, variant="llvm_ad_rgb")

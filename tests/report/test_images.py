@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from PIL import Image
 
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.report.images import shrink, write_png
+from mitsuba_plenoptic.extensions.studio.preview import preview_of
+from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
+from mitsuba_plenoptic.report.images import Brightness, shrink, to_bytes, write_png
 from mitsuba_plenoptic.report.output_files import reconstruction_paths
 
 
@@ -58,3 +62,56 @@ def test_names_for_several_distances(tmp_path):
 def test_refused_names(name, distances, tmp_path):
     with pytest.raises(InputError):
         reconstruction_paths(tmp_path / name, distances)
+
+
+def test_a_lamp_out_of_focus_does_not_make_the_rest_black():
+    """3 % of the bins are as bright as a lamp; of what is lit, a grey of 18 % stays one that can be seen."""
+    lit = np.random.default_rng(0).uniform(0.1, 0.6, (100, 100))
+    lamp = lit.copy()
+    lamp[:30, :10] = 50.0
+    white = Brightness().white([lit])
+    assert white == pytest.approx(np.percentile(lit, 99.5))
+    assert to_bytes(np.full((1, 1), 0.18), Brightness().white([lamp])) > 60
+    assert white < Brightness().white([lamp, lit]) < 5 * white
+    assert Brightness(percentile=99.5).white([lamp]) == 50
+    # What is bright on black is what the picture is about.
+    for faint in (0.0, 1e-3):
+        assert Brightness().white([np.where(np.arange(100) < 3, 1.0, faint * lit)]) == 1
+    assert Brightness().white([np.zeros((3, 3)), np.full((3, 3), np.nan)]) == 1
+
+
+def lamp_scene():
+    """A wall that is lit, with a tiny lamp of 10,000 times its radiance far in front of the plane in focus."""
+    to_world = mi.ScalarTransform4f
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "sensor": {"type": "perspective", "to_world": to_world().look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])},
+            "wall": {
+                "type": "rectangle",
+                "to_world": to_world().translate([0, 0, 240]).scale(50).rotate([1, 0, 0], 180),
+                "emitter": {"type": "area", "radiance": 0.5},
+            },
+            "lamp": {
+                "type": "sphere",
+                "center": [0, 0, 210],
+                "radius": 0.05,
+                "emitter": {"type": "area", "radiance": 5000},
+            },
+        }
+    )
+
+
+def test_the_wall_is_seen_next_to_a_lamp_in_all_figures():
+    camera = mp.PlenopticCamera(detector_width=4.096, resolution=(512, 512))
+    scene = mp.with_camera(lamp_scene(), camera)
+    capture = mp.render_capture(scene, model="ray", spp=32)
+    sheet = contact_sheet(mp.reconstruct(capture, [210, 240]))
+    depth = depth_figure(mp.views.depth_map(mp.decode(capture), 200, 260, planes=16))
+    for axes in (sheet.figure.axes[0], sheet.figure.axes[1], depth.figure.axes[0]):
+        (image,) = axes.images
+        assert np.median(np.asarray(image.get_array())) == pytest.approx(0.5, rel=0.02)
+        assert image.norm(0.5) > 0.3
+    seen = preview_of(scene, camera)
+    assert to_bytes(seen.picture, Brightness().white([seen.picture]))[0, 0] > 100

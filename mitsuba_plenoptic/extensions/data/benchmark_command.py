@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...cli.inputs import OutputFolder, Scheduler, Seed, Workers, batches_on, output_option
+from ...cli.stopping import resumable
 from ...errors import refuse_if, require_choice
 from ...runtime.progress import progress_bar
 
 if TYPE_CHECKING:
     from .score import TableLine
 
-
-_log = logging.getLogger(__name__)
 
 benchmark = typer.Typer(
     help=__doc__,
@@ -55,12 +53,8 @@ def make(
     from .benchmark import SCENES, SIZES, benchmark_recipe, make_benchmark
 
     wanted = benchmark_recipe(seed, scene or tuple(SCENES), SIZES[require_choice("size", size, SIZES)])
-    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress:
-        try:
-            made = make_benchmark(wanted, output, batch_map=batch_map, progress=progress)
-        except KeyboardInterrupt:
-            _log.info("stopped at %.0f %%: the same command resumes", 100 * progress.fraction)
-            raise
+    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress, resumable(progress):
+        made = make_benchmark(wanted, output, batch_map=batch_map, progress=progress)
     bytes_ = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
     typer.echo(f"{output}: {len(made)} samples, {bytes_ / 2**20:.0f} MiB, described in {output / 'README.md'}")
 

@@ -9,19 +9,11 @@ array and as large, shifted so that the plane in focus stays in place.
 
 from __future__ import annotations
 
-import configparser
-import io
 from pathlib import Path
 
-import numpy as np
-import xarray as xr
-
-from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_choice
-from ...io.files import atomic_output, write_text
-from ...report.images import Brightness, write_png
-from ...views import decode, disparity
-from ...views.coordinates import camera_of
+from ...errors import require_choice
+from ...views import decode
+from ..raw.hci import write_hci
 from .contents import CAPTURES, Benchmark, capture_of, central_truth
 
 
@@ -62,83 +54,3 @@ def export_hci(made: Benchmark, folder: str | Path, capture: str = "ray") -> lis
         write_hci(place, lf, depth, name="_".join(made.name(index)), version=version, white=1.0)
         written.append(place)
     return written
-
-
-def write_hci(
-    folder: Path,
-    lf: xr.DataArray,
-    depth: np.ndarray | None,
-    *,
-    name: str,
-    version: str = "",
-    white: float | None = None,
-) -> int:
-    """Write a light field to a folder of the 4D Light Field Benchmark, and return how many views stand in a row.
-
-    The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
-    pictures, by default that of any other picture.
-    """
-    camera = camera_of(lf)
-    refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
-    middle = lf.sizes["v"] // 2
-    half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
-    lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-    white = Brightness().white([lf.values]) if white is None else white
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
-        colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
-        write_png(folder / f"input_Cam{number:03d}.png", colours, peak=white)
-    shifts = (0.0, 0.0)
-    if depth is not None:
-        shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
-        for kind, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
-            _write_pfm(folder / f"{kind}.pfm", values)
-        shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
-    _write_parameters(folder / "parameters.cfg", camera, name, version, shifts, 2 * half + 1)
-    return 2 * half + 1
-
-
-def _write_parameters(
-    path: Path, camera: PlenopticCamera, name: str, version: str, shifts: tuple[float, float], views: int
-) -> None:
-    """Write the geometry of the cameras, of which `views` stand in a row."""
-    columns, rows = camera.bin_count
-    low, high = shifts
-    parser = configparser.ConfigParser()
-    parser["intrinsics"] = {
-        "image_resolution_x_px": str(columns),
-        "image_resolution_y_px": str(rows),
-        "focal_length_mm": f"{camera.mla_distance:.9g}",
-        "sensor_size_mm": f"{max(columns, rows) * camera.mla_pitch:.9g}",
-        "fstop": "100",
-    }
-    parser["extrinsics"] = {
-        "num_cams_x": str(views),
-        "num_cams_y": str(views),
-        "baseline_mm": f"{camera.pupil_step:.9g}",
-        "focus_distance_m": f"{camera.focus_distance / 1000:.9g}",
-        **{f"center_cam_{axis}": "0" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")},
-    }
-    parser["meta"] = {
-        "scene": name,
-        "category": "plenoptic",
-        "date": "",
-        "version": version,
-        "authors": "mitsuba_plenoptic",
-        "contact": "",
-        "disp_min": f"{low:.6g}",
-        "disp_max": f"{high:.6g}",
-        "frustum_disp_min": f"{low:.6g}",
-        "frustum_disp_max": f"{high:.6g}",
-        "depth_map_scale": "1",
-    }
-    text = io.StringIO()
-    parser.write(text)
-    write_text(path, text.getvalue())
-
-
-def _write_pfm(path: Path, values: np.ndarray) -> None:
-    """Write a map as a portable float map, which begins with the lowest row."""
-    rows, columns = values.shape
-    with atomic_output(path, ".pfm") as temporary:
-        temporary.write_bytes(f"Pf\n{columns} {rows}\n-1\n".encode() + np.flipud(values).astype("<f4").tobytes())

@@ -31,8 +31,9 @@ from ...io.files import read_yaml
 from ...io.truth_files import QUANTITIES, require_quantities
 from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
-from ...light.scene import scene_path
+from ...light.scene_unit import UNITS
 from ...runtime.backend import DEFAULT_VARIANT
+from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs
 from .generators import GENERATORS, Illumination, SceneGenerator
@@ -60,6 +61,8 @@ class Source:
     share: float
     # The generator's settings or the scene's parameters, parsed by `draws.parse`.
     values: Mapping[str, Any]
+    # Of the scene's lengths.
+    unit: str = "mm"
 
 
 @dataclass(frozen=True)
@@ -290,7 +293,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
         _require_names(name, entry, ("generator", "share", *known))
         values = {key: value for key, value in entry.items() if key in known}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
-    _require_names(name, entry, ("scene", "share", "parameters"))
+    _require_names(name, entry, ("scene", "share", "parameters", "unit"))
     values = entry.get("parameters", {})
     refuse_if(
         not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
@@ -299,7 +302,8 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
     parsed = {str(key): parse(f"{name}: {key}", value) for key, value in values.items()}
-    return Source(None, str(path.resolve()), share, parsed)
+    unit = require_choice(f"{name}: unit", entry.get("unit", "mm"), UNITS)
+    return Source(None, str(path.resolve()), share, parsed, unit)
 
 
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
         scene = load_scene(plan.maker.scene(plan.camera, plan.light, random), variant=recipe.variant)
         scene.set_id(str(source.generator))
     else:
-        scene = load_scene(str(source.scene), variant=recipe.variant, parameters=plan.parameters)
+        scene = load_scene(str(source.scene), variant=recipe.variant, parameters=plan.parameters, unit=source.unit)
     return with_camera(scene, plan.camera)
 
 

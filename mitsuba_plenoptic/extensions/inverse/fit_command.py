@@ -11,13 +11,14 @@ from ...cli.choices import MODELS
 from ...cli.inputs import (
     CameraFile,
     Definitions,
+    Unit,
     named_camera,
     numeric,
     output_option,
     parse_definitions,
     require_in_use,
 )
-from ...cli.stopping import existing_checkpoint, stopped_by_hand
+from ...cli.stopping import Resume, existing_checkpoint, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
 
@@ -72,9 +73,8 @@ def fit(
         str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
     ] = "wave",
     accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the checkpoint of a fit that was stopped.")
-    ] = False,
+    resume: Resume = False,
+    unit: Unit = "mm",
     define: Definitions = None,
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
@@ -124,7 +124,7 @@ def fit(
         require_number("photons", photons, positive=True)
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
-        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define))
+        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define), unit=unit)
         require_in_use(name, parse_definitions(define))
         view = fitting.known_view(
             capture.image,

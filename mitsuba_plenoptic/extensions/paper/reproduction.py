@@ -20,8 +20,8 @@ from ...io.captures import read_capture
 from ...refocus import reconstruct
 from ...report.comparison import draw_comparison, measure
 from ...report.experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
-from ...report.framing import Canvas, Zoom, common_peak, lit_window, mark, object_bar, scale_bar, show, zoom_at
-from ...report.images import shrink
+from ...report.framing import ON_DETECTOR, Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, zoom_at
+from ...report.images import Brightness, shrink
 from ...report.page import Report, write_report
 from ...report.stage_store import StageOptions
 from ...runtime.backend import set_variant
@@ -179,7 +179,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     seen = window.of(experiment.pinhole)
     show(axes, seen, "Object, seen from the centre of the main lens")
     in_view = (window.right - window.left) * design.field_width(camera, camera.focus_distance)
-    scale_bar(axes, 2.0, in_view, f"2 mm at {camera.focus_distance:g} mm")
+    scale_bar(axes, in_view, f"at {camera.focus_distance:g} mm")
     for name in letters:
         low, high = experiment.boxes[name]
         z = (low[2] + high[2]) / 2
@@ -202,14 +202,14 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     small = shrink(seen, 1400)
     # Averaging pixels dims the micro-images, which do not fill their cells.
     show(axes, small, "Detector image, by waves", peak=0.7 * peak)
-    scale_bar(axes, 1.0, seen.shape[1] * camera.pixel_size, "1 mm")
+    scale_bar(axes, seen.shape[1] * camera.pixel_size, ON_DETECTOR)
     corner = round(window.top * wave.shape[0]), round(window.left * wave.shape[1])
     for index, zoom in enumerate(zooms):
         mark(axes, zoom, corner, seen.shape[1] / small.shape[1], "abc"[index])
         cut = wave[zoom.rows, zoom.columns]
         below = figure.axes(edge + index * (close + gap), 0.5 + half * window.aspect + 0.55, close, close)
         show(below, cut, f"({'abc'[index]})  Micro-images of {zoom.title}", peak=peak)
-        scale_bar(below, 0.1, cut.shape[1] * camera.pixel_size, "0.1 mm", below=True)
+        scale_bar(below, cut.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
     figure.save_both(path)
 
 
@@ -217,7 +217,7 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))
     images = [experiment.images[panel] for panel in panels]
-    peak = common_peak(images, window)
+    peak = Brightness().white([window.of(image) for image in images])
     edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
     tall = wide * window.aspect
     figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)

@@ -7,6 +7,7 @@ EXTENSION = Extension(
     modules={"exchange": "exchange"},
     formats={
         **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
+        "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),
         ".mat": FileFormat("light field", "lftoolbox:read_lftoolbox", "lftoolbox:write_lftoolbox"),
     },
 )

@@ -10,6 +10,7 @@ from ...views.light_field_files import (
     write_labelled,
 )
 from ...views.mosaics import LAYOUTS, read_mosaic, write_mosaic
+from .hci import read_hci
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .lytro_file import nearest_white, read_lytro
 
@@ -18,6 +19,7 @@ __all__ = [
     "nearest_white",
     "open_light_field",
     "open_micro_images",
+    "read_hci",
     "read_labelled",
     "read_lftoolbox",
     "read_lytro",

@@ -11,11 +11,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...prescription.lens_data import image_distance
-from ...report.framing import Canvas, show
+from ...report.framing import IN_FOCUS, Canvas, scale_bar, show
 from ...report.images import Brightness
 from .preview_views import PreviewView, view_of
 
@@ -201,7 +202,11 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
         rows, columns = seen.picture.shape
         width, height = (4.2, 4.2 * rows / columns) if rows <= columns else (4.2 * columns / rows, 4.2)
         axes = canvas.axes(0.2, top, width, height)
-        show(axes, seen.picture, title, peak=Brightness().white([seen.picture]))
+        what = f"What the main lens sees, {seen.view.focus_label}"
+        heading = f"{title}: {what[0].lower()}{what[1:]}" if title else what
+        show(axes, seen.picture, heading, peak=Brightness().white([seen.picture]))
+        if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
+            scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
         axes.set_frame_on(True)
         _outline(axes, seen)
         _draw_from_above(canvas.axes(5.1, top, 4.2, 3.9), seen)
@@ -234,5 +239,9 @@ def _draw_from_above(axes: Axes, seen: Preview) -> None:
     axes.plot(points[:, 2], -points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
     axes.set_xlim(start, reach)
     axes.set_xticks(*zip(*view.ticks(reach).items(), strict=True), fontsize=8)
-    axes.set_title("From above; grey: borders of the field", size=9, loc="left", pad=6)
+    low, high = axes.get_ylim()
+    across = [tick for tick in MaxNLocator(6).tick_values(low, high) if low < tick < high]
+    axes.set_yticks(across, [f"{tick * view.per_millimetre:g}" for tick in across], fontsize=8)
+    axes.yaxis.tick_right()
+    axes.set_title(f"From above, {view.unit} across; grey: borders of the field", size=9, loc="left", pad=6)
     axes.legend(fontsize=7, loc="upper left", framealpha=0.9)

@@ -62,13 +62,15 @@ def preview(
     from ...optics.guards import PhysicsError
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
-    with progress_bar("Previewing"):
+    with progress_bar("Previewing") as progress:
         loaded = open_scene(scene, parse_definitions(define), variant, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
+        progress(1, 4)
         # Brings Matplotlib, which takes a while to load.
         from .preview import draw_preview, framing_warnings, preview_of, propose
 
         seen = preview_of(loaded, seen_by)
+        progress(2, 4)
         view = seen.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
         previews = [(f"{scene}, in focus {where}", seen)]
@@ -87,6 +89,7 @@ def preview(
                     before = "the native object plane in its middle"
                 lines.append(f"proposal: {scaled}put the camera at {proposal.lookat()}, {before}")
             lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
+        progress(3, 4)
         draw_preview(target, previews)
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")

@@ -42,7 +42,7 @@ class PreviewView(ABC):
     @property
     def focus_label(self) -> str:
         """Name of the plane in focus."""
-        return f"in focus, {self.in_units(self.focus)}"
+        return f"in focus at {self.in_units(self.focus)}"
 
     @abstractmethod
     def sharp_range(self) -> tuple[float, float]:
@@ -174,7 +174,7 @@ class MicroscopeView(PreviewView):
     @property
     def focus_label(self) -> str:
         """Name of the plane in focus."""
-        return "in focus, the native object plane"
+        return "in focus in the native object plane"
 
     def sharp_range(self) -> tuple[float, float]:
         """Return `design.depth_of_field`."""

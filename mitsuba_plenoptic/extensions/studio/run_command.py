@@ -13,7 +13,7 @@ import typer
 from ...cli import mistake, step_commands
 from ...cli.inputs import parse_definitions, scene_roots
 from ...cli.run_file import RunStep, parameters_of, read_run_file
-from ...cli.stopping import within_run
+from ...cli.stopping import resumable
 from ...errors import InputError, refuse_if, short_repr
 
 _log = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ def run(
     parameters = parameters_of(commands)
     steps = read_run_file(file, parameters)
     log = StepLog(file.absolute().with_suffix(".steps.json"))
-    with contextlib.chdir(file.parent), within_run():
+    with contextlib.chdir(file.parent), resumable():
         # All are parsed before the first is run, which may take long.
         contexts, by_waves = [], False
         for number, step in enumerate(steps, 1):

@@ -58,8 +58,5 @@ def view(
         used = any(isinstance(one, Recording) for one in found)
         for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
             refuse_if(value is not None and not used, f"--{name} {value}: of no use without a capture or light field")
-        # What was computed of a capture is not in the headline.
-        named = [path for path, one in zip(sources, found, strict=True) if isinstance(one, Recording)] or sources[:1]
-        page = make_page(*found, title=" and ".join(path.name for path in named))
-        page.save(target)
+        make_page(*found).save(target)
     typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
 from ...io.captures import Capture
 from ...io.files import write_text
 from ...refocus import Reconstruction
 from ...report.images import Brightness, encode, shrink
-from ...report.page import template
+from ...report.page import scene_name, template
 from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
 from ...views.coordinates import DIMS, light_field, require_light_field, view_steps
 from ...views.lens_grid import bin_grid
@@ -47,6 +48,23 @@ class Recording:
     image: np.ndarray | None = None
     # Of propagation, where it is known.
     model: str = ""
+    # What the page is headed by: the scene and the camera, as far as they are known.
+    title: str = ""
+
+    @classmethod
+    def of(cls, capture: Capture, name: str, lf: xr.DataArray) -> Recording:
+        """Return the recording of a capture with its light field."""
+        scene = scene_name(str(capture.metadata.get("scene", "")))
+        title = ", ".join(part for part in (scene, _through(capture.camera)) if part)
+        return cls(name, lf, capture.image, capture.model, title)
+
+
+def _through(camera: PlenopticCamera) -> str:
+    """Describe a camera in a few words."""
+    columns, rows = camera.lens_count
+    lattice = "" if camera.mla_lattice == "square" else f"{camera.mla_lattice} "
+    lens = f"f/{camera.f_number:.3g}" if camera.lens_data.converges else camera.lens_data.label
+    return f"{lens}, {columns} x {rows} {lattice}microlenses"
 
 
 # Distance of a pupil that stands for one infinitely far, in focal lengths.
@@ -111,7 +129,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         One or two captures or light fields of the same bins and views, and what was computed of them: focal stacks and
         reconstructions, which are shown as they are at their distances, and one depth map.
     title : str
-        Headline of the page.
+        Headline of the page. Default: the scene and the camera, as far as captures state them.
 
     Returns
     -------
@@ -171,11 +189,9 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         *(_plane_facts(planes) if planes else []),
         ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
     ]
-    return Viewer(
-        template("view.html", Path(__file__).parent / "templates").render(
-            title=title or "Light field", data=data, facts=facts
-        )
-    )
+    # Scene and camera are mostly those of both.
+    headline = title or " and ".join(dict.fromkeys(one.title for one in recordings if one.title)) or "Light field"
+    return Viewer(template("view.html").render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
@@ -185,7 +201,7 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
     depths: list[xr.Dataset] = []
     for source in sources:
         if isinstance(source, Capture):
-            recordings.append(Recording(source.model, decoded(source), source.image, source.model))
+            recordings.append(Recording.of(source, source.model, decoded(source)))
         elif isinstance(source, Recording):
             require_light_field(source.light_field)
             recordings.append(source)
@@ -195,7 +211,8 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
             for image in source:
                 planes.append((float(image["distance"]), image.values, source.attrs.get("method", "shifted views")))
         elif isinstance(source, xr.DataArray):
-            recordings.append(Recording("light field", require_light_field(source)))
+            title = _through(camera_of(source)) if source.attrs.get("camera") else ""
+            recordings.append(Recording("light field", require_light_field(source), title=title))
         elif isinstance(source, xr.Dataset) and "depth" in source:
             depths.append(source)
         else:

@@ -53,10 +53,10 @@ def read_source(
         lens = capture.camera.lens_data
         if not lens.is_thin and not lens.images_stop and views is None:
             lf = decoded(capture, None if white is None else _white(white, linear))
-            return Recording(path.stem, lf, capture.image, capture.model)
+            return Recording.of(capture, path.stem, lf)
     lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
     if path.suffix.lower() == ".exr":
-        return Recording(path.stem, lf, capture.image, capture.model)
+        return Recording.of(capture, path.stem, lf)
     # Raw pictures were decoded; of mosaics and light fields there is no raw picture.
     raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and path.suffix.lower() in _PICTURES else None
     return Recording(path.stem, lf, raw)

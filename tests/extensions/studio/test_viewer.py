@@ -176,6 +176,22 @@ def test_refused(sources, words):
         view(*sources())
 
 
+def headline(*sources, **options):
+    return view(*sources, **options).page.split("<title>")[1].split("</title>")[0]
+
+
+def test_the_title_states_scene_and_camera():
+    recorded = dataclasses.replace(capture(), metadata={"scene": "still_life.xml"})
+    other = dataclasses.replace(recorded, model="wave")
+    assert headline(recorded) == headline(recorded, other) == "Still life, f/8, 16 x 16 microlenses"
+    assert headline(recorded, title="Mine") == "Mine"
+    # A scene without a name, and a camera that is known to the light field alone.
+    assert headline(capture()) == headline(decode(recorded)) == "F/8, 16 x 16 microlenses"
+    hexagonal = CAMERA.replace(mla_lattice="hexagonal")
+    assert headline(capture(hexagonal)) == "F/8, 16 x 18 hexagonal microlenses"
+    assert headline(reconstruct(recorded, [240.0])[0]) == "Light field"
+
+
 def opened(browser, path, page):
     """Open a page in a browser, and return it with a function for what a canvas shows once all is drawn."""
     page.save(path)
@@ -231,7 +247,8 @@ def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
     def find(selector):
         return page.find_element("css selector", selector)
 
-    assert find("#focus-text").text == "260 mm" and not find("#side").is_displayed()
+    assert find("#focus-text").text == "260 mm"
+    assert not find("#pupil-panel").is_displayed() and not find("#raw-panel").is_displayed()
     assert np.array_equal(drawn()[..., 3] == 0, np.eye(16) > 0)
     find("#focus").send_keys("\ue012")  # arrow left
     assert likeness(results[0].image, content(made)["white"], drawn()) > 45
@@ -297,10 +314,37 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     requested = page.execute_script("return performance.getEntriesByType('resource').map((one) => one.name)")
     assert all(name.startswith("data:") for name in requested)
     assert page.get_log("browser") == []
+    assert_sliders_in_line(page, 2)
     for narrow in (320, 390):
         page = browser(tmp_path / "view.html", width=narrow, height=800)
         assert page.execute_script("return document.documentElement.scrollWidth") <= narrow
+        # The map of viewpoints is next to the picture, and both are seen at once.
+        field, pupil = (boxed(page, name) for name in ("field", "pupil"))
+        assert pupil["left"] >= field["right"] and abs(pupil["top"] - field["top"]) < 4 and field["bottom"] < 800
+        assert_sliders_in_line(page, 1)
+        before = page.find_element("css selector", "#view-text").text
+        page.find_element("css selector", "#pupil").send_keys("\ue012")  # arrow left
+        page.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+        assert page.find_element("css selector", "#view-text").text != before
         assert page.get_log("browser") == []
+
+
+def boxed(page, identity):
+    """Return where an element is on a page."""
+    return page.execute_script(
+        "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", identity
+    )
+
+
+def assert_sliders_in_line(page, columns):
+    """Sliders of a column begin and end at the same places, and no label is broken into lines."""
+    boxes = [boxed(page, name) for name in ("focus", "exposure", "span")]
+    for end in ("left", "right"):
+        assert len({round(box[end]) for box in boxes}) == columns
+    heights = page.execute_script(
+        "return [...document.querySelectorAll('.focus label')].map((label) => label.getBoundingClientRect().height)"
+    )
+    assert len({round(height) for height in heights}) == 1
 
 
 WALL = """<scene version="3.0.0"><integrator type="path"/>

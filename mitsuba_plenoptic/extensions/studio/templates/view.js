@@ -625,7 +625,6 @@ async function start() {
     find("span").addEventListener("input", draw);
   }
   find("raw-panel").hidden = !anyRaw;
-  find("side").hidden = !anyRaw && !field;
 
   // Begin with the middle view, in focus.
   choices("modes", Object.entries(modes), null, (mode) => { setMode(mode); draw(); });

@@ -1,0 +1,71 @@
+"""Values of options that are refused before the library is imported, which takes ten times as long as to judge them."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..camera.presets import PRESETS
+from ..errors import InputError, did_you_mean, refuse_if, require_choice, require_count, require_wavelength
+from ..scene_files import scene_names, scene_path
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Metadata of an annotation: a function of an option's name and value that refuses wrong values."""
+
+    judge: Callable[[str, Any], object]
+
+
+def judging(function: Callable[..., None]) -> Callable[..., None]:
+    """Have a command's values judged when it is called; in a run an earlier step may write what a later one reads."""
+    parameters = inspect.signature(function, eval_str=True).parameters
+    judges = {
+        name: one.judge
+        for name, parameter in parameters.items()
+        for one in getattr(parameter.annotation, "__metadata__", ())
+        if isinstance(one, Judged)
+    }
+
+    @functools.wraps(function)
+    def command(**options: Any) -> None:
+        for name, judge in judges.items():
+            value = options[name]
+            for one in value if isinstance(value, list) else [value]:
+                if one is not None:
+                    judge(name, one)
+        function(**options)
+
+    return command
+
+
+def one_of(choices: Collection[str]) -> Judged:
+    """Return the metadata of a word that is one of the choices."""
+    return Judged(lambda name, value: require_choice(name, value, choices))
+
+
+def _require_scene(name: str, value: str) -> None:
+    if not Path(value).is_file():
+        scene_path(value)
+
+
+def _require_file(name: str, path: Path) -> None:
+    refuse_if(not path.exists(), f"{path}: there is no such file")
+
+
+def require_camera_name(name: str, source: str) -> None:
+    """Refuse what names no camera: a preset, parameters, a file or a scene."""
+    names = scene_names()
+    if "=" not in source and not Path(source).exists() and source not in (*PRESETS, *names):
+        raise InputError(
+            f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
+            f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
+        )
+
+
+COUNTED, WAVELENGTH = Judged(require_count), Judged(lambda name, value: require_wavelength(value, name))
+SCENE, CAMERA, FILE = Judged(_require_scene), Judged(require_camera_name), Judged(_require_file)

@@ -1,0 +1,41 @@
+"""The scenes that come with the package, by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .errors import InputError, did_you_mean
+
+
+def scene_names() -> list[str]:
+    """Return the names of the scenes that come with the package."""
+    return sorted(path.stem for path in _folder().glob("*.xml"))
+
+
+def _folder() -> Path:
+    """Return the folder of the built-in scenes: in the installed package, or at the top of a clone."""
+    installed = Path(__file__).with_name("scenes")
+    return installed if installed.is_dir() else installed.parents[1] / "scenes"
+
+
+def scene_path(name: str) -> Path:
+    """Return the path of a scene that comes with the package.
+
+    Parameters
+    ----------
+    name : str
+        Name without suffix, such as ``letters``.
+
+    Raises
+    ------
+    InputError
+        If there is no scene of that name; the message lists the names.
+    """
+    path = _folder() / f"{name}.xml"
+    if path.name != f"{name}.xml" or not path.is_file():
+        names = scene_names()
+        raise InputError(
+            f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({', '.join(names)})"
+            f"{did_you_mean(name, names)}"
+        )
+    return path

@@ -1,0 +1,191 @@
+"""What all commands have in common: -q, -v, the line after Ctrl-C, and values that are refused at once."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+from rich.console import Console
+from stopped_runs import start_command
+from test_imports import loaded
+
+from mitsuba_plenoptic.cli import COMMANDS, command_group, commands_of, main
+from mitsuba_plenoptic.runtime import progress
+
+
+@pytest.mark.parametrize(("name", "command"), list(commands_of(command_group())))
+def test_every_command_can_be_quiet_and_verbose(name, command):
+    named = {word for option in command.params for word in option.opts}
+    assert {"-q", "--quiet", "-v", "--verbose"} <= named
+    assert name.split()[0] in COMMANDS
+
+
+def test_a_quiet_command_prints_results_and_errors_alone(raw, tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(progress, "FIRST_LINE", 0.001)
+    words = ["reconstruct", str(raw), "--distance", "240", "--relay", "-o", str(tmp_path / "out.exr")]
+    assert main(words) == 0
+    assert "warning" in capfd.readouterr().err
+    assert main([*words, "-q"]) == 0
+    quiet = capfd.readouterr()
+    assert quiet.err == "" and "out.exr" in quiet.out
+    assert main([*words, "-q", "--oversample", "0"]) == 2
+    assert capfd.readouterr().err == "mitsuba-plenoptic: error: --oversample = 0: it must be at least 1\n"
+    assert main(words) == 0
+    assert "warning" in capfd.readouterr().err
+
+
+def test_a_verbose_command_names_what_it_reads_and_writes(raw, tmp_path, capfd):
+    words = ["reconstruct", str(raw), "--distance", "240", "-o", str(tmp_path / "out.exr")]
+    assert main([*words, "-v"]) == 0
+    told = capfd.readouterr().err
+    for what in (f"{raw}: read", f"{tmp_path / 'out.exr'}: written", "variant llvm_ad_mono"):
+        assert re.search(rf"^mitsuba-plenoptic: [\d.]+ s: {re.escape(what)}$", told, re.MULTILINE), told
+    assert main(words) == 0
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "label"),
+    [
+        ("render letters -D resolution=64 --estimate", "Estimating"),
+        ("reconstruct {raw} --distance 240 --estimate", "Estimating"),
+        ("preview letters -D resolution=64 -o {out}.png", "Previewing"),
+        ("sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5", "capture.*"),
+    ],
+)
+def test_every_bar_has_a_percentage_and_a_time_left(line, label, raw, tmp_path, monkeypatch):
+    shown = io.StringIO()
+    monkeypatch.setattr(progress, "has_screen", lambda: True)
+    monkeypatch.setattr(
+        progress, "Console", lambda **_: Console(file=shown, force_terminal=True, width=120, color_system=None)
+    )
+    assert main(line.format(raw=raw, out=tmp_path / "out").split()) == 0
+    assert re.search(rf"{label} +[━╸╺ ]+ +\d+% \S+ (-:--:--|\d:\d\d:\d\d)", shown.getvalue())
+
+
+WAVES = "render", "letters", "-D", "resolution=128", "-D", "detector_width=0.256", "--model", "wave", "--spp", "16"
+# The command, stopped as by hand when its first rays are traced, before a checkpoint is written.
+EARLY = """
+import os, signal, sys
+from mitsuba_plenoptic.light import render
+from mitsuba_plenoptic.cli import main
+def stopped(*arguments, **options):
+    os.kill(os.getpid(), signal.SIGINT)
+    while True:
+        pass
+render.render_capture = stopped
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals differ")
+def test_ctrl_c_in_a_wave_capture_says_how_to_go_on(tmp_path):
+    words = [*WAVES, "--method", "points", "-o", str(tmp_path / "raw.exr")]
+    early = subprocess.run([sys.executable, "-c", EARLY, *words], capture_output=True, text=True, timeout=600)
+    assert early.returncode == 130
+    assert early.stderr.splitlines()[-1] == (
+        "mitsuba-plenoptic: stopped: nothing is kept; the same command begins anew"
+    )
+    process = start_command(*words, interrupt_after=1)
+    _, error = process.communicate(timeout=600)
+    assert process.returncode == 130
+    assert re.fullmatch(
+        r"mitsuba-plenoptic: stopped at \d+ %: the same command goes on from there", error.splitlines()[-1]
+    )
+    process = start_command(*words)
+    output, error = process.communicate(timeout=600)
+    assert process.returncode == 0, error
+    assert "resuming from there" in error
+    assert "raw.exr: capture" in output
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals differ")
+def test_ctrl_c_is_one_line_and_a_status(tmp_path):
+    """Sent from outside, at whatever moment of the capture."""
+    words = [sys.executable, "-m", "mitsuba_plenoptic", *WAVES, "-v", "-o", str(tmp_path / "raw.exr")]
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    told = []
+    for line in process.stderr:
+        told.append(line)
+        if "variant" in line:
+            process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=600) == 130
+    assert told[-1].startswith("mitsuba-plenoptic: stopped")
+    assert sum("stopped" in line for line in told) == 1
+
+
+@pytest.mark.parametrize("source", ["paper", "letters", "{raw}"])
+def test_info_prints_json_alone(source, raw, capfd):
+    assert main(["info", source.format(raw=raw), "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["camera"]["resolution"]
+    assert {"group", "quantity", "value", "unit", "note"} == set(found["sheet"][0])
+    assert isinstance(found["warnings"], list)
+    assert bool(found["capture"]) == ("raw" in source)
+
+
+def test_info_prints_what_it_mends_as_json(tmp_path, capfd):
+    assert main(["info", "raytrix", "--json", "--fix", str(tmp_path / "better.json")]) == 0
+    found = json.loads(capfd.readouterr().out)
+    better = json.loads((tmp_path / "better.json").read_text())
+    assert {name: better[name] for name in found["changed"]} == found["changed"]
+    assert isinstance(found["still"], list)
+
+
+def test_doctor_prints_json_alone(capfd):
+    status = main(["doctor", "--json"])
+    found = json.loads(capfd.readouterr().out)
+    assert found["ready"] == (status == 0)
+    assert found["Versions"]["mitsuba"]
+
+
+# What may be imported before a value is refused that can be judged without the library.
+BEFORE_A_REFUSAL = {"", "runtime", "runtime.llvm", "runtime.progress", "plugins", "cli", "errors", "presets"}
+BEFORE_A_REFUSAL |= {"scene_files", "cli.choices", "cli.inputs", "cli.judging", "cli.run_file", "cli.stopping"}
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        ("render letterz -o raw.exr", "did you mean letters?"),
+        ("render letters -o raw.exr --camera lytr", "did you mean lytro?"),
+        ("render letters -o raw.exr --model weve", "did you mean wave?"),
+        ("render letters -o raw.exr --spp -4", "--spp = -4: it must be at least 1"),
+        ("render letters -o raw.exr --unit km", "it must be one of mm, cm, m"),
+        ("reconstruct missing.exr -o out.exr --distance 240", "missing.exr: there is no such file"),
+        ("reconstruct {there} -o out.exr --distance 240 --method rey", "did you mean ray?"),
+        ("reconstruct {there} -o out.exr --distance nan", "--distance = nan"),
+        ("reconstruct {there} -o out.exr --distance 240 --wavelength 0.5", "from 200 to 2500 nm"),
+        ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
+        ("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?"),
+        ("depth missing.exr -o depth.exr", "missing.exr: there is no such file"),
+        ("views missing.exr -o views.png", "missing.exr: there is no such file"),
+        ("info lytr", "did you mean lytro?"),
+        ("preview letterz", "did you mean letters?"),
+        ("mtf missing.exr", "missing.exr: there is no such file"),
+    ],
+)
+def test_values_are_refused_before_the_library_is_imported(words, rule, raw, capfd, complaint):
+    words = words.format(there=raw).split()
+    assert rule in complaint(*words)
+    own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
+    module = COMMANDS[words[0]]
+    assert own <= BEFORE_A_REFUSAL | {f"cli.{module}"}
+    assert not libraries & {
+        "numpy",
+        "scipy",
+        "pandas",
+        "xarray",
+        "matplotlib",
+        "skimage",
+        "OpenEXR",
+        "PIL",
+        "yaml",
+        "h5py",
+    }
