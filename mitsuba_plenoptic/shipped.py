@@ -35,18 +35,22 @@ SHIPPED: dict[str, dict[str, str]] = {
     },
     "commands": {
         "calibrate": "calibrate",
+        "dataset": "data",
         "benchmark": "data",
         "fit": "inverse",
         "dual": "onchip",
+        "reproduce": "paper",
+        "demosaic": "raw",
         "preview": "studio",
         "view": "studio",
+        "sweep": "studio",
         "run": "studio",
     },
     "parameters": {"photodiode_response": "onchip"},
     "presets": {"full_frame_dual": "onchip", "phone_quad": "onchip", "phone_quad_bayer": "onchip"},
     "captures": {"small lenses": "onchip"},
     "cameras": {"libpleno": "calibrate"},
-    "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", ".mat": "raw"},
+    "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", "parameters.cfg": "raw", ".mat": "raw"},
 }
 
 # For type checkers: at run time names are served when they are asked for.

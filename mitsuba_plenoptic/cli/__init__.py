@@ -37,9 +37,9 @@ COMMANDS = {
         **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
         **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
         "mtf": "mtf",
-        **dict.fromkeys(("expose", "demosaic"), "render_command"),
+        "expose": "render_command",
         "convert": "light_field",
-        **dict.fromkeys(("compare", "sweep", "dataset", "reproduce"), "experiments"),
+        "compare": "compare",
         **dict.fromkeys(("info", "doctor"), "info"),
     }.items()
 } | {name: f"{package}.{module}" for package, name, module in entries("commands")}

@@ -407,3 +407,15 @@ def batches_on(workers: int | None, scheduler: str | None) -> contextlib.Abstrac
 
     given = workers is not None or scheduler is not None
     return Cluster(workers=workers, scheduler=scheduler) if given else contextlib.nullcontext()
+
+
+def camera_instead(
+    source: str | None, scene: str, parameters: dict[str, str], varied: dict[str, str] | None = None
+) -> dict[str, Any] | None:
+    """Return the parameters of the camera that replaces a scene's, None where none is named."""
+    camera = named_camera(source)
+    if camera is None:
+        return None
+    require_in_use(scene, parameters)
+    require_in_use(scene, varied or {}, "grid:")
+    return camera.to_dict()

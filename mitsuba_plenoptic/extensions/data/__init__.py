@@ -7,5 +7,5 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"dataset": "dataset", "benchmark": "benchmark"},
-    commands={"benchmark": "benchmark_command"},
+    commands={"dataset": "dataset_command", "benchmark": "benchmark_command"},
 )

@@ -2,4 +2,4 @@
 
 from ...extension import Extension
 
-EXTENSION = Extension()
+EXTENSION = Extension(commands={"reproduce": "reproduce_command"})

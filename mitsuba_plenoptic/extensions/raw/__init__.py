@@ -5,6 +5,7 @@ from ...extension import Extension, FileFormat
 EXTENSION = Extension(
     names={"demosaic": ("demosaic",)},
     modules={"exchange": "exchange"},
+    commands={"demosaic": "demosaic_command"},
     formats={
         **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
         "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),

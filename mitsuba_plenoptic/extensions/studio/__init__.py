@@ -4,5 +4,5 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     names={"viewer": ("Viewer", "view")},
-    commands={"preview": "preview_command", "view": "view_command", "run": "run_command"},
+    commands={"preview": "preview_command", "view": "view_command", "sweep": "sweep_command", "run": "run_command"},
 )
