@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.camera.presets import PRESETS
+from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.refocus import CoherentRefocus, RayRefocus
 
 MICROSCOPES = {"lfm", "lfm_water"}

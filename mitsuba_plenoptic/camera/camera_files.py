@@ -10,8 +10,8 @@ from typing import Any
 from ..errors import NO_RECORD, naming, refuse_if, refusing
 from ..extension import entry_of
 from ..io.files import parse_yaml, read_text, read_yaml
+from ..presets import PRESETS
 from .plenoptic_camera import PlenopticCamera
-from .presets import PRESETS
 
 _LARGEST_FILE = 2**24
 

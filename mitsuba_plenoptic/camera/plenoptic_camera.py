@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,16 +26,17 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..extension import missing
 from ..lattice import LATTICES
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
+from ..presets import PRESETS
 from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
-from .presets import PRESETS
 from .scene_file import describe, write_xml
 
 
@@ -212,7 +214,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             require_whole(self)
 
         __init__.__signature__ = signature()
-        __init__ = suggest_keywords(__init__)
+        __init__ = suggest_keywords(__init__, absent=partial(missing, "parameters"))
         __doc__ = __doc__.replace("    TABLE\n", numpy_section())
 
     @classmethod
@@ -230,6 +232,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         InputError
             If there is no camera of that name; the message lists the names.
         """
+        refuse_if(absent := missing("presets", str(name)), absent)
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
@@ -385,7 +388,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
         # A single one of them is rather meant for a camera that has its other parameters.
         known = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
         for name in sorted(set(values) - set(known)):
-            raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, known)}")
+            raise InputError(
+                missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
+            )
         return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..camera.presets import PRESETS
 from ..errors import printable, refuse_if
+from ..presets import PRESETS
 from .inputs import Definitions, Unit, load_camera, numeric, parse_definitions, read_recorded
 from .judging import CAMERA, WAVELENGTH
 

@@ -14,8 +14,8 @@ from xml.etree.ElementTree import Element
 
 import typer
 
-from ..camera.presets import PRESETS
 from ..errors import InputError, refuse_if, require_count, require_number
+from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
 from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name

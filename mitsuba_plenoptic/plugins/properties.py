@@ -32,6 +32,7 @@ from ..errors import (
     require_wavelength,
     short_repr,
 )
+from ..extension import missing
 from ..light import colour
 from ..light.scene import unknown_parameter
 from ..light.signed_colours import SignedColours
@@ -79,6 +80,8 @@ def require_read(props: Any, plugin: str) -> None:
     Mitsuba does so itself once a plugin is made, without the name that was meant.
     """
     for name in props.unqueried():
+        if absent := missing("parameters", name):
+            raise InputError(f"{plugin}: {absent}")
         raise InputError(unknown_parameter(plugin, name))
 
 

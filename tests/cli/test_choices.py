@@ -34,7 +34,7 @@ LIGHT = {
     "mitsuba_plenoptic.cli",
     "mitsuba_plenoptic.errors",
     "mitsuba_plenoptic.plugins",
-    "mitsuba_plenoptic.camera.presets",
+    "mitsuba_plenoptic.presets",
     "mitsuba_plenoptic.runtime",
     "mitsuba_plenoptic.runtime.llvm",
     "mitsuba_plenoptic.runtime.progress",

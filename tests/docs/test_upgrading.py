@@ -11,8 +11,8 @@ import pytest
 from check_release import page_code
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.camera.presets import PRESETS
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.presets import PRESETS
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "tests" / "files_of_1_0" / "README_of_1.0.md").read_text()

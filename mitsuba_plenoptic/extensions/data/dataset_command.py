@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.inputs import (
-    OutputFolder,
-    batches_on,
-)
+from ...cli.inputs import OutputFolder, batches_on
 from ...cli.stopping import resumable
 from ...runtime.progress import progress_bar
 

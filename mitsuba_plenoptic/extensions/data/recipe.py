@@ -15,7 +15,6 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...camera.matched import MATCHED
 from ...camera.parameters import PARAMETERS
-from ...camera.presets import PRESETS
 from ...errors import (
     InputError,
     naming,
@@ -32,6 +31,7 @@ from ...io.truth_files import QUANTITIES, require_quantities
 from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
 from ...light.scene_unit import UNITS
+from ...presets import PRESETS
 from ...runtime.backend import DEFAULT_VARIANT
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout

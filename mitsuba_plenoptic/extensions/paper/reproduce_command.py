@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.inputs import (
-    OutputFolder,
-)
+from ...cli.inputs import OutputFolder
 from ...cli.stages import stage_lines
 from ...cli.stopping import Resume
 

@@ -61,7 +61,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..extension import entries, place
+from .extension import entries, place
 
 _RAYTRIX: dict[str, Any] = {
     "focal_length": 49.885,
