@@ -66,12 +66,13 @@ def text() -> str:
     )
 
 
-def main() -> None:
-    """Write the module, formatted."""
-    PATH.write_text(text(), encoding="utf-8")
-    for words in (("check", "--fix", "--quiet"), ("format", "--quiet")):
-        subprocess.run([sys.executable, "-m", "ruff", *words, str(PATH)], check=False)
+def write(path: Path) -> None:
+    """Write the module to a file, formatted as the rest of the package."""
+    path.write_text(text(), encoding="utf-8")
+    for words in (("check", "--fix"), ("format",)):
+        settings = ["--quiet", "--config", str(PATH.parents[1] / "pyproject.toml")]
+        subprocess.run([sys.executable, "-m", "ruff", *words, *settings, str(path)], check=True)
 
 
 if __name__ == "__main__":
-    main()
+    write(PATH)

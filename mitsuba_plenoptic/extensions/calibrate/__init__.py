@@ -1,4 +1,7 @@
-"""Extension `calibrate`: a real camera's parameters from pictures of boards and white pictures."""
+"""Extension `calibrate`: a real camera's parameters from pictures of boards and white pictures.
+
+Centres of LFToolbox need the extension `raw`.
+"""
 
 from ...extension import Extension
 

@@ -1,6 +1,6 @@
 """Extension `data`: data sets of random scenes, and the benchmark.
 
-The extension needs `onchip` for data sets of dual pixels.
+The extension needs `onchip` for data sets of dual pixels, and `raw` to export the benchmark.
 """
 
 from ...extension import Extension

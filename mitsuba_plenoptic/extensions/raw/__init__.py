@@ -1,4 +1,7 @@
-"""Extension `raw`: raw pictures of Lytro cameras, mosaics of colour filters, and files of LFToolbox."""
+"""Extension `raw`: raw pictures of Lytro cameras, mosaics of colour filters, and files of LFToolbox.
+
+White pictures of mosaics need the extension `inverse`.
+"""
 
 from ...extension import Extension, FileFormat
 
