@@ -155,7 +155,7 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
-    distance = distance_of(found, found.disparity.values)
+    distance = distance_of(found.disparity.assign_attrs(found.attrs), found.disparity.values)
     unknown, reach = found.confidence.values == 0, 1 + 2 * RIGHT
     near, far = distance < found.attrs["near"] * reach, distance > found.attrs["far"] / reach
     return float((unknown & near).mean()), float((unknown & far).mean())
