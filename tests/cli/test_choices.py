@@ -38,6 +38,7 @@ LIGHT = {
     "mitsuba_plenoptic.runtime",
     "mitsuba_plenoptic.runtime.llvm",
     "mitsuba_plenoptic.runtime.progress",
+    "mitsuba_plenoptic.scene_files",
 }
 """What the help of commands may import of this package, beside the modules of the command."""
 
