@@ -129,8 +129,8 @@ LightFieldSource = Annotated[
     typer.Argument(
         metavar="SOURCE",
         help="A capture (.exr), a light field (.nc, .zarr, LFToolbox's .mat, or a folder of HCI), a mosaic (.png with "
-        "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or .tiff, with "
-        "--white or --camera).",
+        "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or "
+        ".tiff, with --white or --camera).",
     ),
     FILE,
 ]

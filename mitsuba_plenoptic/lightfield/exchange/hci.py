@@ -61,7 +61,7 @@ def read_hci(folder: str | Path) -> xr.DataArray:
             require_count(name, int(parser["extrinsics"][name]), maximum=_MOST_VIEWS)
             for name in ("num_cams_x", "num_cams_y")
         )
-        ours = parser[SECTION] if parser.has_section(SECTION) else None
+        ours = dict(parser[SECTION]) if parser.has_section(SECTION) else None
         camera = None if ours is None else PlenopticCamera.from_dict(json.loads(ours["camera"]))
         white = 1.0 if ours is None else require_number("white", float(ours["white"]), positive=True)
         grey = ours is not None and ours["channels"] == "1"
