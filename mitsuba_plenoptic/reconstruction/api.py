@@ -304,7 +304,7 @@ def reconstruct(
         batch_map=batch_map,
     )
     white, wavelength, footprint, relay = (used[name] for name in ("white", "wavelength", "footprint", "relay"))
-    interleave, partition, response = used["interleave"], used["partition"], used["response"]
+    interleave, response = used["interleave"], used["response"]
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
         "interleave": require_interleave(interleave, camera),
