@@ -303,12 +303,13 @@ def reconstruct(
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
-    white, wavelength = used["white"], used["wavelength"]
+    white, wavelength, footprint, relay = (used[name] for name in ("white", "wavelength", "footprint", "relay"))
+    interleave, response = used["interleave"], used["response"]
     given = {
         "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
         "interleave": require_interleave(interleave, camera),
         "relay": relay is None or require_flag("relay", relay),
-        "response": require_response(used["response"], capture, wavelength),
+        "response": require_response(response, capture, wavelength),
         "iterations": None if iterations is None else require_count("iterations", iterations),
         "accelerate": accelerate is None or require_flag("accelerate", accelerate),
         "photons": None if photons is None else require_number("photons", photons, positive=True),

@@ -45,9 +45,10 @@ def open_light_field(
     ----------
     path : path
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
-        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder of the 4D Light Field
-        Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with `views`: a mosaic of
-        views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of some plenoptic camera.
+        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder with ``parameters.cfg``: one of the
+        4D Light Field Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with
+        `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of some plenoptic
+        camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
         it replaces the computed one; for a raw picture it shows where the micro-images are.

@@ -191,4 +191,4 @@ def test_a_scene_in_metres_that_is_larger_than_the_focal_length_is_told(depth, t
 def test_no_scene_of_the_package_is_taken_for_one_in_metres(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mp.load_scene(name, variant="llvm_ad_rgb")
+        mp.load_scene(name, variant="llvm_ad_mono")

@@ -258,7 +258,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(yaml.safe_dump(small()))
     assert main(["dataset", str(recipe), "-o", str(tmp_path / "data")]) == 130
-    assert "stopped at 40 %: the same command resumes" in capsys.readouterr().err
+    assert "stopped at 40 %: the same command goes on from there" in capsys.readouterr().err
 
 
 @pytest.mark.slow
