@@ -91,7 +91,7 @@ def test_captures_that_do_not_suit():
     with pytest.raises(InputError, match="capture: a detector has recorded it already"):
         mp.expose(exposed, mp.Detector(), photons=100)
     other = Capture(IMAGE, CAMERA.replace(mla_pitch=0.05))
-    for work in (mp.decode, mp.views.lens_images):
+    for work in (mp.decode, mp.views.micro_images):
         with pytest.raises(InputError, match=r"white: its camera has mla_pitch = 0\.05, that of the capture 0\.064"):
             work(capture, white=other)
         work(capture, white=Capture(mp.views.white_image(CAMERA), CAMERA))

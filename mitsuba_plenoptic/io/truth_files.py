@@ -101,7 +101,7 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
     """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, laid side by side.
 
     Their channels are depth.Z, virtual_depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and
-    shape_index.I. The views lie as `lightfield.view_mosaic` lays them.
+    shape_index.I. The views lie as `views.view_mosaic` lays them.
 
     Parameters
     ----------

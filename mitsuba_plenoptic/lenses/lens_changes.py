@@ -126,7 +126,7 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
 
 @dataclass(frozen=True)
 class VaryingLens(FinitePupil):
-    """A fitted lens with gradients; it offers the part of `MainLens` that `operator.patch_factors` uses."""
+    """A fitted lens with gradients; it offers the part of `MainLens` that `points.patch_factors` uses."""
 
     # The lens for plain parameters.
     base: FittedLens

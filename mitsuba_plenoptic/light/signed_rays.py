@@ -1,7 +1,7 @@
 r"""Wave captures of scenes from the rays of a ray capture: signed coefficients for each ray, and convolutions.
 
 Rays start from each cell of the detector's grid, pass points around a lens that lights the cell, and continue through
-the pupil into the scene. `system.phase_space` gives the light that arrives with each ray, and its distribution on the
+the pupil into the scene. `light.phase_space` gives the light that arrives with each ray, and its distribution on the
 detector. Only the radiance along rays is needed of the scene.
 
 Coefficients vary in sign and magnitude within a lens, so that their plain sum is noisy even for a uniform scene. With

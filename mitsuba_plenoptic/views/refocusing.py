@@ -82,7 +82,7 @@ def refocus(lf: xr.DataArray, distance: float, *, method: str = "shift") -> xr.D
     --------
     >>> import mitsuba_plenoptic as mp
     >>> lf = mp.decode(mp.example("letters-ray"))
-    >>> image = mp.views.refocusing(lf, 280)
+    >>> image = mp.views.refocus(lf, 280)
     >>> image.dims
     ('t', 's')
     """

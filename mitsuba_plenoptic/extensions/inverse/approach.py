@@ -125,7 +125,7 @@ def coarse_fit(
     Raises
     ------
     InputError
-        If an input has a wrong value, a capture is black, or for the reasons of `capture.point_rays.PointRays`.
+        If an input has a wrong value, a capture is black, or for the reasons of `point_rays.PointRays`.
     """
     given = [views] if isinstance(views, View) else list(views)
     check_views(camera, given)

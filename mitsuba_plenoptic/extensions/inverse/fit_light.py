@@ -165,7 +165,7 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
 class View:
     r"""A capture, and the light that it shows.
 
-    A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `capture.units.brightness` returns as B:
+    A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `points.units.brightness` returns as B:
     a capture in the unit of ``plenoptic_wave``. Behind a real main lens each point counts by the part of the pupil
     that is open to it.
 

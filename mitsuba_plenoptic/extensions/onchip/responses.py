@@ -1,7 +1,7 @@
 """Wave captures of scenes by the responses of photodiodes under lenses of a few wavelengths.
 
 From the cell of each lens rays are drawn to the pupil, evenly over both. A ray contributes to the photodiodes of all
-lenses around, with the signed response W of each (`system.response_tables`): the sum over the lenses of the near window
+lenses around, with the signed response W of each (`onchip.response_tables`): the sum over the lenses of the near window
 is complete, and lenses of the far window are drawn at random. So each photodiode sums over the rays of many lenses, and
 rays are traced once. As in `signed_rays`, the mean radiance of independent rays around the lens is subtracted, and its
 light, whose response is known, is added as a whole.
