@@ -202,10 +202,11 @@ def start() -> Image.Image:
 @picture
 def reconstructions() -> Image.Image:
     """Show the comparison of methods of the paper's report."""
-    folder = STORED / "paper"
-    command = [sys.executable, "-m", "mitsuba_plenoptic", "reproduce", "--preset", "paper", "-o", str(folder)]
-    subprocess.run(command, check=True)
-    return narrowed(Image.open(folder / "methods.png").convert("RGB"), 1200)
+    path = STORED / "paper" / "methods.png"
+    if not path.exists():
+        words = ["reproduce", "--preset", "paper", "-o", str(path.parent)]
+        subprocess.run([sys.executable, "-m", "mitsuba_plenoptic", *words], check=True)
+    return narrowed(Image.open(path).convert("RGB"), 1200)
 
 
 @picture
