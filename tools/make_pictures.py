@@ -76,7 +76,7 @@ def sheet(
     tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
     tops = [sum(tall[:index]) + index * (title + gap) + title for index in range(len(rows))]
     below = tops[-1] + tall[-1]
-    canvas = Canvas(WIDTH, below + (0.45 if colours else 0), DPI)
+    canvas = Canvas(WIDTH, below + (0.6 if colours else 0), DPI)
     if colours:
         # Numbers at the ends of the bar need room.
         left, narrower = (columns - 1) * (side + gap) + 0.1, side - 0.25
@@ -206,7 +206,7 @@ def reconstructions() -> Image.Image:
     if not path.exists():
         words = ["reproduce", "--preset", "paper", "-o", str(path.parent)]
         subprocess.run([sys.executable, "-m", "mitsuba_plenoptic", *words], check=True)
-    return narrowed(Image.open(path).convert("RGB"), 1200)
+    return narrowed(Image.open(path).convert("RGB"), 1000)
 
 
 @picture
