@@ -600,7 +600,7 @@ def viewer() -> Image.Image:
     """Show the viewer in a browser."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "view.html"
-        mp.view(in_colour(mp.PlenopticCamera(resolution=(1024, 1024)), 32), title="Still life").save(page)
+        mp.view(in_colour(mp.PlenopticCamera(resolution=(1024, 1024)), 32)).save(page)
         return in_browser(page, 1100, 900)
 
 
