@@ -86,9 +86,6 @@ def reconstruct_subsets(
         camera, wavelength, grids, interleave=interleave, relay=relay, to_planes=to_planes, progress=progress
     )
     sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
-    # Each plane keeps which of its sums are cut.
-    kept = sum(one.memory for one in sums)
-    require_memory(grids.memory + kept, f"a wave reconstruction on {columns} x {rows} bins", limit=field_memory())
     inside = tuple(
         slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
     )
