@@ -90,7 +90,7 @@ def test_readme_links_work_in_the_repository_and_on_a_package_index():
     relative = re.findall(r"\]\((?!https?://)([^)#]+)\)", text)
     assert relative and all((ROOT / link).is_file() for link in relative)
     absolute = runpy.run_path(str(ROOT / "setup.py"))["with_absolute_links"](text, "https://example.org/here")
-    assert "](https://example.org/here/raw/main/docs/reconstructions.png)" in absolute
+    assert "](https://example.org/here/raw/main/docs/pictures/reconstructions.png)" in absolute
     assert re.findall(r"\]\((?!https?://)[^)]*\)", absolute) == []
     assert "(https://mitsuba-renderer.org)" in absolute
 

@@ -26,8 +26,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 from check_release import page_code, page_files
-from mitsuba_plenoptic.fitting import View
-from mitsuba_plenoptic.optimisation import maximise
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from phase_space_picture import panels
 from PIL import Image, ImageChops, ImageOps
 
@@ -60,15 +60,25 @@ def picture(make: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
     return make
 
 
-def sheet(rows: Sequence[Sequence[Panel]], white: float | None = None) -> Image.Image:
-    """Lay out images of one size with their titles; radiances share a scale."""
+def sheet(
+    rows: Sequence[Sequence[Panel]], white: float | None = None, colours: tuple[ScalarMappable, str] | None = None
+) -> Image.Image:
+    """Lay out images of one size with their titles; radiances share a scale.
+
+    The colours of the last image are explained by a bar below it.
+    """
     radiances = [image for row in rows for _, image in row if image.dtype != np.uint8]
     peak = white or (Brightness().white(radiances) if radiances else 1.0)
     columns, gap, title = len(rows[0]), 0.06, 0.24
     side = (WIDTH - (columns - 1) * gap) / columns
     tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
     tops = [sum(tall[:index]) + index * (title + gap) + title for index in range(len(rows))]
-    canvas = Canvas(WIDTH, tops[-1] + tall[-1], DPI)
+    below = tops[-1] + tall[-1]
+    canvas = Canvas(WIDTH, below + (0.6 if colours else 0), DPI)
+    if colours:
+        # Numbers at the ends of the bar need room.
+        left, narrower = (columns - 1) * (side + gap) + 0.1, side - 0.25
+        canvas.colour_bar(colours[0], left, below + 0.06, 0.1, colours[1], width=narrower, text=8)
     for top, height, row in zip(tops, tall, rows, strict=True):
         for index, (name, image) in enumerate(row):
             axes = canvas.axes(index * (side + gap), top, side, height)
@@ -116,11 +126,16 @@ def in_colour(camera: mp.PlenopticCamera, spp: int, model: str = "ray") -> mp.Ca
 
 @cache
 def still_life(model: str = "ray") -> mp.Capture:
-    """Capture the still life in colour with the fine array, or read what an earlier run has stored."""
-    path = STORED / f"still_life_{model}.exr"
+    """Capture the still life in colour with the fine array."""
+    return stored(f"still_life_{model}", lambda: in_colour(mp.PlenopticCamera(**CAMERA), 16, model))
+
+
+def stored(name: str, make: Callable[[], mp.Capture]) -> mp.Capture:
+    """Make a capture, or read what an earlier run has stored."""
+    path = STORED / f"{name}.exr"
     if not path.exists():
         STORED.mkdir(parents=True, exist_ok=True)
-        mp.write_capture(path, in_colour(mp.PlenopticCamera(**CAMERA), 16, model))
+        mp.write_capture(path, make())
     return mp.read_capture(path)
 
 
@@ -152,8 +167,9 @@ def close(model: str = "ray") -> mp.Capture:
 
 @cache
 def depth() -> Any:
-    """Find the depth of the still life."""
-    return mp.views.depth_map(light_field(), 200, 320, planes=32)
+    """Find the depth of the still life with the paper's array, whose views show more texture for each bin."""
+    capture = stored("depth", lambda: in_colour(mp.PlenopticCamera(resolution=(2048, 2048)), 32))
+    return mp.lightfield.depth_map(mp.decode(capture), 190, 315)
 
 
 @picture
@@ -161,22 +177,34 @@ def start() -> Image.Image:
     """Show what the package is about: a capture, images refocused from it, and the depth."""
     capture = still_life("wave")
     near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
-    known = np.isfinite(depth()["depth"].values)[..., None]
-    colours = matplotlib.colormaps["viridis_r"]((depth()["depth"].fillna(200).values - 200) / 100)[..., :3]
+    found = depth()["depth"].values
+    scale = ScalarMappable(Normalize(190, 310), "viridis_r")
+    shown = np.where(np.isfinite(found)[..., None], 255 * scale.to_rgba(found)[..., :3], 238).astype(np.uint8)
     return sheet(
         [
             [
                 ("Detector: 16 x 16 microlenses", micro_images(capture, -12, -42, 16)),
-                ("212 mm", near),
-                ("258 mm", middle),
+                ("Refocused to 212 mm", near),
+                ("Refocused to 258 mm", middle),
             ],
             [
-                ("284 mm", far),
+                ("Refocused to 284 mm", far),
                 ("In focus everywhere", depth()["image"].values),
-                ("Depth", np.where(known, 255 * colours, 238).astype(np.uint8)),
+                ("Depth; grey: unknown", shown),
             ],
-        ]
+        ],
+        colours=(scale, "mm from the main lens"),
     )
+
+
+@picture
+def reconstructions() -> Image.Image:
+    """Show the comparison of methods of the paper's report."""
+    path = STORED / "paper" / "methods.png"
+    if not path.exists():
+        words = ["reproduce", "--preset", "paper", "-o", str(path.parent)]
+        subprocess.run([sys.executable, "-m", "mitsuba_plenoptic", *words], check=True)
+    return narrowed(Image.open(path).convert("RGB"), 1000)
 
 
 @picture
@@ -570,7 +598,7 @@ def viewer() -> Image.Image:
     """Show the viewer in a browser."""
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "view.html"
-        mp.view(in_colour(mp.PlenopticCamera(resolution=(1024, 1024)), 32), title="Still life").save(page)
+        mp.view(in_colour(mp.PlenopticCamera(resolution=(1024, 1024)), 32)).save(page)
         return in_browser(page, 1100, 900)
 
 

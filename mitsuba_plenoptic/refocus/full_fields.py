@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -64,12 +65,14 @@ def reconstruct_subsets(
     checked: bool = True,
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
+    planned: Sequence[float] | None = None,
 ) -> list[np.ndarray]:
     """Propagate subsets of lenses coherently, and return the power in bins of object planes.
 
     The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
     subset along each axis is `interleave`; 1 is one coherent field. If `checked`, guards check the light that is
-    lost. Powers (rows, columns) are in pixel values times pixels.
+    lost. Grids are chosen for the distances that are `planned`, by default these ones, so that several calls can share
+    samples. Powers (rows, columns) are in pixel values times pixels.
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
@@ -78,7 +81,9 @@ def reconstruct_subsets(
     lit = lit_window(image, camera)
     if lit is None:
         return totals
-    grids = plan(camera, wavelength, distances, lit, oversample)
+    planned = list(planned or distances)
+    grids = plan(camera, wavelength, planned, lit, oversample)
+    grids = replace(grids, to_objects=tuple(grids.to_objects[planned.index(distance)] for distance in distances))
     require_feasible(grids)
     zones = [list(conjugates.zones(distance)) for distance in distances]
     to_planes = [step for step, parts in zip(grids.to_objects, zones, strict=True) for _ in parts]
@@ -86,9 +91,6 @@ def reconstruct_subsets(
         camera, wavelength, grids, interleave=interleave, relay=relay, to_planes=to_planes, progress=progress
     )
     sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
-    # Each plane keeps which of its sums are cut.
-    kept = sum(one.memory for one in sums)
-    require_memory(grids.memory + kept, f"a wave reconstruction on {columns} x {rows} bins", limit=field_memory())
     inside = tuple(
         slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
     )

@@ -478,8 +478,6 @@ class BinSums:
         # Parseval, of transforms that were divided by their lengths, over the area of a pixel.
         self._scale = step.x.window * step.y.window / camera.pixel_size**2
         self._shape = in_y.new_padded, columns
-        self.memory = 9.0 * in_y.new_padded * columns + 24.0 * rows * columns
-        """Bytes of sums along x and of sums along both axes, and where these are cut."""
 
     def forward(self, power: Iterable[tuple[slice, Any]]) -> Any:
         """Sum blocks of a power, or of a field's, (directions along y, along x); note which sums are cut."""

@@ -230,13 +230,14 @@ class LensAxis:
 class FieldPlan:
     """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes.
 
-    `pupil` are the samples of the main lens along x and y.
+    `pupil` are the samples of the main lens along x and y, `bins` the bins along x and y of each object plane.
     """
 
     subsamples: int
     strips: tuple[Strip, ...]
     pupil: tuple[LensAxis, LensAxis]
     to_objects: tuple[Directions, ...]
+    bins: tuple[int, int]
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -250,9 +251,14 @@ class FieldPlan:
 
     @property
     def memory(self) -> float:
-        """Bytes of the arrays that are alive at once: the columns of a step, and the field at the main lens."""
+        """Bytes of the arrays that are alive at once: the columns of a step, the field at the main lens, and sums.
+
+        Each plane keeps its sums along x, which of these are cut, and its sums along both axes.
+        """
         columns = max(math.prod(step.columns) for step in self.steps)
-        return 8.0 * (columns + self.pupil[0].count * self.pupil[1].count)
+        across, rows = self.bins
+        sums = sum(9.0 * step.y.new_padded * across + 24.0 * rows * across for step in self.to_objects)
+        return 8.0 * (columns + self.pupil[0].count * self.pupil[1].count) + sums
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
@@ -317,7 +323,8 @@ def _plan(
     ]
     # The transform to the main lens has turned rows into columns, and the next one turns these back.
     objects = tuple(Directions(y, x) for x, y in zip(*to_objects, strict=True))
-    return FieldPlan(subsamples, tuple(strips), (pupil[0], pupil[1]), objects)
+    columns, rows = (bins * oversample for bins in camera.bin_count)
+    return FieldPlan(subsamples, tuple(strips), (pupil[0], pupil[1]), objects, (columns, rows))
 
 
 def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance: float, margin: float) -> None:

@@ -304,7 +304,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
         works, found = work_of([task.wavelengths[channel] for channel in channels]), {}
         for index, channel in enumerate(channels):
             system = task.system(task.wavelengths[channel])
-            given = image[..., channel], system, distances, interleave, relay, oversample
+            given = image[..., channel], system, distances, task.distances, interleave, relay, oversample
             found[channel] = _signed_power(*given, portion(progress, index, works))
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
@@ -331,6 +331,7 @@ def _signed_power(
     image: np.ndarray,
     system: OpticalSystem,
     distances: Sequence[float],
+    planned: Sequence[float],
     interleave: int | str,
     relay: bool,
     oversample: int,
@@ -339,12 +340,16 @@ def _signed_power(
     """Return the power in bins, in pixel values times pixels, spread over lenses where these do not lie on bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
+    Fields have the samples that all `planned` distances need: ratios of images, such as displacements, which are of
+    single planes, are far more sensitive to the samples than the images are.
     """
-    camera, wavelength, planes = system.camera, system.wavelength, list(distances)
+    camera, wavelength = system.camera, system.wavelength
     fine, real, seen = fine_bins(system, oversample), None, camera
+    planes, sampled = list(distances), list(planned)
     if camera.lens_data.traced_surfaces:
-        real = RealConjugates.of(system, planes, oversample)
-        seen, planes = real.camera, [real.distance(distance) for distance in distances]
+        real = RealConjugates.of(system, sampled, oversample)
+        seen = real.camera
+        planes, sampled = ([real.distance(distance) for distance in each] for each in (distances, planned))
     parts, found = signed_parts(image), [np.zeros(()) for _ in distances]
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
@@ -357,7 +362,7 @@ def _signed_power(
         if period is None:
             totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
         else:
-            totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, **options)
+            totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, planned=sampled, **options)
         for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             scale = lens_scale(camera, distance)
             if real is not None:

@@ -128,7 +128,7 @@ def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tup
     return -c / camera.mla_distance, {"units": "1", "long_name": f"slope in {axis}; no real plane is in focus"}
 
 
-def camera_of(lf: xr.DataArray) -> PlenopticCamera:
+def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     """Return the camera of a light field.
 
     Parameters
@@ -152,7 +152,7 @@ def grid_of(lf: xr.DataArray) -> LensGrid | None:
     return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
 
 
-def _record(lf: xr.DataArray, name: str) -> dict[str, Any]:
+def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
     """Return what an attribute holds as JSON."""
     with refusing(
         f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON:", TypeError, ValueError
@@ -187,7 +187,7 @@ def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
     return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
 
 
-def _camera_behind_a_lens(lf: xr.DataArray) -> PlenopticCamera:
+def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     """Return the camera of a light field, or refuse one whose points do not move evenly from view to view."""
     camera = camera_of(lf)
     camera.require_lens("an even parallax between views")
@@ -241,13 +241,13 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
     return -camera.defocus(distance) * camera.pupil_step / camera.mla_pitch
 
 
-def distance_of(lf: xr.DataArray, disparity: Any) -> Any:
+def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
     """Invert `disparity`: the distance at which a point moves so far; infinity where there is no such distance.
 
     Parameters
     ----------
-    lf : xarray.DataArray
-        A light field with a camera.
+    lf : xarray.DataArray or xarray.Dataset
+        A light field with a camera, or the depth map of one.
     disparity : float or array
         Lenses per view.
 

@@ -146,7 +146,7 @@ def test_depth_says_where_to_widen_the_search(wall, tmp_path, capfd):
     assert main(["depth", str(wall), "-o", str(tmp_path / "a.exr")]) == 0
     error = capfd.readouterr().err
     assert re.search(
-        r"warning: depth: \d\d % of the bins agree best at the far end of the search, 458.2 mm, and are probably "
+        r"warning: depth: \d+ % of the bins agree best at the far end of the search, 458.2 mm, and are probably "
         "farther: widen the search with --far",
         error,
     )

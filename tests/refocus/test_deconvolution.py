@@ -290,7 +290,6 @@ def test_what_no_light_makes_is_refused():
     assert "none of its pixels is lit" in refused(image)
     image[5, 5] = 1
     assert "oversample = 3000" in refused(image, oversample=3000)
-    assert "white" in refused(image, white=np.ones(SMALL.shape))
     assert "iterations = 0" in refused(image, iterations=0)
     assert "photons = -1" in refused(image, photons=-1)
     assert "response = 'x'" in refused(image, response="x")

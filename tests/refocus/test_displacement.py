@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.refocus.radiance import brought_back, displacements, is_known
 from mitsuba_plenoptic.views.white_image import white_image
@@ -90,3 +91,12 @@ def test_focused_cameras_are_divided_alone():
     white = Capture(white_image(FOCUSED), FOCUSED)
     image = reconstruct(Capture(0.5 * white.image, FOCUSED), 280.0, white=white).image
     np.testing.assert_allclose(image[np.isfinite(image)], 0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["coherent", "partial"])
+def test_a_plane_divided_by_a_white_capture_is_the_same_beside_others(method):
+    """Displacements are of single planes; with samples of their own they moved light by a tenth of a bin in focus."""
+    capture, white = mp.example("letters-wave"), mp.example("white")
+    beside = mp.reconstruct(capture, [240.0, 280.0], method=method, white=white)[0].image
+    alone = mp.reconstruct(capture, 240.0, method=method, white=white).image
+    assert np.sqrt(np.nanmean((beside - alone) ** 2)) < 2e-3 * np.nanmax(alone)

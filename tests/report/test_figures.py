@@ -68,6 +68,25 @@ def test_scale_bars_are_as_long_as_they_say(distance):
     assert text.get_text().endswith(" mm") and 0.1 < bar.get_width() <= 0.3
 
 
+def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
+    results = [result(method, distance) for method in ("ray", "partial") for distance in (210.0, 280.0)]
+    *panels, _ = contact_sheet(results).figure.axes
+    assert all(len(axes.patches) == 1 for axes in panels)
+    assert panels[2].get_xlabel() == "bars: lengths at the distance of each image"
+    first, second, *_ = views_figure(pick_views(lf, 3)).figure.axes
+    assert len(first.patches) == 1 and not second.patches
+    shown = depth_figure(depth_map(lf, 200, 300, planes=8)).figure.axes
+    named = [axes for axes in shown if axes.get_title(loc="left")]
+    assert len(named) == 3
+    for axes in named:
+        (text,) = axes.texts
+        bar = next(patch for patch in axes.patches if not patch.get_hatch())
+        length, words = text.get_text().split(maxsplit=1)
+        assert words == "mm in the plane in focus"
+        width = CAMERA.bin_count[0] * CAMERA.bin_size(CAMERA.focus_distance)
+        assert bar.get_width() * width == pytest.approx(float(length), rel=1e-3)
+
+
 def test_infinity_has_no_millimetres():
     (panel, _) = contact_sheet([result(distance=np.inf)]).figure.axes
     assert not panel.patches and not panel.texts and panel.get_title(loc="left") == "infinity"
@@ -88,7 +107,7 @@ def test_what_is_not_known_is_hatched():
 def test_colours_state_their_white():
     image = np.random.default_rng(0).random((8, 8, 3), dtype=np.float32)
     (panel,) = contact_sheet([result(image=image)], 0.75).figure.axes
-    assert panel.get_xlabel() == "white: radiance 0.75"
+    assert panel.get_xlabel() == "white: radiance 0.75; bars: lengths at the distance of each image"
 
 
 def test_views_lie_as_on_the_pupil(lf):

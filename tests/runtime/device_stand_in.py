@@ -15,7 +15,8 @@ from mitsuba_plenoptic.runtime.backend import Backend
 _dr_numpy = dr.ArrayBase.numpy
 
 _FUNCTIONS = (
-    "arange", "ascontiguousarray", "bincount", "copyto", "cumsum", "einsum", "empty", "eye", "iscomplexobj",
+    "arange", "ascontiguousarray", "bincount", "clip", "copyto", "cumsum", "einsum", "empty", "eye", "floor",
+    "iscomplexobj",
     "matmul", "maximum", "moveaxis", "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack",
     "tensordot", "where", "zeros",
 )  # fmt: skip
