@@ -169,7 +169,7 @@ def close(model: str = "ray") -> mp.Capture:
 def depth() -> Any:
     """Find the depth of the still life with the paper's array, whose views show more texture for each bin."""
     capture = stored("depth", lambda: in_colour(mp.PlenopticCamera(resolution=(2048, 2048)), 32))
-    return mp.lightfield.depth_map(mp.decode(capture), 190, 315)
+    return mp.views.depth_map(mp.decode(capture), 190, 315)
 
 
 @picture
