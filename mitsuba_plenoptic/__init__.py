@@ -118,7 +118,7 @@ if TYPE_CHECKING:
 
 def __dir__() -> list[str]:
     dunders = {name for name in globals() if name.startswith("__")}
-    return sorted({*served.public_names(), *served.modules(), *dunders, "__version__"})
+    return sorted({*served.public_names(), *served.modules(), *dunders, "__all__", "__version__"})
 
 
 def __getattr__(name: str) -> Any:

@@ -150,7 +150,7 @@ class _Finder(MetaPathFinder):
     ) -> ModuleSpec | None:
         """Return the spec of a module that is served under another name, None for all others."""
         root, _, name = fullname.partition(".")
-        if root != ROOT or not name:
+        if root != ROOT or not name or name == "extensions":
             return None
         if name in MOVED:
             warnings.warn(

@@ -34,7 +34,9 @@ from PIL import Image, ImageChops, ImageOps
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.errors import require_choice
 from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
+from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.framing import Canvas
@@ -348,8 +350,8 @@ def microscope() -> Image.Image:
 def wavefront_sensors() -> Image.Image:
     """Show a star behind turbulence, simulated by HCIPy, in both wavefront sensors."""
     import hcipy
-    from mitsuba_plenoptic.hcipy import phase_screen
 
+    from mitsuba_plenoptic.hcipy import phase_screen
     from mitsuba_plenoptic.points.point_spread import point_fields
 
     grid = hcipy.make_pupil_grid(128, 0.0102)

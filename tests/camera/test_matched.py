@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 import pytest
-from mitsuba_plenoptic.calibration import read_camera
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
+from mitsuba_plenoptic.calibration import read_camera
 from mitsuba_plenoptic.design import design_warnings, mended
 
 SHEET = {"f_number": 2.8, "lenses": 100, "pixels_per_lens": 10, "pixel_size": 0.005, "focal_length": 50.0}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mitsuba_plenoptic.fitting import View
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.light.lens_kinds import chief_ray_shift, regular_array
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import brightness_of

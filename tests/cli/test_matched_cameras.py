@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from mitsuba_plenoptic.calibration import read_camera
-from mitsuba_plenoptic.dataset import read_recipe
 
 from mitsuba_plenoptic import PlenopticCamera, read_capture
+from mitsuba_plenoptic.calibration import read_camera
+from mitsuba_plenoptic.dataset import read_recipe
 
 SHEET = "f_number=2.8,lenses=8,6,pixels_per_lens=10,pixel_size=0.005,focal_length=50,focus_distance=320"
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mitsuba_plenoptic.dataset import DataSet, make_dataset, parse_recipe
 from stopped_runs import StoppedError, stopped_before
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
 from mitsuba_plenoptic.io import captures
 from mitsuba_plenoptic.io.checkpoints import Checkpoint

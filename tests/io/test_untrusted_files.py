@@ -18,8 +18,6 @@ import OpenEXR
 import pytest
 import scipy.io
 from foreign_files import png, write_matlab_7
-from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
-from mitsuba_plenoptic.dataset import DataSet, read_recipe
 from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
@@ -36,7 +34,9 @@ from mitsuba_plenoptic import (
     read_raw,
     write_capture,
 )
+from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.dataset import DataSet, read_recipe
 from mitsuba_plenoptic.extensions.raw.exchange import open_light_field, read_picture, save_light_field
 from mitsuba_plenoptic.io.exr import write_exr_parts
 

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mitsuba_plenoptic.calibration import read_camera
-from mitsuba_plenoptic.dataset import read_recipe
-
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.calibration import read_camera
 from mitsuba_plenoptic.camera.phase_screen import known_screen
+from mitsuba_plenoptic.dataset import read_recipe
 from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
 from mitsuba_plenoptic.extensions.data.shards import read_manifest, recorded_checksums
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response

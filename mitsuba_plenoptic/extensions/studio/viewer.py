@@ -191,7 +191,8 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     ]
     # Scene and camera are mostly those of both.
     headline = title or " and ".join(dict.fromkeys(one.title for one in recordings if one.title)) or "Light field"
-    return Viewer(template("view.html").render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
+    page = template("view.html", Path(__file__).parent / "templates")
+    return Viewer(page.render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:

@@ -1,9 +1,9 @@
 r"""The periodic cells of a camera: groups of object-plane bins and of detector samples that repeat together.
 
 Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
-:math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `points.field_grid.Grid` that is a whole
-number of samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses
-where three types are interleaved), and the response of all bins is known from that of the bins of one cell.
+:math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `Grid` that is a whole number of
+samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses where
+three types are interleaved), and the response of all bins is known from that of the bins of one cell.
 
 A cell (I, J) contains the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as
 high as :math:`v_2`, and the samples around the same position times :math:`(b + z) / b`. :math:`v_1` is along x; rows

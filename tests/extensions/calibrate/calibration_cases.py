@@ -7,9 +7,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from mitsuba_plenoptic.calibration import Board, LensIndex, Table
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.calibration import Board, LensIndex, Table
 from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, numbers_of, predict, predict_centres
 
 REAL = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "data")) / "raytrix_r12a"

@@ -5,6 +5,9 @@ from __future__ import annotations
 import calibration_cases as cases
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, uniform_filter
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
 from mitsuba_plenoptic.calibration import (
     Board,
     board_scene,
@@ -14,9 +17,6 @@ from mitsuba_plenoptic.calibration import (
     find_centres,
     read_corners,
 )
-from scipy.ndimage import gaussian_filter, uniform_filter
-
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict
 from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles

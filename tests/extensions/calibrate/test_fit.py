@@ -8,6 +8,8 @@ from pathlib import Path
 import calibration_cases as cases
 import numpy as np
 import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.calibration import (
     Board,
     LensIndex,
@@ -20,8 +22,6 @@ from mitsuba_plenoptic.calibration import (
     read_corners,
     write_calibration,
 )
-
-from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres

@@ -5,9 +5,9 @@ from __future__ import annotations
 import calibration_cases as cases
 import numpy as np
 import pytest
-from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
 
 from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
 from mitsuba_plenoptic.extensions.calibrate.calibration_page import write_calibration_report
 from mitsuba_plenoptic.extensions.calibrate.calibration_result import GROUPED_BY

@@ -8,9 +8,9 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
+from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.views import LensGrid, lens_grid, white_image
 

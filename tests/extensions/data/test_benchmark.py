@@ -10,6 +10,9 @@ import shutil
 import mitsuba as mi
 import numpy as np
 import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.benchmark import (
     BASELINES,
     CAMERAS,
@@ -21,13 +24,11 @@ from mitsuba_plenoptic.benchmark import (
     export_hci,
     make_benchmark,
     run_baseline,
+    score,
     table,
 )
-
-import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.data import baselines, score
+from mitsuba_plenoptic.extensions.data import baselines
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
 from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 import yaml
 from dataset_cases import SMALL, small
-from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe
 from stopped_runs import start_command
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data import shards
 

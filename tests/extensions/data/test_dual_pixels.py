@@ -6,9 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from dataset_cases import small
-from mitsuba_plenoptic.dataset import make_dataset, make_sample, parse_recipe
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, dual_pixel, half_disparity, render_capture
+from mitsuba_plenoptic.dataset import make_dataset, make_sample, parse_recipe
 from mitsuba_plenoptic.extensions.data.dual_samples import truth_of_lenses
 from mitsuba_plenoptic.extensions.onchip.disparity import blur_radius
 

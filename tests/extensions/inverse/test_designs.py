@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
 from wave_cases import HALF, WAVELENGTH, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError
+from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
 from mitsuba_plenoptic.refocus import reconstruct
 
 CAMERA = small_camera(4, **HALF, detector_distance=0.512, wavefront=(*(0.0,) * 10, 0.05))

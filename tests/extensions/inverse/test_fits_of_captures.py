@@ -5,11 +5,11 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
-from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
 from wave_cases import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, fit
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of
+from mitsuba_plenoptic.fitting import View, coarse_fit, lattice_from_white, noise_of
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.light.detector import Detector, expose

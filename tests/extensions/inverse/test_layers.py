@@ -4,9 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from mitsuba_plenoptic.fitting import Layers, fit_layers
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.fitting import Layers, fit_layers
 
 CAMERA = PlenopticCamera(
     mla_pitch=0.016, mla_focal_length=0.128, aperture_radius=5.25, detector_width=0.064, resolution=(32, 32),

@@ -5,12 +5,12 @@ import itertools
 import mitsuba as mi
 import numpy as np
 import pytest
-from mitsuba_plenoptic.fitting import known_view
 from scene_cases import film
 from wave_cases import HALF, WAVELENGTH, error
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
+from mitsuba_plenoptic.fitting import known_view
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import brightness_at
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from mitsuba_plenoptic.fitting import PixelNoise
-from mitsuba_plenoptic.wavefront import Zone, deconvolve_zones, digital_adaptive_optics
 from wavefront_cases import captured, telescope
 
 from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.fitting import PixelNoise
+from mitsuba_plenoptic.wavefront import Zone, deconvolve_zones, digital_adaptive_optics
 
 ACCURACY = 0.3
 

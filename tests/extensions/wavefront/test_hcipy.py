@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from mitsuba_plenoptic.far_sources import star
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.far_sources import star
 
 hcipy = pytest.importorskip("hcipy")
 

@@ -6,11 +6,11 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from mitsuba_plenoptic.far_sources import binary, extended, star
 from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PhaseScreen, PlenopticCamera, frozen_flow
+from mitsuba_plenoptic.far_sources import binary, extended, star
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.prescription.collimator import Collimator

@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from wavefront_cases import ACCURACY, STAR, WAVELENGTH, captured, telescope
+
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.far_sources import star
+from mitsuba_plenoptic.lenses.thin import Wavefront
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.wavefront import (
     InteractionMatrix,
     Slopes,
@@ -15,12 +21,6 @@ from mitsuba_plenoptic.wavefront import (
     spot_slopes,
     view_slopes,
 )
-from wavefront_cases import ACCURACY, STAR, WAVELENGTH, captured, telescope
-
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
-from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
-from mitsuba_plenoptic.lenses.thin import Wavefront
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
 
 
 @pytest.fixture

@@ -14,6 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate, render_capture
 from mitsuba_plenoptic.calibration import (
     Board,
     Calibration,
@@ -27,10 +31,6 @@ from mitsuba_plenoptic.calibration import (
     read_centres,
     read_corners,
 )
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
-
-from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate, render_capture
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
 from mitsuba_plenoptic.extensions.calibrate.observations import observations
 from mitsuba_plenoptic.views import LensGrid, white_image

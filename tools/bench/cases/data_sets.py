@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import psutil
 import yaml
-from mitsuba_plenoptic.dataset import DataSet, make_sample, read_recipe
 
 from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.dataset import DataSet, make_sample, read_recipe
 
 from .. import Row, case, figure
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
 from mitsuba_plenoptic.report.images import write_png
 
 from .. import Row, case, figure

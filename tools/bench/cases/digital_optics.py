@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from mitsuba_plenoptic.wavefront import Zone, deconvolve_zones, digital_adaptive_optics
 
 from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.optics.waves import in_millimetres
+from mitsuba_plenoptic.wavefront import Zone, deconvolve_zones, digital_adaptive_optics
 
 from .. import Row, at_least, case
 from .wavefronts import DIAMETER, WAVELENGTH, rms, telescope

@@ -15,10 +15,10 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from mitsuba_plenoptic.fitting import Layers, fit_layers
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Detector, PlenopticCamera, expose, render_capture
+from mitsuba_plenoptic.fitting import Layers, fit_layers
 
 from .. import Row, case
 

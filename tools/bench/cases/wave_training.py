@@ -20,10 +20,10 @@ import mitsuba as mi
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from mitsuba_plenoptic.dataset import DataSet, Recipe, make_dataset, parse_recipe
 from numpy.lib.stride_tricks import sliding_window_view
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, design, expose
+from mitsuba_plenoptic.dataset import DataSet, Recipe, make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.data.sample import open_sample
 
 from .. import Row, case

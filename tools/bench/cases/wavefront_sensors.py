@@ -8,12 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from mitsuba_plenoptic.far_sources import star
-from mitsuba_plenoptic.wavefront import Slopes, modes_from_slopes, spot_slopes
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import CaptureOperator, PhaseScreen, PlenopticCamera
+from mitsuba_plenoptic.far_sources import star
 from mitsuba_plenoptic.lenses.thin import Wavefront
+from mitsuba_plenoptic.wavefront import Slopes, modes_from_slopes, spot_slopes
 
 from .. import Row, case
 from ..measures import relative

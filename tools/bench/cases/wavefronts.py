@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, view_slopes
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.optics.waves import in_millimetres
+from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, view_slopes
 
 from .. import Row, at_most, case
 from .wavefront_sensors import cells, spots

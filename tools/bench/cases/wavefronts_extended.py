@@ -7,9 +7,9 @@ import warnings
 from collections.abc import Iterator
 
 import numpy as np
-from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, view_slopes
 
 from mitsuba_plenoptic.optics.waves import in_millimetres
+from mitsuba_plenoptic.wavefront import Zone, fit_wavefronts, modes_from_slopes, view_slopes
 
 from .. import Row, at_most, case
 from .wavefronts import (
