@@ -29,7 +29,7 @@ from ..camera.vector import Values
 from ..io.checkpoints import digest
 from ..operator.patch_plan import Cost
 from ..runtime.jobs import Job, SumTask
-from ..system.phase_space import FINE, drawn_parts_of
+from ..system.phase_space import FINE, parts_of
 from .control_variate import halves
 from .noise import PARTS, Mended, keep_spread, with_spread
 from .scene_light import LightDerivatives, SceneLight
@@ -68,7 +68,7 @@ class SignedCapture:
         """Return the count of grid cells across a pixel."""
         if any(node.plan.by_points for node in self.nodes):
             return 1  # the kernels of these plans are integrated over pixels
-        return drawn_parts_of(self.camera, min(node.plan.wavelength for node in self.nodes), self.accuracy < FINE)
+        return parts_of(self.camera, min(node.plan.wavelength for node in self.nodes), self.accuracy < FINE)
 
     def sums(
         self,

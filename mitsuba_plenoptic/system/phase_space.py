@@ -61,10 +61,6 @@ the Airy pattern."""
 _MOST_CELLS = 3
 """Most cells of the grid across a pixel, which integrates over what more resolve: 0.1 to 0.4 % of a capture."""
 
-_TWO_CELLS = 11
-"""Cells that resolve the spots up to which two cells are enough for usual captures: they lack at most 0.4 %, and 1.6 %
-where 13 cells resolve the spots."""
-
 _SPREADS = 2.0
 """Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
 
@@ -312,19 +308,9 @@ def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: fl
 
 def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
     """Return the count of cells of the grid across a pixel, for usual or finer plans."""
-    return min(_resolving(camera, wavelength, fine), _MOST_CELLS)
-
-
-def drawn_parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
-    """Return the count of grid cells across a pixel for rays that are drawn at random in their cells."""
-    parts = parts_of(camera, wavelength, fine)
-    return min(parts, 2) if not fine and _resolving(camera, wavelength, fine) <= _TWO_CELLS else parts
-
-
-def _resolving(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
-    """Return the count of cells across a pixel that resolve the spots of the microlenses."""
     extent = in_millimetres(wavelength) * camera.reduced_distance
-    return math.ceil(_CELLS[fine] * float(camera.lattice.aperture_width) / extent * camera.pixel_size)
+    highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
+    return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
 
 
 def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:

@@ -1,7 +1,6 @@
 """Wave captures by cameras whose pixels are large beside the spots of their microlenses: price, noise and accuracy.
 
-Cells of the detector's grid are at least a third of a pixel wide, however small spots are, and half a pixel where that
-is enough.
+Cells of the detector's grid are at least a third of a pixel wide, however small spots are.
 """
 
 from __future__ import annotations
@@ -130,13 +129,13 @@ def accuracy(
             # Of a finer plan, without tolerance for missing functions.
             with (
                 mock.patch.object(array_kernels, "_FUNCTIONS", 0.0),
-                mock.patch.object(signed_capture, "drawn_parts_of", lambda *_, every=every: every),
+                mock.patch.object(signed_capture, "parts_of", lambda *_, every=every: every),
             ):
                 phase_space.plan_of.cache_clear()
                 reference, noise = _taken(scene, spp, True)
             phase_space.plan_of.cache_clear()
             for finer, limit in ((False, 0.01), (True, 0.005)):
-                cells = phase_space.drawn_parts_of(camera, WAVELENGTH, finer)
+                cells = phase_space.parts_of(camera, WAVELENGTH, finer)
                 image, own = _taken(scene, spp, finer)
                 yield {
                     "f_number": number, "blur": blur, "kind": "finer" if finer else "usual", "cells": cells,

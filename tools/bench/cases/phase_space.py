@@ -27,7 +27,7 @@ from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radia
 from mitsuba_plenoptic.runtime.jobs import SumTask
 from mitsuba_plenoptic.system.array_kernels import REACH
 from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from mitsuba_plenoptic.system.phase_space import PhaseSpace, drawn_parts_of, plan_of
+from mitsuba_plenoptic.system.phase_space import PhaseSpace, parts_of, plan_of
 
 from .. import Pivot, Row, at_most, case, pick
 from ..measures import relative, without_noise, write_comparison
@@ -151,7 +151,7 @@ def walls(
     many points and cells across a pixel (``parts``) as a camera needs are taken where none are given.
     """
     for name, camera in pick(CAMERAS, cameras).items():
-        per_lens, cells = points or points_of(camera), parts or drawn_parts_of(camera, WAVELENGTH, finer)
+        per_lens, cells = points or points_of(camera), parts or parts_of(camera, WAVELENGTH, finer)
         plan, planning, _ = once(lambda c=camera, n=cells: planned(c, finer, n))
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
