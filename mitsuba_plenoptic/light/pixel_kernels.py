@@ -25,8 +25,8 @@ _PRODUCTS = 2.0
 """Part of images of random light, over the tolerance, that products of terms and coefficients may lack. Much less is
 missing, because terms are below 1."""
 
-_TOGETHER = 2**18
-"""Count of coefficients that are combined at a time, which the processor's caches hold."""
+_TOGETHER = 2**17
+"""Count of coefficients that are combined at a time."""
 
 
 class PixelKernels:
@@ -84,19 +84,14 @@ class PixelKernels:
 
         `terms` (terms, pixels) are those of the direction in which light meets the lenses.
         """
-        images = self.turned(values, terms)
-        for part in self._parts(values.shape[2]):
-            images[:, part] += self._factors @ values[:, :, part].reshape(self._factors.shape[1], -1)
-        return images
+        images = self._factors @ values.reshape(self._factors.shape[1], -1)
+        return images + self.turned(values, terms) if len(self._term) else images
 
     @single_threaded_blas()
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of images that is proportional to terms; see `combined`."""
-        images = np.zeros((len(self.kernels), values.shape[2]), np.float32)
-        for part in self._parts(values.shape[2]) if len(self._term) else []:
-            moments = np.matmul(self._moments, values[:, :, part]).reshape(-1, part.stop - part.start)
-            np.matmul(self._of_terms, terms[self._term, part] * moments[self._moment], out=images[:, part])
-        return images
+        moments = np.matmul(self._moments, values).reshape(-1, values.shape[2])
+        return np.asarray(self._of_terms @ (terms[self._term] * moments[self._moment]))
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -112,8 +107,8 @@ class PixelKernels:
             moments[moment] += terms[term] * (row @ images)
         return np.matmul(self._moments.T, moments.reshape(self._shape[0], len(self._moments), -1))
 
-    def _parts(self, pixels: int) -> list[slice]:
-        """Divide a count of pixels."""
+    def portions(self, pixels: int) -> list[slice]:
+        """Divide a count of pixels into portions whose coefficients the processor's caches hold."""
         size = max(1, _TOGETHER // max(self._factors.shape[1], self._of_terms.shape[1]))
         return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
 

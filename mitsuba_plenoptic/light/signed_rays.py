@@ -125,7 +125,7 @@ class SignedRaySum:
             # Dr.Jit's own threads rest while others compute the batches; here they are needed.
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
-            images = [part.numpy().reshape(-1, bins.rows, bins.columns) for part in sums]
+            images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
@@ -178,45 +178,39 @@ class SignedRaySum:
     def _coefficients(self) -> list[RayCoefficients | Polynomials]:
         return [coefficients_of(node.plan) for node in self._nodes]
 
-    def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[Any]:
+    def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[NDArray[np.float32]]:
         """Trace the rays of pixels of a box.
 
-        Return each image of each node, an array (kernels, pixels) that is flattened.
+        Return the images (kernels, pixels) of each channel of each node.
         """
         every = dr.width(pixels)
         counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
-        sums = [dr.zeros(mi.Float, every * count) for count in counts]
-        dr.eval(pixels, sums)
+        sums = [np.zeros((count, every), np.float32) for count in counts]
+        dr.eval(pixels)
         before: tuple[Lot, Brought] | None = None
         for lot in self._lots(box, pixels, seeds):
             brought = self._collect(lot)
             # While a lot is added to the images, other threads sum the rays of the next one.
             if before:
-                self._add(*before, every, sums)
+                self._add(*before, sums)
             before = lot, brought
         if before:
-            self._add(*before, every, sums)
+            self._add(*before, sums)
         return sums
 
-    def _add(self, lot: Lot, brought: Brought, every: int, sums: list[Any]) -> None:
-        """Add the light of a lot's rays to the images of `every` pixels."""
-        images, shape = iter(sums), (-1, self._parts**2, dr.width(lot.some))
+    def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
+        """Add the light of a lot's rays to the images."""
+        images, some, shape = iter(sums), lot.some.numpy(), (self._parts**2, dr.width(lot.some))
         cosines = np.array([value.numpy() for value in brought.cosines])
         for number, node in enumerate(brought.values):
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
             for parts in node:
-                total, values = next(images), np.reshape([part.numpy() for part in parts], shape)
-                combined = self._combined(kernels, values, cosines, number)
-                for image, row in zip(combined, range(rows[0].start, rows[-1].stop), strict=True):
-                    # No conflicts, because a lot contains each pixel at most once.
-                    dr.scatter_reduce(
-                        dr.ReduceOp.Add,
-                        total,
-                        drjit_array(mi.Float, image),
-                        lot.some + dr.opaque(mi.UInt32, every * row),
-                        mode=dr.ReduceMode.NoConflicts,
-                    )
-        dr.eval(sums)
+                total, values = next(images)[rows[0].start : rows[-1].stop], [part.numpy() for part in parts]
+                values = [part.reshape(shape) for part in values]
+                for few in kernels[0].portions(len(some)):
+                    combined = self._combined(kernels, np.stack([v[:, few] for v in values]), cosines[:, few], number)
+                    # A lot contains each pixel at most once.
+                    total[:, some[few]] += combined
 
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
@@ -286,7 +280,7 @@ class SignedRaySum:
     def probe(self) -> NDArray[np.float32]:
         """Return the light of some pixels, which identifies a scene and its camera."""
         pixels = self._some(_PROBES // self._parts**2)
-        return np.concatenate([part.numpy() for part in self._trace(self._bins, pixels, np.random.SeedSequence(0))])
+        return np.concatenate([np.ravel(part) for part in self._trace(self._bins, pixels, np.random.SeedSequence(0))])
 
     def cost(self) -> tuple[float, float]:
         """Estimate from some of the pixels and tiles the time in seconds and the bytes that the sum takes."""

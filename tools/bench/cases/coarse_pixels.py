@@ -5,6 +5,7 @@ Cells of the detector's grid are at least a third of a pixel wide, however small
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import Any
 from unittest import mock
@@ -17,11 +18,12 @@ from mitsuba_plenoptic.light import array_kernels, phase_space, signed_capture
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, relative, without_noise
-from ..timing import once
+from ..timing import in_process, once, peak_memory
 from .lens_models import WAVELENGTH, camera_of, distance_of, scene_of
 
 _COLOURS = {"mono": "llvm_ad_mono", "rgb": "llvm_ad_rgb"}
 _MOST = {8: 4.0, 64: 2.0}
+_MOST_MEMORY = 1.5
 
 
 def _camera(f_number: float, pixels: int, film: int, lattice: str) -> PlenopticCamera:
@@ -39,8 +41,9 @@ def _camera(f_number: float, pixels: int, film: int, lattice: str) -> PlenopticC
         "colours": "{colours}", "blur (lenses)": "{blur:g}", "samples": "{spp}", "rays (s)": "{rays:.2f}",
         "waves (s)": "{waves:.2f}", "waves over rays": "{ratio:.2f}", "noise of rays": "{ray_noise:.2%}",
         "noise of waves": "{noise:.2%}", "waves over rays, at equal noise": "{equal:.2f}",
+        "memory above that of rays (GiB)": "{memory:.2f}",
     },
-    (at_most("ratio", "limit"),),
+    (at_most("ratio", "limit"), at_most("memory", _MOST_MEMORY)),
     page="docs/numbers.md",
     quick={"films": (100,), "f_numbers": (5.6,), "samples": (8,)},
 )  # fmt: skip
@@ -65,24 +68,35 @@ def cost(
             scene = scene_of(camera, distance_of(camera, blur))
             for spp in samples:
                 found: dict[str, Any] = {}
+                peaks = {
+                    model: in_process(_peak, camera, blur, spp, model, variant=_COLOURS[colour])
+                    for model in ("ray", "wave")
+                }
                 for model in ("ray", "wave"):
-                    options = {"wavelength": WAVELENGTH} if model == "wave" and colour == "mono" else {}
                     images, seconds = [], 0.0
                     for seed in (0, 1):
-                        taken, _, seconds = once(
-                            lambda scene=scene, model=model, seed=seed, options=options, spp=spp: render_capture(
-                                scene, model=model, spp=spp, seed=seed, **options
-                            )
-                        )
-                        images.append(taken.image.astype(float))
+                        image, _, seconds = once(functools.partial(_captured, scene, spp, model, seed))
+                        images.append(image.astype(float))
                     found[model] = seconds, relative(*images) / 2**0.5
                 (rays, ray_noise), (waves, noise) = found["ray"], found["wave"]
                 yield {
                     "f_number": number, "pixels": count, "film": film, "lattice": lattice, "colours": colour,
                     "blur": blur, "spp": spp, "rays": rays, "waves": waves, "ratio": waves / rays,
                     "ray_noise": ray_noise, "noise": noise, "limit": _MOST.get(spp),
-                    "equal": waves / rays * (noise / ray_noise) ** 2,
+                    "equal": waves / rays * (noise / ray_noise) ** 2, "memory": peaks["wave"] - peaks["ray"],
                 }  # fmt: skip
+
+
+def _captured(scene: mi.Scene, spp: int, model: str, seed: int = 0) -> np.ndarray:
+    """Return the image of a capture, by waves in a monochrome variant at one wavelength."""
+    options = {"wavelength": WAVELENGTH} if model == "wave" and mi.variant() == _COLOURS["mono"] else {}
+    return render_capture(scene, model=model, spp=spp, seed=seed, **options).image
+
+
+def _peak(camera: PlenopticCamera, blur: float, spp: int, model: str) -> float:
+    """Return the peak memory of this process in GiB, which captures a wall once."""
+    _captured(scene_of(camera, distance_of(camera, blur)), spp, model)
+    return peak_memory()
 
 
 @case(
