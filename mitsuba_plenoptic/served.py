@@ -49,7 +49,11 @@ _NAMES = {
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
 MOVED = {
+    "system": "light",
+    "capture": "light",
     "system.optical_system": "light.optical_system",
+    "dataset.torch_data": "extensions.data.torch_data",
+    "benchmark.contents": "extensions.data.contents",
     "report.sweep": "extensions.studio.sweep",
     "report.animations": "extensions.studio.animations",
     "report.viewer": "extensions.studio.viewer",
@@ -126,6 +130,15 @@ def attribute(name: str) -> Any:
     raise AttributeError(absent or f"module {ROOT!r} has no attribute {name!r}{did_you_mean(name, public_names())}")
 
 
+def _moved(name: str) -> str:
+    """Return what a module of version 1.0 is called now, with what it contained; an empty text for other modules."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        if now := MOVED.get(".".join(parts[:count])):
+            return ".".join([now, *parts[count:]])
+    return ""
+
+
 class _Alias(Loader):
     """Loader of a module under another name."""
 
@@ -138,29 +151,39 @@ class _Alias(Loader):
         return self._module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore what the import system has overwritten."""
+        """Restore what the import system has overwritten; some are packages by their names in version 1.0."""
         module.__spec__ = self._spec
+        if not hasattr(module, "__path__"):
+            module.__path__ = []
 
 
-class _Finder(MetaPathFinder):
-    """Finder of public modules of extensions, and of modules by what they were called in version 1.0."""
+class _MovedFinder(MetaPathFinder):
+    """Finder of modules by what they were called in version 1.0."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that is served under another name, None for all others."""
+        """Return the spec of a module that has another name now, None for all others."""
         root, _, name = fullname.partition(".")
-        if root != ROOT or not name or name == "extensions":
+        moved = _moved(name) if root == ROOT else ""
+        if not moved:
             return None
-        if name in MOVED:
-            warnings.warn(
-                f"{fullname} is called {ROOT}.{MOVED[name]} since version 2.0", DeprecationWarning, stacklevel=2
-            )
-            return ModuleSpec(fullname, _Alias(f"{ROOT}.{MOVED[name]}"))
+        warnings.warn(f"{fullname} is called {ROOT}.{moved} since version 2.0", DeprecationWarning, stacklevel=2)
+        return ModuleSpec(fullname, _Alias(f"{ROOT}.{moved}"), is_package=True)
+
+
+class _ServedFinder(MetaPathFinder):
+    """Finder of public modules that are not directly in the package, those of extensions among them."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module that is served, None for all others."""
+        root, _, name = fullname.partition(".")
+        if root != ROOT or name in ("", "extensions") or "." in name:
+            return None
         if name in _MODULES:
             return ModuleSpec(fullname, _Alias(f"{ROOT}.{_MODULES[name]}"))
-        if "." in name:
-            return None
         from .extension import entries, missing
 
         for package, served, module in entries("modules"):
@@ -173,5 +196,7 @@ class _Finder(MetaPathFinder):
 
 def install() -> None:
     """Let the import system find modules under the names that they are served by."""
-    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.append(_Finder())
+    if not any(isinstance(finder, _MovedFinder) for finder in sys.meta_path):
+        # Before the finder of files, which would load files of a moved package again, under the former name.
+        sys.meta_path.insert(0, _MovedFinder())
+        sys.meta_path.append(_ServedFinder())

@@ -113,3 +113,40 @@ def test_ipython_completes_public_names_and_modules_alone():
     assert {"render_capture", "PlenopticCamera", "design"} <= found
     assert found <= {name for name in dir(mitsuba_plenoptic) if not name.startswith("__")}
     assert {name.rpartition(".")[2] for name in complete("mp.with_c")} == {"with_camera"}
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("lightfield", "views"),
+        ("lightfield.geometry", "views.coordinates"),
+        ("lightfield.depth", "views.depth"),
+        ("lightfield.exchange", "extensions.raw.exchange"),
+        ("reconstruction.methods", "refocus.methods"),
+        ("operator.full_field", "points.full_field"),
+        ("system.optical_system", "light.optical_system"),
+        ("capture.render", "light.render_capture"),
+        ("benchmark.contents", "extensions.data.contents"),
+        ("report.sweep", "extensions.studio.sweep"),
+    ],
+)
+def test_modules_of_1_0_are_what_they_are_called_now(python, former, now):
+    code = f"""
+    import importlib, warnings
+    import mitsuba_plenoptic
+    now = importlib.import_module("mitsuba_plenoptic.{now}")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        former = importlib.import_module("mitsuba_plenoptic.{former}")
+    assert former is now and now.__spec__.name == "mitsuba_plenoptic.{now}"
+    assert any("mitsuba_plenoptic.{former} is called mitsuba_plenoptic.{now} since" in str(one.message) for one in told)
+    """
+    made = python(code)
+    assert made.returncode == 0, made.stderr
+
+
+@pytest.mark.parametrize("name", ["calibration", "dataset", "fitting", "laser", "onchip", "wavefront", "exchange"])
+def test_public_modules_of_extensions_are_imported_without_a_warning(python, name):
+    made = python(f"from mitsuba_plenoptic import {name}; import mitsuba_plenoptic.{name} as m; assert m is {name}")
+    assert made.returncode == 0, made.stderr
+    assert not made.stderr

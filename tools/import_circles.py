@@ -94,7 +94,7 @@ def import_gauges(trees: dict[Path, ast.Module]) -> dict[str, list[str]]:
     late, upward = [], []
     for module, path in modules.items():
         package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-        may_be_late = "cli" in path.parts or "command" in path.stem or path.name == "__init__.py"
+        may_be_late = "cli" in path.parts or "command" in path.stem or path.name in ("__init__.py", "served.py")
         for found in imports(trees[path], package, modules):
             line = f"{path}:{found.line} {found.place}"
             library = found.target.partition(".")[0]
