@@ -8,6 +8,6 @@ from ...extension import Extension
 EXTENSION = Extension(
     names={"calibration": ("calibrate",)},
     modules={"calibration": "calibration"},
-    cameras={"libpleno": "camera_files:libpleno_camera"},
+    cameras={"libpleno": "calibrated_cameras:libpleno_camera"},
     commands={"calibrate": "calibrate_command"},
 )

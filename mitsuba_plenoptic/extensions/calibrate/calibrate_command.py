@@ -143,7 +143,7 @@ def _output(output: Path | None, suffix: str) -> Path:
 
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
     from . import calibration
-    from .camera_files import lens_index
+    from .calibrated_cameras import lens_index
 
     tested, record = load_camera(_camera(camera), {})
     index = lens_index(record)
@@ -177,7 +177,7 @@ def _detect(
 
     from ...views import white_image
     from . import calibration
-    from .camera_files import lens_index
+    from .calibrated_cameras import lens_index
 
     output, known = _output(output, ".csv"), None
     if camera is not None:

@@ -3,8 +3,8 @@
 from .blur import Blur
 from .board_fit import calibrate, cross_validate, evaluate
 from .boards import board_scene
+from .calibrated_cameras import read_camera, write_calibration
 from .calibration_result import Calibration, Evaluation, ResidualMap, residual_map
-from .camera_files import read_camera, write_calibration
 from .detect import camera_centres, detect_corners, write_corners
 from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
 from .white_centres import Centres, find_centres, write_centres

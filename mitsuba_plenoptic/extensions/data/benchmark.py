@@ -7,7 +7,7 @@ files, whoever wrote them. The command is ``mitsuba-plenoptic benchmark``.
 from .baselines import BASELINES, run_baseline
 from .benchmark_production import make_benchmark
 from .contents import CAMERAS, CAPTURES, SIZES, Benchmark, Size, benchmark_recipe
-from .exchange import export_hci
+from .hci_export import export_hci
 from .scenes import SCENES
 from .score import TASKS, score, table
 
