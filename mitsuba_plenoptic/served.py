@@ -55,7 +55,6 @@ MOVED = {
     "dataset.torch_data": "extensions.data.torch_data",
     "benchmark.contents": "extensions.data.contents",
     "report.sweep": "extensions.studio.sweep",
-    "report.animations": "extensions.studio.animations",
     "report.viewer": "extensions.studio.viewer",
     "reconstruction": "refocus",
     "reconstruction.ray": "refocus.ray",

@@ -24,10 +24,11 @@ from mitsuba_plenoptic.benchmark import (
     export_hci,
     make_benchmark,
     run_baseline,
+    score,
     table,
 )
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.data import baselines, score
+from mitsuba_plenoptic.extensions.data import baselines
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
 from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
