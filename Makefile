@@ -33,8 +33,8 @@ house: $(VENV)/.ready llvm
 # PyTorch's default wheel brings CUDA, several GB: an environment apart, and no part of 'make test'.
 TENSORS := .venv-tensors
 test-tensors: $(TENSORS)/.ready llvm
-	$(TENSORS)/bin/python -m pytest tests/test_torch.py tests/test_jax.py tests/docs/test_reference.py \
-		tests/reconstruction/test_differentiable.py tests/reconstruction/test_coherent_derivatives.py tests/dataset/test_dataset.py tests/benchmark/test_benchmark.py
+	$(TENSORS)/bin/python -m pytest tests/extensions/inverse/test_torch.py tests/extensions/inverse/test_jax.py tests/docs/test_reference.py \
+		tests/refocus/test_differentiable.py tests/refocus/test_coherent_derivatives.py tests/extensions/data/test_dataset.py tests/extensions/data/test_benchmark.py
 
 $(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
 	$(BIN)/python -m venv --clear $(TENSORS)

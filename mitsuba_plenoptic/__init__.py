@@ -18,7 +18,6 @@ have their lamps in another order each time, so that the noise of their light di
 
 # ruff: noqa: E402
 import importlib
-import pkgutil
 from typing import TYPE_CHECKING, Any
 
 from .runtime import llvm
@@ -27,162 +26,107 @@ from .runtime import llvm
 llvm.choose()
 
 from . import plugins as plugins
+from . import served
+
+served.install()
 
 if TYPE_CHECKING:
     from . import design as design
-    from . import far_sources as far_sources
-    from . import laser as laser
-    from .calibration import calibrate
+    from . import shipped
     from .camera import PlenopticCamera
-    from .capture.render import estimate_capture, render_capture
-    from .capture.scene import load_scene
-    from .detector import Detector, expose
+    from .camera.phase_screen import PhaseScreen, frozen_flow
     from .errors import InputError
-    from .fitting import fit
-    from .focusing import focus_by_group
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
     from .io.checkpoints import Checkpoint
     from .io.examples import example, example_truth
-    from .io.ground_truth import GroundTruth, read_ground_truth, write_ground_truth
-    from .io.lens_file import read_prescription
+    from .io.truth_files import GroundTruth, read_ground_truth, write_ground_truth
+    from .lenses.focusing import focus_by_group
     from .lenses.lens_system import LensSystem
-    from .lightfield import decode, demosaic, ground_truth
-    from .objective import Objective
-    from .onchip import bank_disparity, dual_pixel, half_disparity, match_halves, psf_bank
-    from .operator.operator import CaptureOperator
-    from .operator.point_spread import point_spread_function
-    from .operator.stored import StoredOperator
-    from .operator.volumes import volume_points
+    from .light.detector import Detector, expose
+    from .light.render_capture import estimate_capture, render_capture
+    from .light.scene import load_scene
     from .optics.guards import PhysicsError, PhysicsWarning
     from .optics.spectrum import Spectrum
-    from .phase_screen import PhaseScreen, frozen_flow
     from .plugins.other_camera import with_camera
+    from .points import far_sources as far_sources
+    from .points.operator import CaptureOperator
+    from .points.point_spread import point_spread_function
+    from .points.stored import StoredOperator
+    from .points.volume_points import volume_points
     from .prescription import Prescription
-    from .reconstruction import Reconstruction, estimate_reconstruction, reconstruct
-    from .report.viewer import Viewer, view
+    from .prescription.lens_file import read_prescription
+    from .prescription.objective import Objective
+    from .refocus import Reconstruction, estimate_reconstruction, reconstruct
+    from .report.sharpness import EdgeSharpness, edge_sharpness
     from .runtime.batches import Cluster
     from .runtime.jobs import Job
     from .runtime.progress import progress_bar
     from .scene_files import scene_path
-    from .sharpness import EdgeSharpness, edge_sharpness
+    from .shipped import *  # noqa: F403
+    from .views import decode, ground_truth
+
+    __all__ = [
+        "Capture",
+        "CaptureOperator",
+        "Checkpoint",
+        "Cluster",
+        "Detector",
+        "EdgeSharpness",
+        "GroundTruth",
+        "InputError",
+        "Job",
+        "LensSystem",
+        "Objective",
+        "PhaseScreen",
+        "PhysicsError",
+        "PhysicsWarning",
+        "PlenopticCamera",
+        "Prescription",
+        "Reconstruction",
+        "Spectrum",
+        "StoredOperator",
+        "decode",
+        "edge_sharpness",
+        "estimate_capture",
+        "estimate_reconstruction",
+        "example",
+        "example_truth",
+        "expose",
+        "focus_by_group",
+        "frozen_flow",
+        "ground_truth",
+        "load_scene",
+        "point_spread_function",
+        "progress_bar",
+        "read_capture",
+        "read_ground_truth",
+        "read_prescription",
+        "read_raw",
+        "reconstruct",
+        "render_capture",
+        "scene_path",
+        "volume_points",
+        "with_camera",
+        "write_capture",
+        "write_ground_truth",
+        "write_raw",
+    ]
+    __all__ += shipped.__all__
 
     __version__: str
-
-# The modules of public names, which are imported when a name is first asked for: no program needs all of them.
-_MODULES = {
-    "calibration": ("calibrate",),
-    "camera": ("PlenopticCamera",),
-    "capture.render": ("estimate_capture", "render_capture"),
-    "capture.scene": ("load_scene",),
-    "detector": ("Detector", "expose"),
-    "errors": ("InputError",),
-    "fitting": ("fit",),
-    "focusing": ("focus_by_group",),
-    "io.captures": ("Capture", "read_capture", "read_raw", "write_capture", "write_raw"),
-    "io.checkpoints": ("Checkpoint",),
-    "io.examples": ("example", "example_truth"),
-    "io.ground_truth": ("GroundTruth", "read_ground_truth", "write_ground_truth"),
-    "io.lens_file": ("read_prescription",),
-    "lenses.lens_system": ("LensSystem",),
-    "lightfield": ("decode", "demosaic", "ground_truth"),
-    "objective": ("Objective",),
-    "onchip": ("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"),
-    "operator.operator": ("CaptureOperator",),
-    "operator.point_spread": ("point_spread_function",),
-    "operator.stored": ("StoredOperator",),
-    "operator.volumes": ("volume_points",),
-    "optics.guards": ("PhysicsError", "PhysicsWarning"),
-    "optics.spectrum": ("Spectrum",),
-    "phase_screen": ("PhaseScreen", "frozen_flow"),
-    "plugins.other_camera": ("with_camera",),
-    "prescription": ("Prescription",),
-    "reconstruction": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
-    "report.viewer": ("Viewer", "view"),
-    "runtime.batches": ("Cluster",),
-    "runtime.jobs": ("Job",),
-    "runtime.progress": ("progress_bar",),
-    "scene_files": ("scene_path",),
-    "sharpness": ("EdgeSharpness", "edge_sharpness"),
-}
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-__all__ = [
-    "Capture",
-    "CaptureOperator",
-    "Checkpoint",
-    "Cluster",
-    "Detector",
-    "EdgeSharpness",
-    "GroundTruth",
-    "InputError",
-    "Job",
-    "LensSystem",
-    "Objective",
-    "PhaseScreen",
-    "PhysicsError",
-    "PhysicsWarning",
-    "PlenopticCamera",
-    "Prescription",
-    "Reconstruction",
-    "Spectrum",
-    "StoredOperator",
-    "Viewer",
-    "bank_disparity",
-    "calibrate",
-    "decode",
-    "demosaic",
-    "dual_pixel",
-    "edge_sharpness",
-    "estimate_capture",
-    "estimate_reconstruction",
-    "example",
-    "example_truth",
-    "expose",
-    "fit",
-    "focus_by_group",
-    "frozen_flow",
-    "ground_truth",
-    "half_disparity",
-    "load_scene",
-    "match_halves",
-    "point_spread_function",
-    "progress_bar",
-    "psf_bank",
-    "read_capture",
-    "read_ground_truth",
-    "read_prescription",
-    "read_raw",
-    "reconstruct",
-    "render_capture",
-    "scene_path",
-    "view",
-    "volume_points",
-    "with_camera",
-    "write_capture",
-    "write_ground_truth",
-    "write_raw",
-]
-
-
-def _modules() -> set[str]:
-    """Return the names of the modules and subpackages."""
-    return {module.name for module in pkgutil.iter_modules(__path__)} - {"__main__"}
 
 
 def __dir__() -> list[str]:
     dunders = {name for name in globals() if name.startswith("__")}
-    return sorted({*__all__, *_modules(), *dunders, "__version__"})
+    return sorted({*served.public_names(), *served.modules(), *dunders, "__all__", "__version__"})
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULE_OF:
-        found = getattr(importlib.import_module(f".{_MODULE_OF[name]}", __name__), name)
-    elif name == "__version__":
+    if name == "__version__":
         found = importlib.import_module("importlib.metadata").version("mitsuba-plenoptic")
-    elif name in _modules():
-        return importlib.import_module(f".{name}", __name__)
+    elif name == "__all__":
+        return served.public_names()
     else:
-        suggest = importlib.import_module(".errors", __name__).did_you_mean
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{suggest(name, __all__)}")
+        found = served.attribute(name)
     # From the second time on Python finds it in the module itself.
     return globals().setdefault(name, found)

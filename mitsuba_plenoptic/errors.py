@@ -163,15 +163,21 @@ def did_you_mean(name: Any, known: Iterable[Any]) -> str:
     return f"; did you mean {names[found[0]]}?" if found else ""
 
 
-def suggest_keywords(function: _Call, others: Iterable[str] = (), gone: Mapping[str, str] | None = None) -> _Call:
+def suggest_keywords(
+    function: _Call,
+    others: Iterable[str] = (),
+    gone: Mapping[str, str] | None = None,
+    absent: Callable[[str], str] = lambda name: "",
+) -> _Call:
     """Have a call with an unknown keyword name the one that it resembles, as Python itself does from 3.13 on.
 
     A function that hands further keywords on knows the `others`. Of a class it is the constructor. Keywords that
-    earlier versions had are refused with what serves instead, `gone`.
+    earlier versions had are refused with what serves instead, `gone`, and those that an extension would add with the
+    line that `absent` returns for them.
     """
     if isinstance(function, type):
         constructor = function.__init__  # type: ignore[misc]
-        type.__setattr__(function, "__init__", suggest_keywords(constructor, others, gone))
+        type.__setattr__(function, "__init__", suggest_keywords(constructor, others, gone, absent))
         return cast(_Call, function)
     known = {*inspect.signature(function).parameters, *others}
 
@@ -180,6 +186,8 @@ def suggest_keywords(function: _Call, others: Iterable[str] = (), gone: Mapping[
         for name in options:
             if gone and name in gone:
                 raise InputError(f"{name}: it is gone since version 2.0; use {gone[name]}")
+            if name not in known and absent(name):
+                raise InputError(absent(name))
             if name not in known:
                 raise TypeError(
                     f"{function.__qualname__.removesuffix('.__init__')}() got an unexpected keyword argument '{name}'"

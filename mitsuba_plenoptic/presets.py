@@ -52,27 +52,6 @@
     the same lenses, so that ten of them are across the pupil's image of 3.2 mm; 12 x 12 are before the detector. Ours:
     all numbers.
 
-``full_frame_dual``
-    Like a full-frame camera with dual pixels, the Canon EOS 5D Mark IV before a 50 mm f/1.8 lens. Published by Canon: a
-    sensor of 36 x 24 mm with 6720 x 4480 lenses 5.36 um apart, two photodiodes below each.
-
-``phone_quad``
-    Like the main camera of a telephone with quad pixels, the iPhone 14 Pro. Published by Apple: 48 megapixels, which
-    its raw files have as 8064 x 6048, of 1.22 um, in groups of four of 2.44 um, and f/1.78; its pictures state 6.86 mm.
-    Ours: one lens on each group of four.
-
-``phone_quad_bayer``
-    Like the main camera of the OPPO Find X2 Pro with Sony's IMX689. Published by them: 48 megapixels of 1.12 um on a
-    sensor of the type 1/1.43 inch, a quad Bayer mosaic, one lens on the four pixels of each filter ("2x2 OCL"), and an
-    f/1.7 lens that corresponds to 25 mm. Ours: 8000 x 6000 pixels, whose diagonal is that of the type; 6.47 mm, from
-    the diagonals. Expose captures with ``mosaic="QUAD_RGGB"``.
-
-Of these three on-chip-lens cameras no maker publishes what is between lenses and photodiodes. Ours: a height of 8 um
-for the full frame and of 4.5 um for telephones in a medium of the index 1.5, focused lenses without gaps, two pixels
-apart and shifted by `mla_cra` to the chief rays through the pupil's centre, no crosstalk. As all such cameras they have
-2 x 2 square pixels below each lens; `dual_pixel` adds those of a larger photodiode. Ours too: thin main lenses, focused
-at 2 m or at 1 m.
-
 All have the `lens_model` ``ideal``: lenses of real cameras are corrected, and no aberrations then add to the difference
 of rays and waves. The paper's own lenses are parabolic phases, which aberrate the light of ``paper`` by up to 0.74
 waves of 633 nm over the field; `report.experiment`, which repeats its study, sets ``parabolic`` for rays and waves.
@@ -80,51 +59,9 @@ waves of 633 nm over the field; `report.experiment`, which repeats its study, se
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-
-def _on_chip(
-    pixel: float,
-    resolution: tuple[int, int],
-    focal_length: float,
-    f_number: float,
-    focus_distance: float,
-    height: float,
-    index: float = 1.5,
-) -> dict[str, Any]:
-    """Return an on-chip-lens camera; `height` is the distance from its lenses to the photodiodes in the medium."""
-    mla_distance = 1 / (1 / focal_length - 1 / focus_distance)
-    return {
-        "focal_length": focal_length,
-        "aperture_radius": focal_length / f_number / 2,
-        "focus_distance": focus_distance,
-        "mla_focal_length": height,
-        "mla_medium": index,
-        "mla_pitch": 2 * pixel,
-        # The middle of each lens's pixels sees the middle of the pupil.
-        "mla_cra": _chief_rays(pixel / 2 * math.hypot(*resolution), mla_distance, height, index),
-        "detector_width": pixel * resolution[0],
-        "resolution": resolution,
-    }
-
-
-_HEIGHTS = 20
-"""Steps of image height in a table of chief-ray angles."""
-
-
-def _chief_rays(corner: float, mla_distance: float, height: float, index: float) -> tuple[float, ...]:
-    """Return image heights up to that of the corner and the chief-ray angles there in degrees, as for `mla_cra`.
-
-    Image heights are those of pixels; their lenses stand nearer to the axis by the way of the chief ray in the medium.
-    """
-    table = []
-    for step in range(_HEIGHTS + 1):
-        slope = corner / mla_distance * step / _HEIGHTS
-        within = math.asin(math.sin(math.atan(slope)) / index)
-        table += [mla_distance * slope + height * math.tan(within), math.degrees(math.atan(slope))]
-    return tuple(table)
-
+from .extension import entries, place
 
 _RAYTRIX: dict[str, Any] = {
     "focal_length": 49.885,
@@ -195,7 +132,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "detector_width": 3.84,
         "resolution": (384, 384),
     },
-    "full_frame_dual": _on_chip(0.00268, (13440, 8960), 50.0, 1.8, 2000.0, 0.008),
-    "phone_quad": _on_chip(0.00122, (8064, 6048), 6.86, 1.78, 1000.0, 0.0045),
-    "phone_quad_bayer": _on_chip(0.00112, (8000, 6000), 6.47, 1.7, 1000.0, 0.0045),
 }
+
+PRESETS |= {name: place(package, text)[name] for package, name, text in entries("presets")}

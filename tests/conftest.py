@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import itertools
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -60,15 +61,15 @@ def no_progress_lines(monkeypatch):
 @pytest.fixture(autouse=True)
 def short_trials(monkeypatch):
     """Have estimates of time, which come from trials, try a few point spreads or one pass of rays only."""
-    monkeypatch.setattr("mitsuba_plenoptic.operator.patch_plan._TRIAL_SECONDS", 0.0)
-    monkeypatch.setattr("mitsuba_plenoptic.capture.render._SECONDS", 1e-9)
+    monkeypatch.setattr("mitsuba_plenoptic.points.patch_plan._TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("mitsuba_plenoptic.light.render_capture._SECONDS", 1e-9)
 
 
 @pytest.fixture
 def trials_of_a_second(monkeypatch):
     """Have every trial of an estimate by waves last a second, however fast the machine is."""
     clock = SimpleNamespace(perf_counter=itertools.count(1.0).__next__)
-    for name in ("operator.patch_plan", "operator.full_field", "capture.signed_rays", "system.convolution"):
+    for name in ("points.patch_plan", "points.full_field", "light.signed_rays", "light.convolution"):
         monkeypatch.setattr(f"mitsuba_plenoptic.{name}.time", clock)
 
 
@@ -113,3 +114,70 @@ def python():
         )
 
     return run
+
+
+@pytest.fixture
+def run(capfd):
+    """Run the command, see that it succeeds, and return what it prints."""
+
+    def run(*arguments):
+        assert mitsuba_plenoptic.cli.main([str(argument) for argument in arguments]) == 0
+        return capfd.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def complaint(capfd):
+    """Run the command, see that it takes it as a user's mistake, and return the one line that it says."""
+
+    def complaint(*arguments):
+        capfd.readouterr()
+        assert mitsuba_plenoptic.cli.main([str(argument) for argument in arguments]) == 2
+        output, error = capfd.readouterr()
+        assert error.startswith("mitsuba-plenoptic: error: ")
+        assert error.count("\n") == 1, error
+        assert "Traceback" not in output + error
+        return error.removeprefix("mitsuba-plenoptic: error: ").rstrip("\n")
+
+    return complaint
+
+
+@pytest.fixture(scope="session")
+def raw(tmp_path_factory):
+    """Render a small capture of the letters once."""
+    path = tmp_path_factory.mktemp("capture") / "raw.exr"
+    assert mitsuba_plenoptic.cli.main(["render", "letters", "-o", str(path), "--spp", "4", "-D", "resolution=256"]) == 0
+    return path
+
+
+CHROMIUM = (
+    "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
+    "disable-component-update disable-sync"
+)
+"""Options of the browser in which pages are opened."""
+
+
+@pytest.fixture
+def browser(tmp_path):
+    """Return a function that opens a page in a headless Chromium of some width, or skip where there is none."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    driver = shutil.which("chromedriver")
+    if not program or not driver:
+        pytest.skip("no Chromium with its chromedriver was found")
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for flag in [*CHROMIUM.split(), f"user-data-dir={tmp_path / 'browser'}"]:
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    page = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+
+    def open_page(path, width=1280, height=900):
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        page.get(path.as_uri())
+        return page
+
+    yield open_page
+    page.quit()

@@ -9,18 +9,15 @@ from pathlib import Path
 import pytest
 
 import mitsuba_plenoptic
+from mitsuba_plenoptic.extension import entries
 
 PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
-# Each may import what stands before it. Of io, the modules that read lens files serve the camera, too.
+# Each may import what stands before it.
 FLOORS = (
-    "errors", "lens_data", "runtime", "lattice", "prescription", "objective", "collimator", "presets", "scene_files",
-    "io.files", "microlens", "phase_screen", "far_sources", "io.lens_designs", "io.zemax_file", "io.codev_file",
-    "io.lens_file", "camera",
-    "focusing", "io", "detector", "optics", "lenses", "system", "design", "operator", "capture", "laser",
-    "plugins", "lightfield", "calibration", "fitting", "onchip", "reconstruction", "wavefront", "optimisation",
-    "sharpness", "array_functions", "scene_functions", "torch", "jax", "hcipy", "report", "dataset",
-    "benchmark", "cli", "__main__",
+    "served", "shipped", "errors", "extension", "scene_files", "presets", "runtime", "lattice", "io.files",
+    "prescription", "microlens", "camera", "io", "optics", "lenses", "design", "light", "points", "plugins", "views",
+    "refocus", "report", "cli", "extensions", "__main__",
 )  # fmt: skip
 
 
@@ -44,7 +41,8 @@ def imported(path: Path) -> set[str]:
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_run_one_way(path):
     first = floor(list(path.relative_to(PACKAGE).with_suffix("").parts))
-    if first == "__init__":
+    if first in ("__init__", "served", "shipped"):
+        # What these name is imported when it is asked for, or by type checkers alone.
         return
     allowed = {*FLOORS[: FLOORS.index(first) + 1]}
     # A sentence that names the version is no arrow upwards.
@@ -57,6 +55,11 @@ def loaded(code):
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     modules = json.loads(made.stderr.splitlines()[-1])
     own = {name.partition(".")[2] for name in modules if name.partition(".")[0] == "mitsuba_plenoptic"}
+    # Records alone: the `__init__` of each extension.
+    own -= {
+        "extensions",
+        *(f"extensions.{path.parent.name}" for path in (PACKAGE / "extensions").glob("*/__init__.py")),
+    }
     return own, {name.partition(".")[0] for name in modules}
 
 
@@ -65,14 +68,14 @@ HEAVY = {"numpy", "scipy", "pandas", "xarray", "matplotlib", "skimage", "OpenEXR
 
 def test_the_package_imports_only_what_registers_its_plugins():
     own, libraries = loaded("import mitsuba_plenoptic")
-    assert own == {"", "runtime", "runtime.llvm", "plugins"}
+    assert own == {"", "served", "runtime", "runtime.llvm", "plugins"}
     assert not libraries & HEAVY
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["--version"]])
 def test_the_help_imports_no_command(words):
     own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
-    assert own == {"", "runtime", "runtime.llvm", "plugins", "cli", "errors"}
+    assert own == {"", "served", "shipped", "extension", "runtime", "runtime.llvm", "plugins", "cli", "errors"}
     assert not libraries & HEAVY
 
 
@@ -96,6 +99,7 @@ def test_public_names_are_found_when_they_are_asked_for(name):
 def test_names_of_the_package_are_public_ones_and_modules():
     shown = set(dir(mitsuba_plenoptic))
     modules = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    modules |= {"far_sources", "objective", *(name for _, name, _ in entries("modules"))}
     assert {name for name in shown if not name.startswith("__")} == {*mitsuba_plenoptic.__all__, *modules} - {
         "__init__", "__main__"
     }  # fmt: skip
@@ -109,3 +113,40 @@ def test_ipython_completes_public_names_and_modules_alone():
     assert {"render_capture", "PlenopticCamera", "design"} <= found
     assert found <= {name for name in dir(mitsuba_plenoptic) if not name.startswith("__")}
     assert {name.rpartition(".")[2] for name in complete("mp.with_c")} == {"with_camera"}
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("lightfield", "views"),
+        ("lightfield.geometry", "views.coordinates"),
+        ("lightfield.depth", "views.depth"),
+        ("lightfield.exchange", "extensions.raw.exchange"),
+        ("reconstruction.methods", "refocus.methods"),
+        ("operator.full_field", "points.full_field"),
+        ("system.optical_system", "light.optical_system"),
+        ("capture.render", "light.render_capture"),
+        ("benchmark.contents", "extensions.data.contents"),
+        ("report.sweep", "extensions.studio.sweep"),
+    ],
+)
+def test_modules_of_1_0_are_what_they_are_called_now(python, former, now):
+    code = f"""
+    import importlib, warnings
+    import mitsuba_plenoptic
+    now = importlib.import_module("mitsuba_plenoptic.{now}")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        former = importlib.import_module("mitsuba_plenoptic.{former}")
+    assert former is now and now.__spec__.name == "mitsuba_plenoptic.{now}"
+    assert any("mitsuba_plenoptic.{former} is called mitsuba_plenoptic.{now} since" in str(one.message) for one in told)
+    """
+    made = python(code)
+    assert made.returncode == 0, made.stderr
+
+
+@pytest.mark.parametrize("name", ["calibration", "dataset", "fitting", "laser", "onchip", "wavefront", "exchange"])
+def test_public_modules_of_extensions_are_imported_without_a_warning(python, name):
+    made = python(f"from mitsuba_plenoptic import {name}; import mitsuba_plenoptic.{name} as m; assert m is {name}")
+    assert made.returncode == 0, made.stderr
+    assert not made.stderr

@@ -138,7 +138,7 @@ def test_large_libraries_wait_until_they_are_used():
     code = f"import mitsuba_plenoptic, sys; print(*sys.modules.keys() & {later})"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == []
-    assert mitsuba_plenoptic.decode is mitsuba_plenoptic.lightfield.decode
+    assert mitsuba_plenoptic.decode is mitsuba_plenoptic.views.decode
     assert all(hasattr(mitsuba_plenoptic, name) for name in mitsuba_plenoptic.__all__)
 
 

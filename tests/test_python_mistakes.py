@@ -13,9 +13,9 @@ from scene_cases import letters
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
 from mitsuba_plenoptic.benchmark import run_baseline
-from mitsuba_plenoptic.io.lens_file import write_prescription
-from mitsuba_plenoptic.lightfield.exchange import save_light_field, write_mosaic
-from mitsuba_plenoptic.reconstruction import Volume, write_reconstruction, write_volume
+from mitsuba_plenoptic.extensions.raw.exchange import save_light_field, write_mosaic
+from mitsuba_plenoptic.prescription.lens_file import write_prescription
+from mitsuba_plenoptic.refocus import Volume, write_reconstruction, write_volume
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 IMAGE = np.ones((64, 64), np.float32)
@@ -91,10 +91,10 @@ def test_captures_that_do_not_suit():
     with pytest.raises(InputError, match="capture: a detector has recorded it already"):
         mp.expose(exposed, mp.Detector(), photons=100)
     other = Capture(IMAGE, CAMERA.replace(mla_pitch=0.05))
-    for work in (mp.decode, mp.lightfield.micro_images):
+    for work in (mp.decode, mp.views.micro_images):
         with pytest.raises(InputError, match=r"white: its camera has mla_pitch = 0\.05, that of the capture 0\.064"):
             work(capture, white=other)
-        work(capture, white=Capture(mp.lightfield.white_image(CAMERA), CAMERA))
+        work(capture, white=Capture(mp.views.white_image(CAMERA), CAMERA))
     mosaic = mp.expose(Capture(np.ones((64, 64, 3)), CAMERA), mp.Detector(mosaic="RGGB"), photons=100)
     with pytest.raises(InputError, match="mosaic = RGGB"):
         mp.decode(capture, white=mosaic)

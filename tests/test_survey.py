@@ -8,7 +8,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.presets import PRESETS
-from mitsuba_plenoptic.reconstruction import CoherentRefocus, RayRefocus
+from mitsuba_plenoptic.refocus import CoherentRefocus, RayRefocus
 
 MICROSCOPES = {"lfm", "lfm_water"}
 REAL = {"paper_double_gauss", "raytrix_double_gauss"}

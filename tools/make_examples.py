@@ -19,7 +19,7 @@ import numpy as np
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.io.examples import FOLDER
-from mitsuba_plenoptic.io.ground_truth import NAME, truth_path
+from mitsuba_plenoptic.io.truth_files import NAME, truth_path
 
 CAMERA = {"detector_width": "3.072", "resolution": "768"}
 LETTERS = {**CAMERA, "letter_scale": "0.6"}

@@ -33,14 +33,14 @@ from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.errors import require_choice
+from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import brightness_of
 from mitsuba_plenoptic.optimisation import maximise
+from mitsuba_plenoptic.points.units import brightness_of
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.framing import Canvas
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
-from mitsuba_plenoptic.report.preview import draw_preview, preview_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "pictures"
@@ -171,7 +171,7 @@ def close(model: str = "ray") -> mp.Capture:
 def depth() -> Any:
     """Find the depth of the still life with the paper's array, whose views show more texture for each bin."""
     capture = stored("depth", lambda: in_colour(mp.PlenopticCamera(resolution=(2048, 2048)), 32))
-    return mp.lightfield.depth_map(mp.decode(capture), 190, 315)
+    return mp.views.depth_map(mp.decode(capture), 190, 315)
 
 
 @picture
@@ -256,8 +256,8 @@ def laser() -> Image.Image:
 def light_fields() -> Image.Image:
     """Show views, and one line of all views."""
     lf = light_field()
-    left, right = (mp.lightfield.view(lf, u=u).values for u in (3.0, -3.0))
-    line = mp.lightfield.epipolar_image(lf, at=0.0).values[1:-1]
+    left, right = (mp.views.view(lf, u=u).values for u in (3.0, -3.0))
+    line = mp.views.epipolar_image(lf, at=0.0).values[1:-1]
     line = line.repeat(-(-len(left) // len(line)), axis=0)[: len(left)]
     titles = ("View from the pupil's left", "View from its right", "One line, from left (top) to right")
     return sheet([list(zip(titles, [left, right, line], strict=True))])
@@ -312,7 +312,7 @@ def exchange() -> Image.Image:
     lf = light_field()
     part = lf[:, :, 90:154, 60:124]
     lenses = part.values.transpose(2, 0, 3, 1, 4).reshape(64 * lf.sizes["v"], 64 * lf.sizes["u"], 3)
-    views = np.asarray(mp.lightfield.view_mosaic(mp.lightfield.pick_views(part, 3)))
+    views = np.asarray(mp.views.view_mosaic(mp.views.pick_views(part, 3)))
     titles = ("The capture, 20 x 20 lenses", ".eslf.png: the samples of each lens", ".png: whole views, 3 x 3")
     eslf = lenses[: 20 * lf.sizes["v"], : 20 * lf.sizes["u"]]
     return sheet([list(zip(titles, [micro_images(still_life(), -38, -68, 20), eslf, views], strict=True))])
@@ -352,7 +352,7 @@ def wavefront_sensors() -> Image.Image:
     import hcipy
 
     from mitsuba_plenoptic.hcipy import phase_screen
-    from mitsuba_plenoptic.operator.point_spread import point_fields
+    from mitsuba_plenoptic.points.point_spread import point_fields
 
     grid = hcipy.make_pupil_grid(128, 0.0102)
     strength = hcipy.Cn_squared_from_fried_parameter(0.01 / 6, 633e-9)
@@ -481,10 +481,10 @@ def run_files() -> Image.Image:
     """Show what the page's study writes, from the captures that come with the package."""
     light_field = mp.decode(mp.example("letters-ray"))
     found = mp.reconstruct(mp.example("letters-wave"), [210, 240, 280], method="partial")
-    depth = mp.lightfield.depth_map(light_field)["depth"].values
+    depth = mp.views.depth_map(light_field)["depth"].values
     shown = matplotlib.colormaps["viridis"](np.clip((depth - 200) / 90, 0, 1))
     shown[np.isnan(depth)] = 0.85, 0.85, 0.85, 1
-    views = mp.lightfield.view_mosaic(mp.lightfield.pick_views(light_field, 5))
+    views = mp.views.view_mosaic(mp.views.pick_views(light_field, 5))
     panels = [(f"wave.pdf, {one.distance:g} mm", one.image) for one in found]
     white = Brightness().white([one.image for one in found])
     depths = ("depth.exr", (255 * shown[..., :3]).astype(np.uint8))

@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 from bench.cases import phase_space as walls
 
-from mitsuba_plenoptic.capture.signed_colours import plan_of
-from mitsuba_plenoptic.capture.signed_rays import REACH
+from mitsuba_plenoptic.light.signed_colours import plan_of
+from mitsuba_plenoptic.light.signed_rays import REACH
 from mitsuba_plenoptic.report.images import to_bytes
 
 CAMERA, BLUR, OFF_AXIS, SAMPLES, POINTS = "keplerian", 2.0, 58.0, 1024, 12

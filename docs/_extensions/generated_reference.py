@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "mitsuba_plenoptic"
 PLUGINS = {
     "plenoptic": "plugins/sensor.py",
     "plenoptic_wave": "plugins/integrator.py",
-    "plenoptic_laser": "plugins/laser.py",
+    "plenoptic_laser": "extensions/laser/laser_integrator.py",
 }
 """Files of the plugins by their names."""
 

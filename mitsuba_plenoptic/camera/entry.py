@@ -70,6 +70,7 @@ class Parameter(Generic[Given, Kept]):
     shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if it is not the stored one
     instead_of: str = ""  # the parameter that follows from this one and is written to files instead
     in_first_files: bool = False  # whether all files have it; other parameters may be missing from old files
+    fit: Callable[[Any], None] | None = None  # refuses cameras that a value other than the default does not fit
     alias: str = ""  # the name of the parameter, if it is not that of the attribute
     attribute: str = field(default="", init=False)
     name: str = field(default="", init=False)

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..errors import InputError, refuse_if
 from ..lattice import Lattice, make_lattice
-from ..lens_data import THIN, LensData, defocus_factor, even_count
-from ..objective import Objective
 from ..prescription import Prescription
+from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
+from ..prescription.objective import Objective
 from .entry import record
 from .parameters import CameraParameters
 
@@ -308,6 +308,9 @@ class CameraGeometry(CameraParameters):
         """
         return self.lens_data.bin_size(self, distance)
 
+
+SMALL_LENSES = "small lenses"
+"""Kind of cameras, in the records of extensions, whose pitch is below 20 wavelengths."""
 
 _SMALLEST = 20.0
 """Pitch in wavelengths below which paraxial kernels do not hold."""

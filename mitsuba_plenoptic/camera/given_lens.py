@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import naming
-from ..io.lens_file import lens_from_plain, read_lens
-from ..lens_data import LensData
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
+from ..prescription.lens_data import LensData
+from ..prescription.lens_file import lens_from_plain, read_lens
 
 
 def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from ..errors import (
     FULL_TURN,
@@ -30,28 +30,29 @@ from ..errors import (
     require_response,
     require_wavefront,
 )
+from ..extension import entries, place
 from ..lattice import APERTURES, LATTICES
-from ..lens_data import LensData
-from ..microlens.base import MicrolensShape, known_shape
-from ..phase_screen import PhaseScreen, known_screen
+from ..microlens.shape import MicrolensShape, known_shape
 from ..prescription import Glass
+from ..prescription.lens_data import LensData
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .given_lens import known_glass, known_lens
-from .photodiodes import PhotodiodeResponse, known_response
+from .phase_screen import PhaseScreen, known_screen
+
+if TYPE_CHECKING:
+    from ..shipped import ShippedParameters
 
 LENS_MODELS = ("ideal", "parabolic")
 
 
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
 
-_Response = PhotodiodeResponse | str | Path | dict[str, Any] | None
-
 _Glass = Glass | str | float | dict[str, Any]
 
 
 @record
-class CameraParameters:
-    """The table; an instance holds one camera's values, which `PlenopticCamera` checks."""
+class CoreParameters:
+    """The table of the core's parameters."""
 
     focal_length: Parameter[float | None, float] = Parameter(
         default=None,
@@ -346,7 +347,7 @@ class CameraParameters:
         words=(
             "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
             "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1, for rays, "
-            "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.system.lens_kinds`. "
+            "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.light.lens_kinds`. "
             "Decoding and refocusing assume the regular array."
         ),
         form=Form.PLACE,
@@ -357,7 +358,7 @@ class CameraParameters:
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
-            "and its correlation length in millimetres along the array; see `mitsuba_plenoptic.system.figure_error`. "
+            "and its correlation length in millimetres along the array; see `mitsuba_plenoptic.light.figure_error`. "
             "For rays, and for waves of points by method ``full_field``."
         ),
         form=Form.PLACE,
@@ -405,21 +406,6 @@ class CameraParameters:
         otherwise="1 at all angles",
         known_to=Captures.RAYS | Captures.SCENES,
     )
-    photodiode_response: Parameter[_Response, PhotodiodeResponse | None] = Parameter(
-        default=None,
-        check=known_response,
-        words=(
-            "Response of the photodiodes under lenses of 2 x 2 pixels by the direction of light before the lens, from "
-            "measurements or electromagnetic simulations: a JSON file, its text or in Python its dictionary, see "
-            "`PhotodiodeResponse`. It takes the place of the microlenses' refraction: `mla_focal_length` and "
-            "`detector_distance` only set the unit, so that 1 within the square of the pupil that a pixel sees through "
-            "an ideal lens gives the ideal capture."
-        ),
-        form=Form.RESPONSE,
-        otherwise="that of the microlenses",
-        shortest=lambda response: response and response.to_plain(),
-        known_to=Captures.RAYS,
-    )
     main_lens: Parameter[LensData | str | Path | dict[str, Any] | None, LensData | None] = Parameter(
         default=None,
         check=lambda _, value: known_lens(value),
@@ -461,6 +447,19 @@ class CameraParameters:
         known_to=Captures.ALL,
     )
 
+
+if TYPE_CHECKING:
+
+    @record
+    class CameraParameters(CoreParameters, ShippedParameters):
+        """One camera's values."""
+
+else:
+    _added = {name: place(package, text) for package, name, text in entries("parameters")}
+    CameraParameters = record(
+        type("CameraParameters", (CoreParameters,), _added | {"__annotations__": dict.fromkeys(_added, Parameter)})
+    )
+    CameraParameters.__doc__ = "The whole table; an instance holds one camera's values, which `PlenopticCamera` checks."
 
 PARAMETERS = {entry.name: entry for entry in (cast(Parameter, each.default) for each in fields(CameraParameters))}
 """The entries of the table by the names of the constructor's arguments."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,9 +26,10 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..extension import missing
 from ..lattice import LATTICES
-from ..lens_data import SINGLE, THIN, image_distance
-from ..microlens.base import focal_length_of, require_cover
+from ..microlens.shape import focal_length_of, require_cover
+from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
 from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
@@ -35,7 +37,6 @@ from .entry import Captures, record
 from .geometry import CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
-from .photodiodes import require_pixel_pairs
 from .scene_file import describe, write_xml
 
 
@@ -124,12 +125,9 @@ def require_whole(camera: CameraGeometry) -> None:
             f"phase_screen = {camera.phase_screen}: it covers pupils of a radius up to {camera.phase_screen.reach:.6g} "
             f"mm; the aperture_radius is {camera.aperture_radius:g}"
         )
-    if camera.photodiode_response is not None:
-        require_pixel_pairs(camera)
-        refuse_if(
-            camera.mla_absorption > 0,
-            f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one out",
-        )
+    for entry in PARAMETERS.values():
+        if entry.fit is not None and getattr(camera, entry.attribute) != entry.default:
+            entry.fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
     rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
     refuse_if(
@@ -216,12 +214,12 @@ class PlenopticCamera(CameraGeometry, Displayed):
             require_whole(self)
 
         __init__.__signature__ = signature()
-        __init__ = suggest_keywords(__init__)
+        __init__ = suggest_keywords(__init__, absent=partial(missing, "parameters"))
         __doc__ = __doc__.replace("    TABLE\n", numpy_section())
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build one of the known cameras; `mitsuba_plenoptic.presets` lists them with the sources of their parameters.
+        """Build one of the known cameras; `presets` lists them with the sources of their numbers.
 
         Parameters
         ----------
@@ -234,6 +232,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         InputError
             If there is no camera of that name; the message lists the names.
         """
+        refuse_if(absent := missing("presets", str(name)), absent)
         return cls(**PRESETS[require_choice("preset", name, PRESETS)])
 
     @classmethod
@@ -389,7 +388,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
         # A single one of them is rather meant for a camera that has its other parameters.
         known = {*PARAMETERS, *MATCHED} if len(of_sheet) > 1 else PARAMETERS
         for name in sorted(set(values) - set(known)):
-            raise InputError(f"{name}: it is not a camera parameter{did_you_mean(name, known)}")
+            raise InputError(
+                missing("parameters", name) or f"{name}: it is not a camera parameter{did_you_mean(name, known)}"
+            )
         return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:

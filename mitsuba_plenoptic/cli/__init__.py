@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -21,6 +22,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, at_shell, did_you_mean, relation
+from ..extension import entries, missing
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -28,24 +30,19 @@ _logger = logging.getLogger(__package__.partition(".")[0])
 
 # In the order of the help: each command is a function of its name in this module, or a `Typer` of several commands.
 COMMANDS = {
-    "example": "example",
-    "preview": "preview",
-    "render": "render",
-    **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
-    **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
-    "mtf": "mtf",
-    "dual": "dual",
-    **dict.fromkeys(("expose", "demosaic"), "render"),
-    "calibrate": "calibrate",
-    "fit": "fit",
-    "convert": "light_field",
-    "view": "view",
-    **dict.fromkeys(("sweep", "dataset"), "experiments"),
-    "benchmark": "benchmark",
-    **dict.fromkeys(("compare", "reproduce"), "experiments"),
-    "run": "run",
-    **dict.fromkeys(("info", "doctor"), "info"),
-}
+    name: f"{__package__}.{module}"
+    for name, module in {
+        "example": "example",
+        "render": "render_command",
+        **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
+        **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
+        "mtf": "mtf",
+        "expose": "render_command",
+        "convert": "light_field",
+        "compare": "compare",
+        **dict.fromkeys(("info", "doctor"), "info"),
+    }.items()
+} | {name: f"{package}.{module}" for package, name, module in entries("commands")}
 
 STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf", "info", "doctor"))
 """Commands that write files, and can be steps of a run file."""
@@ -108,7 +105,7 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
     made = _command()
     for name in names:
-        command = getattr(importlib.import_module(f".{COMMANDS[name]}", __package__), name)
+        command = getattr(importlib.import_module(COMMANDS[name]), name)
         if isinstance(command, typer.Typer):
             made.add_typer(command, name=name)
         else:
@@ -127,7 +124,8 @@ def _outline() -> typer.Typer:
 
 def _docstring(name: str) -> str | None:
     """Return the docstring of a subcommand's function from its file; for a group of commands, that of the file."""
-    module = ast.parse(Path(__file__).with_name(f"{COMMANDS[name]}.py").read_text(encoding="utf-8"))
+    spec = importlib.util.find_spec(COMMANDS[name])
+    module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
     own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
     return ast.get_docstring(next(own, module))
 
@@ -217,6 +215,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     passes through with its traceback.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and (absent := missing("commands", words[0])):
+        return _fail(absent)
     called = _called(words)
     group = command_group(called) if called else typer.main.get_command(_outline())
     with _remarks():

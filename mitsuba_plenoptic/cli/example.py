@@ -28,7 +28,7 @@ def example(
     from ..io import examples
     from ..io.captures import write_capture
     from ..io.files import require_writable
-    from ..io.ground_truth import NAME, truth_path, write_ground_truth
+    from ..io.truth_files import NAME, truth_path, write_ground_truth
 
     capture, truth = examples.example(name), examples.example_truth(name)
     path = require_writable(output or Path(f"{name}.exr"), ".exr")

@@ -93,14 +93,15 @@ def info(
     from rich.markup import escape
 
     from ..design import design_warnings, mended
+    from ..extension import format_of
     from ..io.files import require_writable, write_text
-    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
     from ..report.design_sheet import design_sheet
 
     if fix is not None:
         require_writable(fix, ".json")
     parameters = parse_definitions(define)
-    recorded = source.lower().endswith((".exr", *LYTRO_SUFFIXES))
+    suffix = Path(source).suffix.lower()
+    recorded = suffix == ".exr" or format_of(suffix, "capture", source) is not None
     refuse_if(
         parameters and recorded,
         f"-D: {source} is no scene, and has no scene parameters; leave it out",

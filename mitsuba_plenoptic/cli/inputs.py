@@ -21,7 +21,6 @@ from .choices import MODELS, UNITS
 from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
-    from ..calibration import LensIndex
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
     from ..report.images import Drawing
@@ -205,10 +204,13 @@ _COLOURS = "llvm_ad_rgb"
 _log = logging.getLogger(__name__)
 
 
-def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tuple[PlenopticCamera, LensIndex | None]:
-    """Return the camera of a preset, a file, parameters or a scene; a file takes precedence over what else it names."""
+def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tuple[PlenopticCamera, Any]:
+    """Return the camera of a preset, a file, parameters or a scene, and the record of its calibration, if any.
+
+    A file takes precedence over what else the source names.
+    """
     from ..camera import PlenopticCamera
-    from ..capture.scene import load_scene
+    from ..light.scene import load_scene
 
     preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
@@ -219,10 +221,9 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
             unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out"
         )
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
-        # Brings libraries that take a while to load.
-        from ..calibration import read_camera
+        from ..camera.camera_files import camera_and_record
 
-        return read_camera(source)
+        return camera_and_record(source)
     refuse_if(
         source.lower().endswith(".exr"),
         f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
@@ -238,9 +239,8 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
     A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
+    from ..extension import format_of, place
     from ..io.captures import RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
-    from ..io.lytro_file import SUFFIXES as LYTRO_SUFFIXES
-    from ..io.lytro_file import read_lytro
 
     if path.suffix.lower() in RAW_SUFFIXES:
         if states_detector(path):
@@ -249,10 +249,11 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
         if camera is None:
             raise InputError(f"{path}: it states no camera and detector; such a raw picture needs its --camera")
         # Brings libraries that take a while to load.
-        from ..lightfield.exchange import read_picture
+        from ..io.pictures import read_picture
 
         return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
-    found = (read_lytro if path.suffix.lower() in LYTRO_SUFFIXES else read_capture)(path)
+    of_extension = format_of(path.suffix.lower(), "capture", str(path))
+    found = read_capture(path) if of_extension is None else place(*of_extension)(path)
     return found if camera is None else dataclasses.replace(found, camera=camera)
 
 
@@ -306,9 +307,9 @@ def open_scene(
 ) -> Any:
     """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
     from ..camera import PlenopticCamera
-    from ..capture.render import plenoptic_sensor
-    from ..capture.scene import load_scene
     from ..design import design_warnings
+    from ..light.render_capture import plenoptic_sensor
+    from ..light.scene import load_scene
     from ..plugins.other_camera import with_camera
     from ..runtime.backend import DEFAULT_VARIANT
 
@@ -338,7 +339,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
     The position of the camera and its sampler remain those of the scene. Names that the scene does not have are left
     to its loading.
     """
-    from ..capture.scene import names_in
+    from ..light.scene import names_in
 
     roots, used = scene_roots(scene, parameters), set()
     known = {name for root in roots for each in root.iter() for name in names_in(each)}
@@ -365,7 +366,7 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
 
 def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     """Return the root elements of a scene file and of all that it includes."""
-    from ..capture.scene import check_scene_file
+    from ..light.scene import check_scene_file
 
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
@@ -375,7 +376,7 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
-    from ..capture.scene import scene_defaults
+    from ..light.scene import scene_defaults
 
     roots = scene_roots(scene, parameters)
     formats: list[str] = []
@@ -406,3 +407,15 @@ def batches_on(workers: int | None, scheduler: str | None) -> contextlib.Abstrac
 
     given = workers is not None or scheduler is not None
     return Cluster(workers=workers, scheduler=scheduler) if given else contextlib.nullcontext()
+
+
+def camera_instead(
+    source: str | None, scene: str, parameters: dict[str, str], varied: dict[str, str] | None = None
+) -> dict[str, Any] | None:
+    """Return the parameters of the camera that replaces a scene's, None where none is named."""
+    camera = named_camera(source)
+    if camera is None:
+        return None
+    require_in_use(scene, parameters)
+    require_in_use(scene, varied or {}, "grid:")
+    return camera.to_dict()

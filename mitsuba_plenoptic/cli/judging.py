@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError, did_you_mean, refuse_if, require_choice, require_count, require_wavelength
+from ..extension import missing
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 
@@ -61,8 +62,10 @@ def require_camera_name(name: str, source: str) -> None:
     """Refuse what names no camera: a preset, parameters, a file or a scene."""
     names = scene_names()
     if "=" not in source and not Path(source).exists() and source not in (*PRESETS, *names):
+        absent = missing("presets", source)
         raise InputError(
-            f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
+            absent
+            or f"{source}: there is no such file, and no camera ({', '.join(PRESETS)}) or built-in scene "
             f"({', '.join(names)}) of that name{did_you_mean(source, [*PRESETS, *names])}"
         )
 

@@ -66,10 +66,10 @@ def views(
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
     from ..io.files import require_apart
-    from ..lightfield import pick_views
-    from ..lightfield.exchange import open_light_field
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
+    from ..views import pick_views
+    from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output, animated=True), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -124,9 +124,9 @@ def epi(
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     from ..io.files import require_apart
-    from ..lightfield import epipolar_image
-    from ..lightfield.exchange import open_light_field
     from ..report.output_files import require_picture_path, write_epipolar_image
+    from ..views import epipolar_image
+    from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -177,11 +177,11 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
     from ..io.files import require_apart
-    from ..lightfield import focal_stack
-    from ..lightfield.exchange import open_light_field
     from ..report.animations import sweep_distances
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
+    from ..views import focal_stack
+    from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output, animated=True), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -243,10 +243,10 @@ def depth(
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     from ..io.files import require_apart
-    from ..lightfield import depth_error, depth_map
-    from ..lightfield.depth import beyond_search, is_focused
-    from ..lightfield.exchange import open_light_field, open_micro_images
     from ..report.output_files import require_picture_path, write_depth
+    from ..views import depth_error, depth_map
+    from ..views.depth import beyond_search, is_focused
+    from ..views.light_field_files import open_light_field, open_micro_images
 
     require_apart(require_picture_path(output), source, white, truth)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
@@ -329,26 +329,26 @@ def convert(
 
       mitsuba-plenoptic convert folder -o lf.nc
     """
+    from ..extension import format_of, place
     from ..io.files import require_apart
-    from ..lightfield.exchange import open_light_field, require_light_field_path, save_light_field
+    from ..views.light_field_files import HCI, open_light_field, require_light_field_path, save_light_field
 
+    writer = None
     if layout is None:
         require_light_field_path(output)
     else:
         require_choice("format", layout, ("hci",))
+        writer = format_of(HCI, "light field", f"format = {layout}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
     require_apart(output, source, white, truth)
     lf = open_light_field(
         source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
     )
-    if layout is not None:
-        # Brings libraries that take a while to load.
-        from ..benchmark.exchange import write_hci
-
+    if writer is not None:
         known = lf.coords.get("virtual_depth", lf.coords.get("depth"))
         central = None if known is None else known.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]
         with naming(source):
-            views = write_hci(output, lf, central, name=source.stem)
+            views = place(*writer)(output, lf, central, name=source.stem)
         typer.echo(f"{output}: {views} x {views} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
         return
     save_light_field(output, lf)

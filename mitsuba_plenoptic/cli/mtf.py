@@ -14,7 +14,7 @@ from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded
 from .judging import FILE, one_of
 
 if TYPE_CHECKING:
-    from ..reconstruction import Reconstruction
+    from ..refocus import Reconstruction
 
 
 def mtf(
@@ -53,9 +53,9 @@ def mtf(
 
       mitsuba-plenoptic mtf out.exr --region 20,30,60,40
     """
-    from ..reconstruction import read_reconstruction
-    from ..reconstruction import reconstruct as refocus
-    from ..sharpness import edge_sharpness
+    from ..refocus import read_reconstruction
+    from ..refocus import reconstruct as refocus
+    from ..report.sharpness import edge_sharpness
 
     given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:

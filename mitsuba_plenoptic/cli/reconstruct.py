@@ -38,7 +38,7 @@ from .stopping import Resume, existing_checkpoint, stopped_by_hand
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
-    from ..reconstruction import Reconstruction
+    from ..refocus import Reconstruction
     from ..report.images import Drawing
 
 
@@ -217,11 +217,11 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
-    from .. import reconstruction
+    from .. import refocus as reconstruction
     from ..io.checkpoints import SUFFIX, Checkpoint
     from ..io.files import require_apart, require_different, require_writable
-    from ..reconstruction.methods import used_by
-    from ..reconstruction.results import SUFFIXES, require_volume_path
+    from ..refocus.methods import used_by
+    from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
     from ..runtime.limits import GIB
 
@@ -313,7 +313,7 @@ def sheet(
       mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
     """
     from ..io.files import require_apart, require_writable
-    from ..reconstruction import read_reconstruction
+    from ..refocus import read_reconstruction
     from ..report.images import Brightness
 
     require_apart(require_writable(output, ".pdf", ".png"), *results)
@@ -345,7 +345,7 @@ def _period(interleave: str | None) -> int | str | None:
 
 def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
     """Write all distances together, as a volume and as a picture, where these are asked for."""
-    from ..reconstruction import Volume, write_volume
+    from ..refocus import Volume, write_volume
 
     if path is None and overview is None:
         return

@@ -9,7 +9,7 @@ Wavelengths are in nanometres. Where a wavelength is optional, diffraction is ne
 """
 
 from .aberration import parabolic_aberration
-from .deconvolution import ResolutionLimit, resolution_limit
+from .deconvolved_contrast import ResolutionLimit, resolution_limit
 from .focus import (
     EffectiveResolution,
     best_distances,

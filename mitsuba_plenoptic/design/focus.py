@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 from ..camera import PlenopticCamera
 from ..errors import require_number
-from ..lens_data import conjugate_distance, image_distance
+from ..prescription.lens_data import conjugate_distance, image_distance
 from .micro_images import direction_count, spot_radius
 
 # -- what the microlenses are focused on -------------------------------------------------------------

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal
 from ..errors import InputError, refuse_if, require_wavelength
-from ..lens_data import SINGLE
-from ..objective import Objective
 from ..optics.waves import in_millimetres
+from ..prescription.lens_data import SINGLE
+from ..prescription.objective import Objective
 from .focus import focus_types, mla_object_distances, sharp_images, vergence_slack
 from .micro_images import direction_count
 from .remedies import Finding, detector_at, finer_pixels

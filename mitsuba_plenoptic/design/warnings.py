@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 from ..camera import PlenopticCamera
-from ..collimator import Collimator
-from ..lens_data import SINGLE
+from ..prescription.collimator import Collimator
+from ..prescription.lens_data import SINGLE
 from .aberration import parabolic_aberration
 from .focus import best_distances, best_images, focus_type, lenses_across, mla_object_distances
 from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import require_choice
 from .captures import Capture, read_capture
-from .ground_truth import GroundTruth, read_ground_truth, truth_path
+from .truth_files import GroundTruth, read_ground_truth, truth_path
 
 NAMES = ("letters-ray", "letters-wave", "white")
 """The scene of the letters by both models of light, and a luminous wall by the same camera."""

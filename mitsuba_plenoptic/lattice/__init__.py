@@ -9,6 +9,6 @@ from ..runtime.backend import turn
 from . import hexagonal as hexagonal
 from . import square as square
 from .apertures import APERTURES
-from .base import LATTICES, Lattice, make_lattice, register
+from .arrangement import LATTICES, Lattice, make_lattice, register
 
 __all__ = ["APERTURES", "LATTICES", "Lattice", "make_lattice", "register", "turn"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ..runtime.backend import minimum, module_of
 
 if TYPE_CHECKING:
-    from .base import Lattice
+    from .arrangement import Lattice
 
 # First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
 AIRY_ZERO = 1.21967

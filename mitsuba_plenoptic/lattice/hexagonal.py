@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ..runtime.backend import floor, select
-from .base import Lattice, register, regular_corners
+from .arrangement import Lattice, register, regular_corners
 
 # Distance of rows over the pitch.
 _ROW = math.sqrt(0.75)

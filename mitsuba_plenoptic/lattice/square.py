@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..runtime.backend import floor
-from .base import Lattice, register, regular_corners
+from .arrangement import Lattice, register, regular_corners
 
 
 @register

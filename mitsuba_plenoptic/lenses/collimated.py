@@ -12,9 +12,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..collimator import Collimator
-from .base import Pair
+from ..prescription.collimator import Collimator
 from .common import LensNumbers, UniformLens, builds
+from .main_lens import Pair
 from .thin import ThinLens
 
 _NODES = 24

@@ -17,7 +17,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
 from ..runtime.backend import sqrt
-from .base import Entrance, MainLens, Pair
+from .main_lens import Entrance, MainLens, Pair
 
 
 class UniformLens:

@@ -24,8 +24,8 @@ from ..optics import guards
 from ..optics.waves import in_millimetres
 from ..runtime.backend import minimum, safe_sqrt
 from . import sequential
-from .base import Pair
 from .lens_system import LensSystem
+from .main_lens import Pair
 
 _ACROSS = 45
 """Rays across the entrance pupil; alternate rays are fitted, and the others check the fit."""

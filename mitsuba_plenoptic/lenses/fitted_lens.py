@@ -23,8 +23,8 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
-from .base import Pair, Traced
 from .common import FinitePupil
+from .main_lens import Pair, Traced
 from .pupil_fit import PupilFit
 from .pupil_polynomials import LensLight, Polynomial
 

@@ -20,10 +20,10 @@ from ..lattice import turn
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
 from ..runtime.limits import single_threaded_blas
-from .base import Pair
 from .common import FinitePupil
 from .fitted_lens import FittedLens, at_all, edges, places
 from .lens_system import LensSystem
+from .main_lens import Pair
 from .pupil_fit import PupilRays, entrance_place, nodes, trace_all
 from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
@@ -126,7 +126,7 @@ def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -
 
 @dataclass(frozen=True)
 class VaryingLens(FinitePupil):
-    """A fitted lens with gradients; it offers the part of `MainLens` that `operator.patch_factors` uses."""
+    """A fitted lens with gradients; it offers the part of `MainLens` that `points.patch_factors` uses."""
 
     # The lens for plain parameters.
     base: FittedLens

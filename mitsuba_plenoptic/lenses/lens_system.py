@@ -19,13 +19,13 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
-from ..lens_data import vergence
 from ..prescription import Paraxial, Prescription, paraxial
-from ..prescription.data import height
+from ..prescription.lens_data import vergence
+from ..prescription.surfaces import height
 from ..runtime.backend import rsqrt
 from . import sequential
-from .base import Pair, Traced
 from .common import FiniteDistance
+from .main_lens import Pair, Traced
 
 _FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
 """Positions on the array and points across the exit pupil that are tested for light, and the largest radius tested."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
 from ..runtime.backend import minimum, safe_sqrt
-from .base import Pair
+from .main_lens import Pair
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
-from .base import Entrance
 from .common import LensNumbers, builds
 from .exit_pupil import ExitPupil
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
+from .main_lens import Entrance
 from .pupil_fit import Pupils, covered, fit_pupil, trace
 
 _FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97

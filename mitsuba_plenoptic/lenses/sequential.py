@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..prescription import Prescription
-from ..prescription.data import LEAST, height
+from ..prescription.surfaces import LEAST, height
 from ..runtime.backend import safe_sqrt
 
 NEWTON_STEPS = 5

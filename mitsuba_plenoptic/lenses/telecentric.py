@@ -27,11 +27,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..objective import Objective
 from ..optics.waves import in_millimetres
+from ..prescription.objective import Objective
 from ..runtime.backend import rsqrt, safe_sqrt, sqrt
-from .base import Pair, Traced
 from .common import LensNumbers, UniformLens, builds
+from .main_lens import Pair, Traced
 
 _ROUNDING = 1e-9
 """Distance outside the stop, over its radius, up to which a point counts as on its edge."""

@@ -17,15 +17,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.phase_screen import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
-from ..lens_data import vergence
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
-from ..phase_screen import PhaseScreen
+from ..prescription.lens_data import vergence
 from ..runtime.backend import sqrt
-from .base import Pair, Traced
 from .common import FinitePupil, LensNumbers, UniformLens, builds
 from .distortion import undistort
+from .main_lens import Pair, Traced
 
 
 def noll(j: int) -> tuple[int, int]:

@@ -5,10 +5,10 @@ offset from the centre of the lens, in the frame that is rotated with the lattic
 diffraction orders, kernels of signed rays and the directions of rays.
 """
 
-from .base import MicrolensShape
 from .conic import Conic
 from .phase_map import PhaseMap
 from .sampled import Sampled
+from .shape import MicrolensShape
 from .zone_lens import ZoneLens
 
 __all__ = ["Conic", "MicrolensShape", "PhaseMap", "Sampled", "ZoneLens"]

@@ -10,7 +10,7 @@ from ..errors import put, refuse_if, require_number
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..runtime.backend import module_of
-from .base import MicrolensShape, known_index, per_millimetre
+from .shape import MicrolensShape, known_index, per_millimetre
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..errors import put, refuse_if, require_flag, require_number, require_wavelength, short_repr
 from ..prescription.glass import LINE_D
-from .base import MicrolensShape
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples
+from .shape import MicrolensShape
 
 _MM_PER_NM = 1e-6
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import put, require_number
 from ..prescription.glass import LINE_D
-from .base import MicrolensShape, known_index, per_millimetre
 from .sampled_grid import SampledGrid, known_samples
+from .shape import MicrolensShape, known_index, per_millimetre
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import put, require_length, require_wavelength
 from ..prescription.glass import LINE_D
 from ..runtime.backend import floor
-from .base import MicrolensShape, per_millimetre
+from .shape import MicrolensShape, per_millimetre
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..lens_data import defocus_factor
+from ..prescription.lens_data import defocus_factor
 from ..runtime.backend import drjit_array, rsqrt
 
 Pair = tuple[Any, Any]

@@ -120,7 +120,7 @@ class Spectrum:
         centre, width : float
             Middle and full width in nanometres.
         count : int
-            Number of Gauss-Legendre nodes; `operator.spectral.with_enough_nodes` finds a sufficient number.
+            Number of Gauss-Legendre nodes; `points.spectral.with_enough_nodes` finds a sufficient number.
 
         Raises
         ------

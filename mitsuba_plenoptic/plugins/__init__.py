@@ -7,6 +7,7 @@ variant that cannot work, constructors are registered that raise an error with t
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from typing import Any, NoReturn
 
@@ -28,16 +29,18 @@ def _register(old: str | None, new: str | None) -> None:
     if new is None:
         return
     # Without a variant nothing needs what these import.
-    from . import integrator, laser, sensor
+    from ..extension import entries
+    from . import integrator, sensor
 
     reason = None
     if new.startswith("scalar"):
         reason = f"variant {new}: this plugin needs an llvm_ad_* or cuda_ad_* variant"
     elif new.startswith("llvm"):
         reason = llvm.problem()
-    plugins = (sensor, mi.register_sensor), (integrator, mi.register_integrator), (laser, mi.register_integrator)
-    for plugin, register in plugins:
-        register(plugin.NAME, _refuse(plugin.NAME, reason) if reason else plugin.make_class())
+    plugins = [(sensor, "sensor"), (integrator, "integrator")]
+    plugins += [(importlib.import_module(f"{package}.{module}"), kind) for package, module, kind in entries("plugins")]
+    for plugin, kind in plugins:
+        getattr(mi, f"register_{kind}")(plugin.NAME, _refuse(plugin.NAME, reason) if reason else plugin.make_class())
 
 
 mi.detail.add_variant_callback(_register)

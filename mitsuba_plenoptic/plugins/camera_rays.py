@@ -21,15 +21,15 @@ from ..design.micro_images import (
     turns_cosines,
 )
 from ..lattice import Lattice, make_lattice
-from ..lenses.base import MainLens, Pair, Traced
 from ..lenses.common import chief_points, main_lens
+from ..lenses.main_lens import MainLens, Pair, Traced
+from ..light.figure_error import FigureError
+from ..light.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
 from ..optics import rays
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..runtime.backend import drjit_array
-from ..system.figure_error import FigureError
-from ..system.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
 
 _STEP = 1.0
 """Step in nanometres of the wavelengths between which refractive indices are interpolated linearly, right to 1e-7."""

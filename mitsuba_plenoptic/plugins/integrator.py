@@ -11,23 +11,25 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, has_small_lenses
 from ..camera.entry import Captures
+from ..camera.geometry import SMALL_LENSES
 from ..camera.plenoptic_camera import require_ideal, require_known_to
-from ..capture import colour
-from ..capture.crosstalk import mix_deviations, mix_pixels
-from ..capture.render import require_wave_film
-from ..capture.scene import GONE_PARAMETERS
-from ..capture.scene_light import LightDerivatives, SceneLight
-from ..capture.scene_points import PointsCapture, require_matte
-from ..capture.signed_camera import require_parameters
-from ..capture.signed_capture import SignedCapture, SignedGradients
 from ..errors import InputError, naming, refuse_if, require_accuracy
-from ..operator.accuracy import DEFAULT_ACCURACY
-from ..operator.derivatives import DIFFERENTIABLE
-from ..operator.patch_plan import Cost
+from ..extension import entry_of
+from ..light import colour
+from ..light.cost import Cost
+from ..light.crosstalk import mix_deviations, mix_pixels
+from ..light.lens_kinds import regular_array
+from ..light.render_capture import require_wave_film
+from ..light.scene import GONE_PARAMETERS
+from ..light.scene_light import LightDerivatives, SceneLight
+from ..light.signed_camera import require_parameters
+from ..light.signed_capture import SignedCapture, SignedGradients
 from ..optics import guards
 from ..optics.spectrum import Spectrum
+from ..points.accuracy import DEFAULT_ACCURACY
+from ..points.derivatives import DIFFERENTIABLE
+from ..points.scene_points import PointsCapture, require_matte
 from ..runtime.jobs import Job
-from ..system.lens_kinds import regular_array
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
 
 
@@ -297,17 +299,10 @@ def make_class() -> type:
                 colour.require_spectra(scene, colours.spectrum.wavelengths, colours.spectrum.matrix())
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
-            is_small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
-            if is_small:
-                from ..capture.responses import ResponseCapture
-
-                refuse_if(
-                    mi.is_spectral,
-                    f"{NAME}: variant {mi.variant()}: responses of photodiodes under lenses of "
-                    "a few wavelengths are computed in mono and rgb variants only",
-                )
-                return ResponseCapture(camera, light, colours, self.accuracy)
+            if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
+                what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
+                return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
 
         def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:

@@ -9,9 +9,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..capture.scene import loading
-from ..capture.scene_unit import warn_of_metres
 from ..errors import InputError
+from ..light.scene import loading
+from ..light.scene_unit import warn_of_metres
 from ..runtime.backend import one_at_a_time
 
 

@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
-from ..capture import colour
-from ..capture.scene import unknown_parameter
-from ..capture.signed_colours import SignedColours
+from ..camera.phase_screen import known_screen
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -34,9 +32,11 @@ from ..errors import (
     require_wavelength,
     short_repr,
 )
-from ..io.lens_file import read_lens
-from ..lens_data import LensData
-from ..microlens.base import known_shape
+from ..extension import missing
+from ..light import colour
+from ..light.scene import unknown_parameter
+from ..light.signed_colours import SignedColours
+from ..microlens.shape import known_shape
 from ..optics.spectrum import (
     MOST_WAVELENGTHS,
     RGB_WAVELENGTHS,
@@ -47,7 +47,8 @@ from ..optics.spectrum import (
     interpolated,
     read_responses,
 )
-from ..phase_screen import known_screen
+from ..prescription.lens_data import LensData
+from ..prescription.lens_file import read_lens
 from ..runtime.backend import drjit_array
 
 
@@ -79,6 +80,8 @@ def require_read(props: Any, plugin: str) -> None:
     Mitsuba does so itself once a plugin is made, without the name that was meant.
     """
     for name in props.unqueried():
+        if absent := missing("parameters", name):
+            raise InputError(f"{plugin}: {absent}")
         raise InputError(unknown_parameter(plugin, name))
 
 

@@ -16,12 +16,12 @@ from ..camera.documentation import with_sensor_parameters
 from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, refuse_if
-from ..lenses.base import Pair, Traced
+from ..extension import entries, place
 from ..lenses.common import main_lens
+from ..lenses.main_lens import Pair, Traced
 from ..lenses.real_lens import RealLens
 from ..optics.rays import angular_response, transmittance
 from .camera_rays import CameraRays, Candidates
-from .photodiodes import PhotodiodeTable
 from .properties import film_numbers, read_camera, require_read
 
 NAME = "plenoptic"
@@ -161,9 +161,12 @@ def make_class() -> type:
             dr.make_opaque(*numbers.values())
             self._rays = CameraRays.of(self.camera, numbers)
             self._response = angular_response(self.pixel_response)
-            self._photodiodes = None
-            if self.photodiode_response is not None:
-                self._photodiodes = PhotodiodeTable(self.photodiode_response)
+            tables = (
+                place(package, text)(getattr(self, name))
+                for package, name, text in entries("responses")
+                if getattr(self, name) is not None
+            )
+            self._table: Any = next(tables, None)
             self._candidates = self._rays.candidates()
 
         @property
@@ -241,8 +244,8 @@ def make_class() -> type:
             px, py = self._on_detector(film_sample)
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
-            if self._photodiodes is not None:
-                traced, response = self._to_photodiodes(self._photodiodes, (px, py), lens_sample, wavelengths, light)
+            if self._table is not None:
+                traced, response = self._by_table((px, py), lens_sample, wavelengths, light)
                 ray = self._towards(traced, time, wavelengths)
                 weight = dr.select(traced[2] & active, weight * response, 0)
                 return mi.RayDifferential3f(ray) if differential else ray, weight
@@ -298,16 +301,14 @@ def make_class() -> type:
             moved = tuple(p + dr.select(crosses, step * size, 0) for p, step in zip(pixel, (x, y), strict=True))
             return (moved[0], moved[1]), mi.Point2f(within, sample[1])
 
-        def _to_photodiodes(
-            self, table: PhotodiodeTable, pixel: Pair, sample: Any, wavelengths: Any, light: Any
-        ) -> tuple[Traced, Any]:
-            """Return rays from the whole pupil to the lenses of pixels, and their weights by the response."""
+        def _by_table(self, pixel: Pair, sample: Any, wavelengths: Any, light: Any) -> tuple[Traced, Any]:
+            """Return rays from the whole pupil to the lenses of pixels, and their weights by the table of responses."""
             size = self.detector_width / self.film().size()[0]
             point, slope, side = self._rays.pass_pixel_lens(pixel, size, sample)
             lens = self._rays.lens if light is None else light.through(self._rays.lens)
             # A pixel sees this square of the pupil through an ideal lens.
             seen = dr.square(size * lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
-            response = table(side, slope, wavelengths) * (math.pi * lens.reach**2 / seen)
+            response = self._table(side, slope, wavelengths) * (math.pi * lens.reach**2 / seen)
             return lens.trace(point, slope), response
 
         def sample_ray(

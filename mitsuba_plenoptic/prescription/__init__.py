@@ -3,8 +3,8 @@
 A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.lenses.lens_system`, follows rays through it.
 """
 
-from .data import BUNDLED, Prescription, Surface, bundled_prescription
 from .glass import Glass
 from .paraxial import Paraxial, paraxial
+from .surfaces import BUNDLED, Prescription, Surface, bundled_prescription
 
 __all__ = ["BUNDLED", "Glass", "Paraxial", "Prescription", "Surface", "bundled_prescription", "paraxial"]

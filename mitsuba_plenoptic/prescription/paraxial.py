@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, refuse_if
-from .data import Prescription
+from .surfaces import Prescription
 
 
 @dataclass(frozen=True)

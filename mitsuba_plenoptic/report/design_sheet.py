@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 from .. import design
 from ..camera import PlenopticCamera
-from ..collimator import Collimator
 from ..errors import InputError
-from ..lens_data import image_distance
-from ..objective import Objective
 from ..prescription import Prescription, paraxial
+from ..prescription.collimator import Collimator
 from ..prescription.glass import LINE_C, LINE_F
+from ..prescription.lens_data import image_distance
+from ..prescription.objective import Objective
 from .lens_drawing import field_figures, lateral_colour
 
 

@@ -13,14 +13,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..capture.passes import pass_counts
-from ..capture.render import plenoptic_sensor, render_capture
-from ..capture.scene import load_scene
 from ..errors import naming, refuse_if
 from ..io.captures import Capture
+from ..light.passes import pass_counts
+from ..light.render_capture import plenoptic_sensor, render_capture
+from ..light.scene import load_scene
 from ..plugins.other_camera import with_camera
-from ..reconstruction import Reconstruction, reconstruct
-from ..reconstruction.methods import require_distances
+from ..refocus import Reconstruction, reconstruct
+from ..refocus.methods import require_distances
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
 from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
 

@@ -19,9 +19,9 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import are_alike
 from ..errors import refuse_if
-from ..lightfield.exchange.pictures import linear_of
-from ..lightfield.geometry import camera_of
-from ..reconstruction import Reconstruction
+from ..io.pictures import linear_of
+from ..refocus import Reconstruction
+from ..views.coordinates import camera_of
 from .framing import IN_FOCUS, Canvas, scale_bar
 from .images import Brightness, srgb, to_bytes
 

@@ -15,8 +15,8 @@ from ..errors import InputError
 from ..io.files import require_writable
 from ..lenses import sequential
 from ..lenses.common import main_lens
-from ..prescription.data import height
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
+from ..prescription.surfaces import height
 from .framing import Canvas
 
 _ACROSS = 201

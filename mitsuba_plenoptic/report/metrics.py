@@ -13,7 +13,7 @@ import skimage.metrics
 
 from ..camera import PlenopticCamera
 from ..io.captures import Capture
-from ..lightfield.white import white_image
+from ..views.white_image import white_image
 
 _WINDOW = 7
 """Pixels across the window of the structural similarity."""

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from ..errors import refuse_if
 from ..io.exr import image_channels, write_exr_parts
 from ..io.files import require_writable
-from ..io.ground_truth import COORDINATES
-from ..lightfield.views import view_mosaic
-from ..onchip.halves import photodiode_names
-from ..reconstruction import Reconstruction, write_reconstruction
+from ..io.truth_files import COORDINATES
+from ..refocus import Reconstruction, write_reconstruction
+from ..views.viewpoints import view_mosaic
 from .animations import require_animation, write_animation
 from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
 
@@ -87,9 +87,10 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
     _write(path, "views", lf, parts, picture, white, drawing, lambda: _figures().views_figure(lf, white))
 
 
-def write_photodiodes(path: str | Path, halves: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write the pictures of photodiodes and their sum: a part each, named left, right and so on, or side by side."""
-    names = photodiode_names(halves)
+def write_photodiodes(
+    path: str | Path, halves: xr.DataArray, names: NDArray[np.str_], drawing: Drawing = _AUTOMATIC
+) -> None:
+    """Write the pictures of photodiodes, named by row and column, and their sum: a part each, or side by side."""
     white = drawing.brightness.white([halves.values])
     total = np.asarray(halves.sum(("v", "u")).values)
     pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..io.captures import Capture
-from ..reconstruction import Reconstruction
+from ..refocus import Reconstruction
 from .design_sheet import design_sheet
 from .images import Brightness, encode, shrink
 

@@ -8,8 +8,8 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lightfield.exchange.pictures import linear_of
-from ..reconstruction.results import Volume
+from ..io.pictures import linear_of
+from ..refocus.results import Volume
 from .images import write_png
 
 _GAP = 4

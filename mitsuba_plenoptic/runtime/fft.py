@@ -96,31 +96,36 @@ def stop_threads() -> None:
     """Stop all threads of Dr.Jit but the calling one.
 
     A thread that falls asleep at this very moment can miss the request, and `drjit.set_thread_count` then waits for
-    ever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. Any kernel
-    wakes the thread. To launch one, the request is made in another thread and without the interpreter's lock. Only a
-    sum does so, of as many numbers as threads share, for which nothing is compiled: which kernels a process compiles
-    must not depend on when its threads fall asleep.
+    ever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. An empty task
+    wakes the thread. It is handed to nanothread itself, as Dr.Jit takes the thread for gone and would run a kernel in
+    the calling one; the request is made in another thread and without the interpreter's lock.
     """
     if dr.thread_count() == 1:
         return
-    pool_set_size = _pool_set_size()
-    if pool_set_size is None:
+    nanothread = _nanothread()
+    if nanothread is None:
         dr.set_thread_count(1)
         return
-    request = _requests().submit(pool_set_size, None, 1, 0)
+    request = _requests().submit(nanothread.pool_set_size, None, 1, 0)
     while not wait([request], _PATIENCE).done:
-        dr.sum(dr.opaque(dr.llvm.UInt32, 1, 2**17))
-        dr.sync_thread()
+        # Of two units, asynchronously, so that it is queued.
+        nanothread.task_wait_and_release(nanothread.task_submit_dep(None, None, 0, 2, None, None, 0, None, 1, 0))
 
 
 @functools.cache
-def _pool_set_size() -> Any:
-    """Return nanothread's function, which changes the number of Dr.Jit's threads; None where it is not found."""
+def _nanothread() -> Any:
+    """Return the library of Dr.Jit's threads; None where it is not found."""
+    number, pointer, flag = ctypes.c_uint32, ctypes.c_void_p, ctypes.c_int
     for path in Path(dr.__file__).parent.glob("*nanothread.*"):
         with contextlib.suppress(OSError, AttributeError):
-            function = ctypes.CDLL(str(path)).pool_set_size
-            function.argtypes, function.restype = (ctypes.c_void_p, ctypes.c_uint32, ctypes.c_int), None
-            return function
+            library = ctypes.CDLL(str(path))
+            library.pool_set_size.argtypes, library.pool_set_size.restype = (pointer, number, flag), None
+            library.task_submit_dep.argtypes = (
+                pointer, pointer, number, number, pointer, pointer, number, pointer, flag, flag
+            )  # fmt: skip
+            library.task_submit_dep.restype = pointer
+            library.task_wait_and_release.argtypes, library.task_wait_and_release.restype = (pointer,), None
+            return library
     return None
 
 

@@ -251,6 +251,10 @@ print(np.abs(more / less - 1).max(), np.linalg.norm(slope - step) / np.linalg.no
 """
 
 
+_END = "\n\nif TYPE_CHECKING:\n\n    @record"
+"""What follows the table."""
+
+
 def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
     """As the developer page says: a copy of the package with the page's entry and the page's line."""
     page = (ROOT / "docs" / "develop" / "parameter.md").read_text()
@@ -259,7 +263,7 @@ def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
     table, formula = Path("camera/parameters.py"), Path("plugins/camera_rays.py")
     copy = tmp_path / PACKAGE.name
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    for path, old, new in ((table, "\n\nPARAMETERS = ", f"{entry}\n\nPARAMETERS = "), (formula, before, after)):
+    for path, old, new in ((table, _END, f"{entry}{_END}"), (formula, before, after)):
         text = (copy / path).read_text()
         assert text.count(old) == 1
         (copy / path).write_text(text.replace(old, new))

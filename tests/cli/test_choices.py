@@ -4,15 +4,15 @@ import inspect
 
 import pytest
 
-from mitsuba_plenoptic import detector
-from mitsuba_plenoptic.capture import scene_unit
 from mitsuba_plenoptic.cli import COMMANDS, choices
-from mitsuba_plenoptic.cli.render import expose
-from mitsuba_plenoptic.io import captures, examples, ground_truth
-from mitsuba_plenoptic.lightfield.refocus import METHODS as VIEW_METHODS
-from mitsuba_plenoptic.lightfield.views import AXES
-from mitsuba_plenoptic.onchip.halves import LAYOUTS
-from mitsuba_plenoptic.reconstruction import methods
+from mitsuba_plenoptic.cli.render_command import expose
+from mitsuba_plenoptic.extensions.onchip.halves import LAYOUTS
+from mitsuba_plenoptic.io import captures, examples
+from mitsuba_plenoptic.io import truth_files as ground_truth
+from mitsuba_plenoptic.light import detector, scene_unit
+from mitsuba_plenoptic.refocus import methods
+from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS
+from mitsuba_plenoptic.views.viewpoints import AXES
 
 LIBRARY = {
     "MODELS": captures.MODELS,
@@ -33,12 +33,15 @@ LIGHT = {
     "mitsuba_plenoptic",
     "mitsuba_plenoptic.cli",
     "mitsuba_plenoptic.errors",
+    "mitsuba_plenoptic.extension",
     "mitsuba_plenoptic.plugins",
     "mitsuba_plenoptic.presets",
     "mitsuba_plenoptic.runtime",
     "mitsuba_plenoptic.runtime.llvm",
     "mitsuba_plenoptic.runtime.progress",
     "mitsuba_plenoptic.scene_files",
+    "mitsuba_plenoptic.served",
+    "mitsuba_plenoptic.shipped",
 }
 """What the help of commands may import of this package, beside the modules of the command."""
 
@@ -75,4 +78,9 @@ def test_help_and_refused_options_import_no_library(python):
     loaded = set(python(code).stdout.split())
     assert not loaded & SLOW
     ours = {name for name in loaded if name.startswith("mitsuba_plenoptic")}
-    assert {name for name in ours if not name.startswith("mitsuba_plenoptic.cli.")} == LIGHT
+    records = "mitsuba_plenoptic.extensions"
+    own = {name for name in ours if not name.startswith(("mitsuba_plenoptic.cli.", records))}
+    assert own == LIGHT
+    beside = {name.rpartition(".")[2] for name in ours if name.startswith(records) and name.count(".") == 3}
+    # The data of cameras with on-chip lenses belong to the presets.
+    assert {name for name in beside if not name.endswith("_command")} <= {"cameras"}

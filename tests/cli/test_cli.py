@@ -24,9 +24,9 @@ from stopped_runs import start_command
 from mitsuba_plenoptic import PlenopticCamera, read_capture, read_ground_truth, write_capture
 from mitsuba_plenoptic.cli import app, main
 from mitsuba_plenoptic.io.captures import Capture
-from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report import installation
+from mitsuba_plenoptic.views import white_image
 
 
 def test_without_a_command_help_is_printed(run):
@@ -150,7 +150,7 @@ def test_interrupt_leaves_nothing(tmp_path):
     code = """if True:
         import importlib, signal, sys
         from mitsuba_plenoptic.cli import main
-        render = importlib.import_module("mitsuba_plenoptic.capture.render")
+        render = importlib.import_module("mitsuba_plenoptic.light.render_capture")
         # Tests that run in the background of a shell inherit that it is ignored.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         original = render.render_capture

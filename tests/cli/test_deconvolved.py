@@ -11,7 +11,7 @@ import tifffile
 from mitsuba_plenoptic import PlenopticCamera, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.captures import Capture
-from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.views import white_image
 
 
 def test_reconstruct_deconvolved(tmp_path, run, complaint):

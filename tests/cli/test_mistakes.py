@@ -14,7 +14,7 @@ from mitsuba_plenoptic import InputError, read_capture, reconstruct
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.cli.choices import METHODS
 from mitsuba_plenoptic.cli.inputs import require_in_use
-from mitsuba_plenoptic.lightfield.exchange import open_light_field
+from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
 
 
 @pytest.mark.parametrize(
@@ -376,6 +376,6 @@ def test_our_own_mistakes_keep_their_traceback(monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("mitsuba_plenoptic.capture.scene.load_scene", broken)
+    monkeypatch.setattr("mitsuba_plenoptic.light.scene.load_scene", broken)
     with pytest.raises(RuntimeError, match="a bug"):
         main(["info", "letters"])

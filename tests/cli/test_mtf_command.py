@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.reconstruction import write_reconstruction
+from mitsuba_plenoptic.refocus import write_reconstruction
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, read_capture, reconstruct
-from mitsuba_plenoptic.reconstruction import read_reconstruction, write_reconstruction
+from mitsuba_plenoptic.refocus import read_reconstruction, write_reconstruction
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from mitsuba_plenoptic import InputError, load_scene, read_capture, render_captu
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
-from mitsuba_plenoptic.operator.operator import CaptureOperator
+from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.runtime.jobs import Job
 
 SMALL = small_camera()

@@ -10,7 +10,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.io import examples
-from mitsuba_plenoptic.lightfield import depth_error, depth_map
+from mitsuba_plenoptic.views import depth_error, depth_map
 
 DISTANCES = (210, 240, 280)
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from mitsuba_plenoptic import PlenopticCamera, design, reconstruct, render_capture
 from mitsuba_plenoptic.lattice import APERTURES, LATTICES, Lattice, make_lattice
-from mitsuba_plenoptic.lattice.base import regular_corners
-from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.lattice.arrangement import regular_corners
 from mitsuba_plenoptic.runtime.backend import floor
+from mitsuba_plenoptic.views import white_image
 
 PITCH = 0.064
 PITCHES = {"equal": (PITCH, PITCH), "flat": (PITCH, 0.9 * PITCH), "tall": (PITCH, 1.3 * PITCH)}

@@ -11,12 +11,12 @@ from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.operator.accuracy import band_for
-from mitsuba_plenoptic.operator.grid import Grid, place
-from mitsuba_plenoptic.operator.patch import PatchBatch
-from mitsuba_plenoptic.operator.patch_factors import Fields
-from mitsuba_plenoptic.operator.tile import Copies, PatchTile
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.accuracy import band_for
+from mitsuba_plenoptic.points.field_grid import Grid, place
+from mitsuba_plenoptic.points.patch import PatchBatch
+from mitsuba_plenoptic.points.patch_factors import Fields
+from mitsuba_plenoptic.points.tile import Copies, PatchTile
 
 WAVELENGTH = 633.0
 

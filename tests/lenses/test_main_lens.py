@@ -7,10 +7,10 @@ from drjit.llvm import Float64
 from mitsuba_plenoptic.camera import PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.operator.full_field import point_fields
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.sampling import footprint
 from mitsuba_plenoptic.optics import rays
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from mitsuba_plenoptic.system.sampling import footprint
+from mitsuba_plenoptic.points.full_field import point_fields
 
 WAVELENGTH, LAMBDA = 633.0, 633e-6
 LENS = ThinLens(80.0, 5.0, 120.0, "parabolic")

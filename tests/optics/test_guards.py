@@ -24,14 +24,14 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
-from mitsuba_plenoptic.operator import arrival as full_field_grids
-from mitsuba_plenoptic.operator import patch_plan
-from mitsuba_plenoptic.operator.grid import Band
-from mitsuba_plenoptic.operator.operator import CaptureOperator
 from mitsuba_plenoptic.optics import guards
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.plugins.camera_rays import Candidates
-from mitsuba_plenoptic.reconstruction import write_reconstruction
+from mitsuba_plenoptic.points import arrival as full_field_grids
+from mitsuba_plenoptic.points import patch_plan
+from mitsuba_plenoptic.points.field_grid import Band
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.refocus import write_reconstruction
 
 WAVELENGTH = 633.0
 SMALL = {"detector_width": 1.024, "resolution": (512, 512)}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, design, render_capture
-from mitsuba_plenoptic.system.lens_kinds import irregularities
+from mitsuba_plenoptic.light.lens_kinds import irregularities
 
 CAMERA = PlenopticCamera(resolution=(512, 512), detector_width=1.024)
 

@@ -10,11 +10,19 @@ import numpy as np
 import pytest
 from scene_cases import disk
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, design, load_scene, read_capture, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    InputError,
+    PlenopticCamera,
+    design,
+    load_scene,
+    read_capture,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.io.captures import Capture, write_capture
-from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.views import white_image
 from tools.bench.cases.arrays import centroids
 from tools.bench.measures import agreement, best_shift
 from tools.bench.scenes.light_paths import scene_of
@@ -371,6 +379,6 @@ def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
     image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
     images = []
     for most in (0, 100):
-        monkeypatch.setattr("mitsuba_plenoptic.reconstruction.splatting._MOST_TAPS", most)
+        monkeypatch.setattr("mitsuba_plenoptic.refocus.splatting._MOST_TAPS", most)
         images.append(reconstruct(image, 225.0, camera=camera, oversample=3).image)
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5)

@@ -8,7 +8,7 @@ import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, render_capture
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import radiance_weight
+from mitsuba_plenoptic.points.units import radiance_weight
 
 CAMERA = PlenopticCamera(
     main_lens=Objective(20, 0.5),

@@ -10,8 +10,8 @@ from scene_cases import disk
 from scipy.ndimage import binary_erosion
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture
-from mitsuba_plenoptic.lightfield import white_image
 from mitsuba_plenoptic.optics.rays import chief_detector_point
+from mitsuba_plenoptic.views import white_image
 from tools.bench.scenes.light_paths import scene_of
 
 VARIANTS = [

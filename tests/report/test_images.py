@@ -9,10 +9,10 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.extensions.studio.preview import preview_of
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.images import Brightness, shrink, to_bytes, write_png
 from mitsuba_plenoptic.report.output_files import reconstruction_paths
-from mitsuba_plenoptic.report.preview import preview_of
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_the_wall_is_seen_next_to_a_lamp_in_all_figures():
     scene = mp.with_camera(lamp_scene(), camera)
     capture = mp.render_capture(scene, model="ray", spp=32)
     sheet = contact_sheet(mp.reconstruct(capture, [210, 240]))
-    depth = depth_figure(mp.lightfield.depth_map(mp.decode(capture), 200, 260, planes=16))
+    depth = depth_figure(mp.views.depth_map(mp.decode(capture), 200, 260, planes=16))
     for axes in (sheet.figure.axes[0], sheet.figure.axes[1], depth.figure.axes[0]):
         (image,) = axes.images
         assert np.median(np.asarray(image.get_array())) == pytest.approx(0.5, rel=0.02)

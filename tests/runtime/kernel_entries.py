@@ -17,10 +17,10 @@ import mitsuba as mi
 import numpy as np
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.array_functions import CameraCapture
+from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+from mitsuba_plenoptic.extensions.inverse.scene_functions import RenderedValue, Rendering
 from mitsuba_plenoptic.fitting import Layers, View, fit, fit_layers
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.scene_functions import RenderedValue, Rendering
 
 _SIZE, _POINTER = ctypes.c_size_t, ctypes.c_void_p
 _CALLS = (

@@ -11,9 +11,9 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lightfield import FourierRefocuser, LensGrid, depth_map, focal_stack
 from mitsuba_plenoptic.runtime import limits
 from mitsuba_plenoptic.runtime.limits import GIB, largest_fitting, memory_limit, require_memory
+from mitsuba_plenoptic.views import FourierRefocuser, LensGrid, depth_map, focal_stack
 
 FAR_LESS_THAN_THE_WORK = 20.0
 """Seconds of processor time, which other work on the machine does not lengthen; a refusal takes some hundredths."""

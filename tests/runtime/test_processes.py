@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import textwrap
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import drjit as dr
 import numpy as np
@@ -188,32 +192,66 @@ def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(python, tmp
     assert "get_context('spawn')" in forked
 
 
-def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch):
-    """The request returns only once Dr.Jit has work, as where a thread of its sleeps; nothing is compiled for it."""
-    woken, before = threading.Event(), dr.thread_count()
-    launch, recorded = dr.sum, dr.flag(dr.JitFlag.KernelHistory)
+@pytest.fixture
+def nanothread():
+    """The library of Dr.Jit's threads, and as many of these afterwards as before."""
+    before = dr.thread_count()
+    yield fft._nanothread()
+    dr.set_thread_count(before)
+
+
+def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch, nanothread):
+    """The request returns only once there is a task, as where a thread sleeps; nothing is compiled for it."""
+    woken, recorded = threading.Event(), dr.flag(dr.JitFlag.KernelHistory)
 
     def request(pool, count, parked):
         assert woken.wait(10)
-        dr.set_thread_count(count)
+        nanothread.pool_set_size(pool, count, parked)
 
-    def wake(*arrays):
+    def submit(*arguments):
         woken.set()
-        return launch(*arrays)
+        return nanothread.task_submit_dep(*arguments)
 
-    monkeypatch.setattr(fft, "_pool_set_size", lambda: request)
-    monkeypatch.setattr(dr, "sum", wake)
+    stand_in = SimpleNamespace(
+        pool_set_size=request, task_submit_dep=submit, task_wait_and_release=nanothread.task_wait_and_release
+    )
+    monkeypatch.setattr(fft, "_nanothread", lambda: stand_in)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     dr.kernel_history_clear()
     dr.set_thread_count(3)
     try:
         fft.stop_threads()
         assert dr.thread_count() == 1
-        assert dr.KernelType.JIT not in [each["type"] for each in dr.kernel_history()]
+        assert dr.kernel_history() == []
     finally:
-        dr.set_thread_count(before)
         dr.set_flag(dr.JitFlag.KernelHistory, recorded)
 
 
+def test_tasks_are_queued_while_a_thread_is_waited_for(nanothread):
+    """Dr.Jit counts a thread as gone that has not stopped yet: a kernel would not be queued, and wake nobody."""
+    holds, release = threading.Event(), threading.Event()
+
+    @ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.c_void_p)
+    def hold(index, payload):
+        if nanothread.pool_thread_id():
+            holds.set()
+            assert release.wait(20)
+
+    dr.set_thread_count(2)
+    callback = ctypes.cast(hold, ctypes.c_void_p)
+    held = nanothread.task_submit_dep(None, None, 0, 1, callback, None, 0, None, 1, 0)
+    assert holds.wait(20)
+    with ThreadPoolExecutor(1) as other:
+        request = other.submit(nanothread.pool_set_size, None, 1, 0)
+        time.sleep(0.2)
+        assert not request.done()
+        assert dr.thread_count() == 1
+        nanothread.task_wait_and_release(nanothread.task_submit_dep(None, None, 0, 2, None, None, 0, None, 1, 0))
+        assert not request.done()
+        release.set()
+        request.result(20)
+    nanothread.task_wait_and_release(held)
+
+
 def test_threads_are_stopped_outside_the_interpreters_lock():
-    assert fft._pool_set_size() is not None
+    assert fft._nanothread() is not None

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, decode
-from mitsuba_plenoptic.lightfield import white_image
-from mitsuba_plenoptic.lightfield.grid import lens_grid
-from mitsuba_plenoptic.lightfield.refocus import shift_and_add
 from mitsuba_plenoptic.optics.waves import propagate
+from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.views.lens_grid import lens_grid
+from mitsuba_plenoptic.views.refocusing import shift_and_add
 from tools.bench import registry, tables
 from tools.bench.cases import peers
 from tools.bench.cases.peers_cameras import published_decode, published_refocus

@@ -9,15 +9,15 @@ from typing import Any
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import read_camera
-from mitsuba_plenoptic.calibration.observations import read_centres, read_foreign_centres
-from mitsuba_plenoptic.camera.photodiodes import known_response
+from mitsuba_plenoptic.camera.phase_screen import known_screen
 from mitsuba_plenoptic.dataset import read_recipe
-from mitsuba_plenoptic.dataset.shards import read_manifest, recorded_checksums
-from mitsuba_plenoptic.io.lens_file import read_lens, read_prescription
-from mitsuba_plenoptic.microlens.base import known_shape
+from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
+from mitsuba_plenoptic.extensions.data.shards import read_manifest, recorded_checksums
+from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response
+from mitsuba_plenoptic.extensions.studio.sweep import read_grid
+from mitsuba_plenoptic.microlens.shape import known_shape
 from mitsuba_plenoptic.optics.spectrum import read_responses
-from mitsuba_plenoptic.phase_screen import known_screen
-from mitsuba_plenoptic.report.sweep import read_grid
+from mitsuba_plenoptic.prescription.lens_file import read_lens, read_prescription
 
 LENS = """name: Achromat
 surfaces:

@@ -30,7 +30,8 @@ import scipy.io
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, Checkpoint, InputError, PlenopticCamera, decode, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lightfield import exchange, white_image
+from mitsuba_plenoptic.extensions.raw import exchange
+from mitsuba_plenoptic.views import white_image
 
 from .texts import TEXTS
 

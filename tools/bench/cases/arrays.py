@@ -12,11 +12,11 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, design, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.lightfield import estimate_lens_grid
-from mitsuba_plenoptic.lightfield.grid import micro_image_centres
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.metrics import square_sharpness
+from mitsuba_plenoptic.views import estimate_lens_grid
+from mitsuba_plenoptic.views.lens_grid import micro_image_centres
 
 from .. import Row, at_most, case, pick
 from ..measures import agreement, scores, write_comparison

@@ -31,9 +31,9 @@ from mitsuba_plenoptic.calibration import (
     read_centres,
     read_corners,
 )
-from mitsuba_plenoptic.calibration.model import NAMES, numbers_of, predict_centres
-from mitsuba_plenoptic.calibration.observations import observations
-from mitsuba_plenoptic.lightfield import LensGrid, white_image
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
+from mitsuba_plenoptic.extensions.calibrate.observations import observations
+from mitsuba_plenoptic.views import LensGrid, white_image
 
 from .. import Row, case, figure
 from ..scenes.light_paths import facing, radiating, scene_of

@@ -12,9 +12,9 @@ from scipy.stats import chi2
 
 from mitsuba_plenoptic import PlenopticCamera, calibrate, render_capture
 from mitsuba_plenoptic.calibration import Board, LensIndex, board_scene, camera_centres, concatenate, detect_corners
-from mitsuba_plenoptic.calibration.model import Observations, numbers_of, predict
-from mitsuba_plenoptic.calibration.observations import observations
-from mitsuba_plenoptic.lightfield import white_image
+from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, numbers_of, predict
+from mitsuba_plenoptic.extensions.calibrate.observations import observations
+from mitsuba_plenoptic.views import white_image
 
 from .. import Row, case, figure
 

@@ -14,8 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera, render_capture
-from mitsuba_plenoptic.capture import signed_capture
-from mitsuba_plenoptic.system import array_kernels, phase_space
+from mitsuba_plenoptic.light import array_kernels, phase_space, signed_capture
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, relative, without_noise

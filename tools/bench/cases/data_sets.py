@@ -147,7 +147,7 @@ def reading_rate(folder: Path, fields: list[str] | None) -> float | None:
     try:
         import torch
 
-        from mitsuba_plenoptic.dataset.torch_data import TorchDataset
+        from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset
     except (ImportError, InputError):
         return None
     # Views differ in number from camera to camera, so each sample is a batch.

@@ -31,11 +31,11 @@ import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, Detector, PlenopticCamera, expose, reconstruct
 from mitsuba_plenoptic.design import resolution_limit
-from mitsuba_plenoptic.reconstruction.deconvolution.cells import to_bins
-from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
-from mitsuba_plenoptic.reconstruction.deconvolution.solver import PlaneEstimates, richardson_lucy
-from mitsuba_plenoptic.reconstruction.deconvolution.variation import Noise
-from mitsuba_plenoptic.reconstruction.deconvolved import MOST_ITERATIONS
+from mitsuba_plenoptic.refocus.deconvolution.cells import to_bins
+from mitsuba_plenoptic.refocus.deconvolution.response import Response
+from mitsuba_plenoptic.refocus.deconvolution.solver import PlaneEstimates, richardson_lucy
+from mitsuba_plenoptic.refocus.deconvolution.variation import Noise
+from mitsuba_plenoptic.refocus.deconvolved import MOST_ITERATIONS
 
 from .. import Row, at_least, at_most, case
 from . import resolution

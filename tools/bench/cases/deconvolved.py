@@ -11,8 +11,8 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, CaptureOperator, PlenopticCamera, load_scene, reconstruct
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import radiance_weight
-from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
+from mitsuba_plenoptic.points.units import radiance_weight
+from mitsuba_plenoptic.refocus.deconvolution.response import Response
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
 

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.lightfield import depth_map, distance_of, micro_images
-from mitsuba_plenoptic.lightfield.depth import is_focused
 from mitsuba_plenoptic.report.experiment import pinhole_image
+from mitsuba_plenoptic.views import depth_map, distance_of, micro_images
+from mitsuba_plenoptic.views.depth import is_focused
 
 from .. import Pivot, Row, at_least, at_most, case, pick
 from ..scenes.depth import CAMERAS, HALF, SCENES, made, stage

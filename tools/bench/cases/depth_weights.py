@@ -11,11 +11,11 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.lightfield import micro_images
-from mitsuba_plenoptic.lightfield.agreement import finer_stripes
-from mitsuba_plenoptic.lightfield.depth import RIGHT, default_slopes, disagreement_of_planes, is_focused
-from mitsuba_plenoptic.lightfield.plane_choice import WEIGHTS, at_an_end, indications
-from mitsuba_plenoptic.lightfield.repetition import wrong_by_repetition
+from mitsuba_plenoptic.views import micro_images
+from mitsuba_plenoptic.views.agreement import finer_stripes
+from mitsuba_plenoptic.views.depth import RIGHT, default_slopes, disagreement_of_planes, is_focused
+from mitsuba_plenoptic.views.plane_choice import WEIGHTS, at_an_end, indications
+from mitsuba_plenoptic.views.repetition import wrong_by_repetition
 
 from .. import Row, case
 from ..scenes.depth import CAMERAS, FITTED_SCENES

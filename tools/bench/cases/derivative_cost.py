@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
-from mitsuba_plenoptic.operator.accuracy import derivative_band_for
-from mitsuba_plenoptic.operator.grid import Grid, place
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.accuracy import derivative_band_for
+from mitsuba_plenoptic.points.field_grid import Grid, place
 from mitsuba_plenoptic.runtime.batches import Threads
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 from .. import Row, at_most, case, figure
 from ..scenes.letters import letter_points

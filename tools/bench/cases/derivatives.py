@@ -18,10 +18,10 @@ import numpy as np
 from scipy import ndimage
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum
-from mitsuba_plenoptic.operator.arrival import FieldGrids, field_grids
-from mitsuba_plenoptic.operator.derivatives import brightness_slopes
-from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.arrival import FieldGrids, field_grids
+from mitsuba_plenoptic.points.derivatives import brightness_slopes
+from mitsuba_plenoptic.points.full_field import full_field
 
 from .. import Pivot, Row, at_most, case, pick
 from ..direct_sums import BANDS, spread

@@ -20,8 +20,8 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.reconstruction import METHODS, planning
-from mitsuba_plenoptic.reconstruction.deconvolution import response
+from mitsuba_plenoptic.refocus import METHODS, planning
+from mitsuba_plenoptic.refocus.deconvolution import response
 
 from .. import Pivot, Row, at_most, case
 from ..measures import relative

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.lens_data import conjugate_distance
 from mitsuba_plenoptic.lenses.thin import ThinLens
+from mitsuba_plenoptic.light.optical_system import OpticalSystem, is_paraxial
 from mitsuba_plenoptic.optics.rays import slopes_to_cosines
 from mitsuba_plenoptic.optics.waves import in_millimetres, transfer
-from mitsuba_plenoptic.reconstruction.conjugates import ThinConjugates
+from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
+from mitsuba_plenoptic.refocus.conjugates import ThinConjugates
 from mitsuba_plenoptic.runtime.backend import array_module
-from mitsuba_plenoptic.system.optical_system import OpticalSystem, is_paraxial
 
 from .. import Row, at_most, case
 from .lens_models import MODELS, WAVELENGTH, camera_of, distance_of

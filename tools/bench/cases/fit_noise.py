@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic.extensions.inverse.fit_light import Pixels
+from mitsuba_plenoptic.extensions.inverse.fit_result import summary
+from mitsuba_plenoptic.extensions.inverse.point_rays import WaveModel, vector_of
 from mitsuba_plenoptic.fitting import Fit, PixelNoise, View, coarse_fit, lattice_from_white
-from mitsuba_plenoptic.fitting.light import Pixels
-from mitsuba_plenoptic.fitting.model import WaveModel, vector_of
-from mitsuba_plenoptic.fitting.result import summary
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import brightness_of
+from mitsuba_plenoptic.points.units import brightness_of
 
 from .. import Row, at_most, case
 from ..scenes.letters import letter_points

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, fit
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.fitting import View
-from mitsuba_plenoptic.fitting.model import PointRays
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.operator.units import brightness_of
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.units import brightness_of
 
 from .. import Row, at_most, case
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Job, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.optics.waves import propagate
+from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import worker_count
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, point_spread_function, reconstruct
 from mitsuba_plenoptic import render_capture as render
-from mitsuba_plenoptic.lightfield import depth_map
+from mitsuba_plenoptic.views import depth_map
 
 from .. import Row, case, figure, pick
 from ..measures import relative

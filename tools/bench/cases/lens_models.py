@@ -18,9 +18,9 @@ import numpy as np
 import scipy.fft
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
-from mitsuba_plenoptic.lens_data import conjugate_distance
-from mitsuba_plenoptic.operator.full_field import point_fields
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, relative, spot_filtered, without_noise, write_comparison

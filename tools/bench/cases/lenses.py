@@ -21,9 +21,9 @@ from mitsuba_plenoptic import (
     with_camera,
 )
 from mitsuba_plenoptic.lenses import sequential
-from mitsuba_plenoptic.operator.point_spread import point_fields
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 from ...record_optiland import SAMPLES, image_distance, sample, sample_results
 from .. import Row, at_least, at_most, case, pick

@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from skimage.metrics import peak_signal_noise_ratio
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.lightfield import (
+from mitsuba_plenoptic.report.output_files import write_depth, write_epipolar_image, write_stack, write_views
+from mitsuba_plenoptic.views import (
     LensGrid,
     decode,
     depth_map,
@@ -24,8 +25,7 @@ from mitsuba_plenoptic.lightfield import (
     view,
     white_image,
 )
-from mitsuba_plenoptic.lightfield.geometry import view_steps
-from mitsuba_plenoptic.report.output_files import write_depth, write_epipolar_image, write_stack, write_views
+from mitsuba_plenoptic.views.coordinates import view_steps
 
 from .. import Row, case, figure, pick
 

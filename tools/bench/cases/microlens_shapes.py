@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.light.lens_kinds import irregularities
+from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.microlens import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
-from mitsuba_plenoptic.operator.full_field import point_fields
-from mitsuba_plenoptic.operator.point_spread import point_spread_function
-from mitsuba_plenoptic.system.lens_kinds import irregularities
-from mitsuba_plenoptic.system.microlens_orders import PlaneFactor, axis_orders
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.points.point_spread import point_spread_function
 
 from .. import Row, at_most, case, pick
 from ..measures import relative

@@ -12,13 +12,13 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Objective, PlenopticCamera, decode, design, reconstruct
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.lightfield import view_mosaic
-from mitsuba_plenoptic.operator.units import radiance_weight
-from mitsuba_plenoptic.reconstruction import Reconstruction, Volume
-from mitsuba_plenoptic.reconstruction.deconvolution.fourier import FourierResponse
-from mitsuba_plenoptic.reconstruction.deconvolution.response import Response
+from mitsuba_plenoptic.points.units import radiance_weight
+from mitsuba_plenoptic.refocus import Reconstruction, Volume
+from mitsuba_plenoptic.refocus.deconvolution.fourier import FourierResponse
+from mitsuba_plenoptic.refocus.deconvolution.response import Response
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.volumes import write_volume_overview
+from mitsuba_plenoptic.views import view_mosaic
 
 from .. import Row, at_most, case, figure
 from ..measures import relative

@@ -11,7 +11,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera
-from mitsuba_plenoptic.operator.point_spread import point_fields
+from mitsuba_plenoptic.points.point_spread import point_fields
 
 from .. import Row, at_most, case
 from ..measures import relative

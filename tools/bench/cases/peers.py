@@ -15,10 +15,10 @@ import numpy as np
 import scipy.special
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.operator.arrival import FieldGrids
-from mitsuba_plenoptic.operator.full_field import _apply as apply_factors
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.arrival import FieldGrids
+from mitsuba_plenoptic.points.full_field import _apply as apply_factors
 
 from .. import Row, at_most, case
 from ..measures import relative

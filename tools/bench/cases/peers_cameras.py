@@ -14,11 +14,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates, shift
 
 from mitsuba_plenoptic import decode, load_scene, render_capture
-from mitsuba_plenoptic.lightfield import LensGrid, focal_stack, white_image
-from mitsuba_plenoptic.lightfield.geometry import disparity
-from mitsuba_plenoptic.lightfield.grid import lens_grid
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.views import LensGrid, focal_stack, white_image
+from mitsuba_plenoptic.views.coordinates import disparity
+from mitsuba_plenoptic.views.lens_grid import lens_grid
 
 from ...record_optiland import image_distance, sample
 from .. import Row, at_least, at_most, case

@@ -18,16 +18,16 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
-from mitsuba_plenoptic.capture.signed_colours import Node
-from mitsuba_plenoptic.capture.signed_rays import SignedRaySum
-from mitsuba_plenoptic.lens_data import conjugate_distance
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
-from mitsuba_plenoptic.operator.units import brightness_at, brightness_of, radiance_weight
+from mitsuba_plenoptic.light.array_kernels import REACH
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.phase_space import PhaseSpace, parts_of, plan_of
+from mitsuba_plenoptic.light.signed_colours import Node
+from mitsuba_plenoptic.light.signed_rays import SignedRaySum
+from mitsuba_plenoptic.points.units import brightness_at, brightness_of, radiance_weight
+from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
 from mitsuba_plenoptic.runtime.jobs import SumTask
-from mitsuba_plenoptic.system.array_kernels import REACH
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
-from mitsuba_plenoptic.system.phase_space import PhaseSpace, parts_of, plan_of
 
 from .. import Pivot, Row, at_most, case, pick
 from ..measures import relative, without_noise, write_comparison

@@ -20,11 +20,11 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import Job, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.capture.responses import ResponseSum
-from mitsuba_plenoptic.capture.signed_colours import Node
+from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses, TableWindow
+from mitsuba_plenoptic.extensions.onchip.responses import ResponseSum
+from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.jobs import SumTask
-from mitsuba_plenoptic.system.response_tables import PhotodiodeResponses, TableWindow
 
 from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.operator.full_field import full_field
-from mitsuba_plenoptic.operator.pupil_weights import PupilWeights
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 
 from .. import Row, at_most, case
 from ..measures import relative

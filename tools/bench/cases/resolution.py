@@ -32,7 +32,7 @@ from scipy.special import erf, erfinv
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.design import focus_type, lens_footprint, pixel_footprint, resolution_limit, spot_radius
-from mitsuba_plenoptic.report.paper.limits import focused_cameras
+from mitsuba_plenoptic.extensions.paper.paper_limits import focused_cameras
 
 from .. import Pivot, Row, at_least, at_most, case, pick
 

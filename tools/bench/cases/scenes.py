@@ -12,7 +12,15 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture, scene_path, with_camera
+from mitsuba_plenoptic import (
+    Capture,
+    PlenopticCamera,
+    load_scene,
+    reconstruct,
+    render_capture,
+    scene_path,
+    with_camera,
+)
 from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images, rounded
 
 from .. import Row, at_most, case, pick

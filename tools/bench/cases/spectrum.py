@@ -8,9 +8,9 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, load_scene
-from mitsuba_plenoptic.capture.scene_light import SceneLight
-from mitsuba_plenoptic.capture.scene_points import find_points
-from mitsuba_plenoptic.operator.spectral import with_enough_nodes
+from mitsuba_plenoptic.light.scene_light import SceneLight
+from mitsuba_plenoptic.points.scene_points import find_points
+from mitsuba_plenoptic.points.spectral import with_enough_nodes
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
 

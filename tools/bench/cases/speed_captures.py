@@ -15,10 +15,10 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_plenoptic import Cluster, Job, cli, estimate_capture, load_scene, render_capture
-from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY, find_patterns
-from mitsuba_plenoptic.operator.patch import PatchBatch
-from mitsuba_plenoptic.operator.recorder import Recorder
-from mitsuba_plenoptic.operator.tile import PatchTile
+from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY, find_patterns
+from mitsuba_plenoptic.points.patch import PatchBatch
+from mitsuba_plenoptic.points.recorder import Recorder
+from mitsuba_plenoptic.points.tile import PatchTile
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.runtime.batches import Batch, BatchMap, Threads, add
 from mitsuba_plenoptic.runtime.fft import fft, worker_count

@@ -18,11 +18,11 @@ import numpy as np
 import scipy.fft
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.lightfield import distance_of, refocus
-from mitsuba_plenoptic.reconstruction.full_fields import lit_window
-from mitsuba_plenoptic.reconstruction.planning import plan
-from mitsuba_plenoptic.reconstruction.ray import pupil_radius, ray_sums
-from mitsuba_plenoptic.report.paper.limits import plain_seconds, plain_sums, run_plain_sums
+from mitsuba_plenoptic.extensions.paper.paper_limits import plain_seconds, plain_sums, run_plain_sums
+from mitsuba_plenoptic.refocus.full_fields import lit_window
+from mitsuba_plenoptic.refocus.planning import plan
+from mitsuba_plenoptic.refocus.ray import pupil_radius, ray_sums
+from mitsuba_plenoptic.views import distance_of, refocus
 
 from .. import Row, at_most, case
 from ..measures import relative

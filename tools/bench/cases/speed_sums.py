@@ -13,12 +13,12 @@ import numpy as np
 import scipy.fft
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
-from mitsuba_plenoptic.operator.accuracy import DEFAULT_ACCURACY
-from mitsuba_plenoptic.operator.patch import PatchBatch, PatchWorkspace
-from mitsuba_plenoptic.operator.patch_plan import PatchPlan
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY
+from mitsuba_plenoptic.points.patch import PatchBatch, PatchWorkspace
+from mitsuba_plenoptic.points.patch_plan import PatchPlan
 from mitsuba_plenoptic.runtime.batches import Threads
 from mitsuba_plenoptic.runtime.fft import resting_drjit
-from mitsuba_plenoptic.system.optical_system import OpticalSystem
 
 from .. import Row, at_most, case, pick
 from ..measures import relative

@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, design, expose
 from mitsuba_plenoptic.dataset import DataSet, Recipe, make_dataset, parse_recipe
-from mitsuba_plenoptic.dataset.sample import open_sample
+from mitsuba_plenoptic.extensions.data.sample import open_sample
 
 from .. import Row, case
 from ..measures import spot_filtered

@@ -1,0 +1,65 @@
+"""Cameras by what a command's ``--camera`` names: presets, files of parameters, and parameters as text."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from ..errors import NO_RECORD, naming, refuse_if, refusing
+from ..extension import entry_of
+from ..io.files import parse_yaml, read_text, read_yaml
+from ..presets import PRESETS
+from .plenoptic_camera import PlenopticCamera
+
+_LARGEST_FILE = 2**24
+
+_LIBPLENO = {"mla", "main_lens", "sensor"}
+"""Names in each configuration of libpleno."""
+
+
+def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
+    """Read a camera, and what a calibration has added to its file under ``calibration``, None without that.
+
+    Raises
+    ------
+    InputError
+        If the source is missing or is no camera.
+    """
+    if str(source) in PRESETS and not Path(source).is_file():
+        return PlenopticCamera.preset(str(source)), None
+    path = Path(source)
+    if states_camera(source):
+        text = json.dumps(_stated(str(source)))
+    elif path.suffix.lower() in (".yaml", ".yml"):
+        with refusing(f"{path}: it must be camera parameters by name:", *NO_RECORD):
+            text = json.dumps(read_yaml(path))
+    else:
+        text = read_text(path, _LARGEST_FILE)
+    with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
+        values = json.loads(text)
+    if isinstance(values, dict) and set(values) >= _LIBPLENO:
+        read = entry_of("cameras", "libpleno", str(path))
+        with naming(path):
+            return read(values), None
+    with naming(path):
+        camera = PlenopticCamera.from_json(text)
+    return camera, values.get("calibration")
+
+
+def states_camera(source: str | Path) -> bool:
+    """Return whether a text states parameters of a camera; a file of that name takes precedence."""
+    return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
+
+
+def _stated(text: str) -> dict[str, Any]:
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; several values are a list, or have commas between."""
+    values: dict[str, Any] = {}
+    for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
+        refuse_if(name in values, f"{name} is given twice")
+        bracketed = value.lstrip().startswith("[")
+        parts = [parse_yaml(part) for part in ([value] if bracketed else value.split(","))]
+        refuse_if(None in parts, f"{name} = {value}: it must be a value, or several with commas between them")
+        values[name] = parts[0] if len(parts) == 1 else parts
+    return values

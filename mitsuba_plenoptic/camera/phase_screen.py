@@ -1,0 +1,214 @@
+"""Phase screens: sampled paths that light gains over the pupil, still or carried along by the wind."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import (
+    WAVEFRONT_UNIT,
+    InputError,
+    naming,
+    put,
+    refuse_if,
+    require_count,
+    require_known,
+    require_number,
+    require_numbers,
+    short_repr,
+    suggest_keywords,
+)
+from ..io.files import read_json_value
+from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, read_samples
+
+_MILLIMETRES = WAVEFRONT_UNIT * 1e-6
+"""Unit of the samples."""
+
+
+@suggest_keywords
+@dataclass(frozen=True, eq=False)
+class PhaseScreen:
+    """A path that light gains over the pupil of the main lens, given by samples, such as that of a turbulent layer.
+
+    Between samples it is a bicubic spline, whose gradient deflects rays. The unit is that of the Zernike coefficients
+    of `PlenopticCamera`: light of other wavelengths sees the same path. A sample represents the square around it, and
+    the squares must cover the pupil.
+
+    Parameters
+    ----------
+    waves : array (rows, columns), nested lists, or path
+        Path at the samples in waves of 633 nm, larger where light is delayed, in rows of rising y and columns of rising
+        x of the camera frame; or an NPY, EXR or FITS file of it. FITS needs the extra ``ao``.
+    width : float
+        Distance of the first and the last column in millimetres; rows are as far apart as columns.
+
+    Raises
+    ------
+    InputError
+        If the samples are not numbers in 4 to 1024 rows and columns, or the width is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mitsuba_plenoptic as mp
+    >>> x, y = np.meshgrid(*2 * [np.linspace(-6, 6, 64)])
+    >>> screen = mp.PhaseScreen(0.01 * (x**2 - y**2), width=12)
+    >>> mp.PlenopticCamera(phase_screen=screen).phase_screen == screen
+    True
+    """
+
+    waves: Any
+    width: float
+
+    def __post_init__(self) -> None:
+        put(
+            self,
+            waves=known_samples("waves", self.waves),
+            width=require_number("width", self.width, positive=True),
+        )
+
+    @property
+    def step(self) -> float:
+        """Distance of neighbouring samples in millimetres."""
+        return self.width / (self.waves.shape[1] - 1)
+
+    @property
+    def reach(self) -> float:
+        """Radius in millimetres of the largest pupil that the screen covers."""
+        return min(self.waves.shape) * self.step / 2
+
+    @cached_property
+    def _grid(self) -> SampledGrid:
+        # One more sample on each side extends the path, by its slope, to the edges of the outermost squares.
+        wider = np.pad(self.waves * _MILLIMETRES, 1, mode="reflect", reflect_type="odd")
+        return SampledGrid(wider, self.width + 2 * self.step)
+
+    def path(self, x: Any, y: Any) -> Any:
+        """Return the path in millimetres at points of the pupil, NumPy or Dr.Jit arrays.
+
+        Parameters
+        ----------
+        x, y : array
+            Coordinates in the camera frame in millimetres.
+        """
+        return self._grid.at(x, y)
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of `path`, which is the change of direction.
+
+        Parameters
+        ----------
+        x, y : array
+            Coordinates in the camera frame in millimetres.
+        """
+        return self._grid.slopes(x, y)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return lists and numbers by name, for files and headers."""
+        return {"waves": self.waves.tolist(), "width": self.width}
+
+    @cached_property
+    def _text(self) -> str:
+        return json.dumps(self.to_plain())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PhaseScreen) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def __repr__(self) -> str:
+        rows, columns = self.waves.shape
+        return f"PhaseScreen({rows} x {columns} samples, width={self.width!r})"
+
+
+def known_screen(value: Any, resolve: Callable[[str], str] = str) -> PhaseScreen | None:
+    """Return a screen from any of its forms: a screen, plain data, a JSON file or its text; None means none is given.
+
+    `resolve` finds files by their names, for example in the folder of a scene.
+    """
+    if value is None or isinstance(value, PhaseScreen):
+        return value
+    with naming("phase_screen"):
+        value = read_json_value(value, resolve)
+        if not isinstance(value, dict):
+            raise InputError(f"{short_repr(value)}: it must be a PhaseScreen, a dictionary, or a JSON file")
+        require_known("", value, ("waves", "width"))
+        for name in ("waves", "width"):
+            refuse_if(name not in value, f"{name} is missing")
+        waves = value["waves"]
+        return PhaseScreen(resolve(waves) if isinstance(waves, str) else waves, value["width"])
+
+
+@suggest_keywords
+def frozen_flow(
+    waves: Any, *, step: float, width: float, wind: tuple[float, float], interval: float, frames: int
+) -> Iterator[PhaseScreen]:
+    """Yield the screens of frames, as the wind moves one larger screen, unchanged, across the pupil.
+
+    This is Taylor's hypothesis (G. I. Taylor 1938, "The spectrum of turbulence"). Between samples the larger screen is
+    a bicubic spline. Halfway between the first and the last frame the middle of the larger screen is on the axis.
+
+    Parameters
+    ----------
+    waves : array (rows, columns), or path
+        The larger screen, as for `PhaseScreen`, of any size.
+    step : float
+        Distance of its samples in millimetres, which is also that of the frames' samples.
+    width : float
+        Width of the frames' screens in millimetres, about the diameter of the pupil or more.
+    wind : (float, float)
+        Velocity along x and y of the camera frame in millimetres per second.
+    interval : float
+        Time between frames in seconds.
+    frames : int
+        Count of frames.
+
+    Yields
+    ------
+    PhaseScreen
+        The screen of each frame.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, or the screen is too small for the distance that the wind moves it.
+    """
+    large = read_samples("waves", waves)
+    step, width = (require_number(name, value, positive=True) for name, value in (("step", step), ("width", width)))
+    velocity = np.array(require_numbers("wind", wind, count=2))
+    interval = require_number("interval", interval, positive=True)
+    frames = require_count("frames", frames)
+    low, high = COUNTS
+    count = math.ceil(min(width / step, 2.0 * high) - 1e-9) + 1
+    refuse_if(
+        not low <= count <= high,
+        f"width = {width:g}: it must be {low - 1} to {high - 1} times the step of {step:g}",
+    )
+    with np.errstate(over="ignore"):
+        travel = np.abs(velocity) * interval * (frames - 1) / step
+    needed = count + travel[::-1]
+    refuse_if(
+        bool((needed > np.array(large.shape) + 1e-9).any()),
+        f"waves of {large.shape[0]} x {large.shape[1]} samples: frames and wind need "
+        f"{np.ceil(needed[0]):.6g} x {np.ceil(needed[1]):.6g}",
+    )
+    return _windows(large, step, count, velocity * interval, frames)
+
+
+def _windows(
+    large: NDArray[np.float64], step: float, count: int, moved: NDArray[np.float64], frames: int
+) -> Iterator[PhaseScreen]:
+    """Yield windows of a screen, of `count` samples along each axis, between which it moves by `moved` millimetres."""
+    grid = SampledGrid(large, (large.shape[1] - 1) * step)
+    offsets = (np.arange(count) - (count - 1) / 2) * step
+    for frame in range(frames):
+        x, y = -moved * (frame - (frames - 1) / 2)
+        yield PhaseScreen(grid.at(*np.meshgrid(offsets + x, offsets + y)), (count - 1) * step)

@@ -1,0 +1,94 @@
+"""``mitsuba-plenoptic compare``: a scene by rays and by waves, refocused by every method."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..errors import require_count
+from .inputs import (
+    CameraFile,
+    Definitions,
+    OutputFolder,
+    PositiveDistances,
+    Scene,
+    Unit,
+    camera_instead,
+    numeric,
+    parse_definitions,
+)
+from .judging import COUNTED, WAVELENGTH
+from .stages import stage_lines
+from .stopping import Resume
+
+if TYPE_CHECKING:
+    pass
+
+
+def compare(
+    scene: Scene,
+    output: OutputFolder,
+    distance: PositiveDistances,
+    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
+    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
+    resume: Resume = False,
+    camera: CameraFile = None,
+    unit: Unit = "mm",
+    define: Definitions = None,
+    variant: Annotated[
+        str, typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono.")
+    ] = "llvm_ad_mono",
+) -> None:
+    """Capture a scene by rays and by waves, refocus it by every method, and compare.
+
+    Writes figures, captures and reconstructions, all results and report.html,
+    which shows them in a browser. Both captures have the same main lens, which
+    the scene's lens_model states. A run that was stopped resumes where it was.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic compare chart -o chart --distance 210 --distance 240
+
+      mitsuba-plenoptic compare still_life -o still_life --distance 215
+      --distance 258 -D resolution=2048 -D detector_width=4.096
+
+      mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
+    """
+    from ..light.render_capture import MOST_SAMPLES
+
+    # Figures need libraries that take a second to load, which other commands need not wait for.
+    from ..report.comparison import compare as compute
+    from ..report.experiment import Settings
+    from ..report.metrics import ssim_text
+
+    parameters = parse_definitions(define)
+    settings = Settings(
+        scene=scene,
+        unit=unit,
+        distances=tuple(sorted(set(distance))),
+        parameters=parameters,
+        camera=camera_instead(camera, scene, parameters),
+        camera_name=camera,
+        wavelength=wavelength,
+        spp=require_count("spp", spp, maximum=MOST_SAMPLES),
+        noise=spp > 1,
+        variant=variant,
+    )
+    with stage_lines(resume) as stages:
+        results = compute(settings, output, stages=stages)
+    found = results["captures"]
+    similarity = ssim_text(found["ssim"])
+    typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {similarity}, energy {found['energy']:.3f}")
+    found = found["difference"]
+    if found["all"]["noise"] is None:
+        typer.echo("Noise: not known of one sample; use --spp 2 or more")
+    elif found["all"]["noise_alone"]:
+        typer.echo(f"They differ by {found['all']['measured']:.2%}, which noise alone explains; use more --spp")
+    else:
+        typer.echo(
+            f"They differ by {found['all']['measured']:.2%}: noise {found['all']['noise']:.2%}, diffraction "
+            f"{found['all']['true']:.2%} ({found['middle']['true']:.2%} in the middle of micro-images, "
+            f"{found['rim']['true']:.2%} at their rim)"
+        )
+    typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -1,0 +1,287 @@
+"""``mitsuba-plenoptic render``, ``expose`` and ``demosaic``: captures of scenes, and what a real detector records."""
+
+from __future__ import annotations
+
+import logging
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import InputError
+from ..runtime.progress import MINUTE, Forecast, in_words, progress_bar
+from .choices import ALL_MOSAICS, QUANTITIES
+from .inputs import (
+    CameraFile,
+    CaptureFile,
+    Definitions,
+    Model,
+    Samples,
+    Scene,
+    Scheduler,
+    Seed,
+    Unit,
+    Workers,
+    batches_on,
+    numeric,
+    open_scene,
+    output_option,
+    parse_definitions,
+)
+from .stopping import Resume, existing_checkpoint, stopped_by_hand
+
+_log = logging.getLogger(__name__)
+
+
+def render(
+    scene: Scene,
+    output: Annotated[Path | None, output_option("FILE.exr", "File to write; not needed with --estimate.")] = None,
+    model: Model = None,
+    spp: Samples = None,
+    seed: Seed = 0,
+    wavelength: Annotated[
+        str | None,
+        numeric(
+            "Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
+            "the scene's, else 633",
+            unit="NM",
+        ),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            show_default="the scene's, else signed_rays",
+            help="Wave captures: signed_rays, which takes the rays of a ray capture, or points, the plain reference "
+            "for matte scenes, with --spp points for each microlens.",
+        ),
+    ] = None,
+    noise: Annotated[
+        bool,
+        typer.Option("--noise", help="Keep the standard deviation of each pixel, too, as layer 'noise' of the file."),
+    ] = False,
+    estimate: Annotated[
+        bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
+    ] = False,
+    resume: Resume = False,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            show_default="FILE.exr.checkpoint",
+            help="Wave captures: file for what is done until the capture is written.",
+        ),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    camera: CameraFile = None,
+    unit: Unit = "mm",
+    sensor: Annotated[int, numeric("Which of the scene's sensors, counted from 0.")] = 0,
+    white: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
+    ] = None,
+    aov: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME,...",
+            help="Also write ground truth, next to the capture, as FILE.truth.exr, of each pixel and of each decoded "
+            f"view: {', '.join(QUANTITIES)}.",
+        ),
+    ] = None,
+    define: Definitions = None,
+    variant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
+            help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
+        ),
+    ] = None,
+) -> None:
+    """Render what a scene's plenoptic camera records.
+
+    The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
+    written as float32 OpenEXR, which any EXR viewer shows; its header holds
+    the camera and how it was made. A long wave capture keeps a checkpoint
+    next to the output, from which the same command continues after Ctrl-C or a crash.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic render letters -o raw.exr --spp 16
+
+      mitsuba-plenoptic render letters -o wave.exr --model wave
+
+      mitsuba-plenoptic render letters -o wave.exr --model wave --method signed_rays --spp 16
+
+      mitsuba-plenoptic render letters -o small.exr -D resolution=1024
+
+      mitsuba-plenoptic render still_life --model wave --estimate
+
+      mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
+
+      mitsuba-plenoptic render letters -o raw.exr --camera camera.json
+
+      mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
+    """
+    from ..io.captures import Capture, write_capture
+    from ..io.checkpoints import SUFFIX, Checkpoint
+    from ..io.files import remove_leftovers, require_different, require_writable
+    from ..io.truth_files import NAME, require_quantities, truth_path, write_ground_truth
+    from ..light.render_capture import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+
+    parameters = parse_definitions(define)
+    options = {"wavelength": wavelength, "method": method}
+    wave = {name: value for name, value in options.items() if value is not None}
+    if estimate:
+        refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
+        for name in (name for name, value in refused.items() if value):
+            raise InputError(f"--{name}: an estimate does not take it; leave it out")
+        with progress_bar("Estimating") as progress:
+            loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
+            progress(1, 2)
+            if not is_wave_capture(loaded, model):
+                refuse_by_rays(workers=workers, scheduler=scheduler)
+            with batches_on(workers, scheduler) as batch_map:
+                cost = estimate_capture(
+                    loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave
+                )
+        what = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
+        typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+        return
+    if output is None:
+        raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
+    # Before the rendering, which may take long.
+    names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
+    for path in filter(None, (output, white)):
+        require_writable(path, ".exr")
+    truth_file = require_writable(truth_path(output))
+    require_different(output, white, truth_file if names else None)
+    saved = Checkpoint(
+        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), existing_checkpoint(resume)
+    )
+    with progress_bar("Loading the scene"):
+        loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
+    remove_leftovers(output)
+    by_waves = is_wave_capture(loaded, model)
+    if not by_waves:
+        refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)
+    with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
+
+        def tell(seconds: float) -> None:
+            if seconds > MINUTE:
+                _log.info("%s", _forecast(seconds, loaded, sensor, spp, method))
+
+        with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
+            start = time.perf_counter()
+            capture = render_capture(
+                loaded,
+                sensor=sensor,
+                model=model,
+                spp=spp,
+                seed=seed,
+                progress=Forecast(tell, progress),
+                checkpoint=saved if by_waves else None,
+                batch_map=batch_map,
+                noise=noise,
+                **wave,
+            )
+        seconds = time.perf_counter() - start
+        if names:
+            # Brings libraries that take a second to load.
+            from ..views import ground_truth
+
+            write_ground_truth(truth_file, ground_truth(loaded, names, sensor=sensor))
+            capture.metadata[NAME] = truth_file.name
+            typer.echo(f"{truth_file}: ground truth, {', '.join(names)}")
+        write_capture(output, capture)
+    if white:
+        # Brings libraries that take a second to load.
+        from ..views import white_image
+
+        write_capture(white, Capture(white_image(capture.camera), capture.camera, metadata={"scene": "white image"}))
+        typer.echo(f"{white}: white image")
+    rows, columns = capture.camera.shape
+    deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
+    typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")
+
+
+def expose(
+    capture: CaptureFile,
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")],
+    photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
+    quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,
+    full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = 8000.0,
+    dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = 0.0,
+    read_noise: Annotated[float, numeric("Standard deviation of the reading, in electrons.")] = 2.5,
+    bits: Annotated[int, numeric("Bits of a digital number, up to 16.")] = 12,
+    gain: Annotated[
+        float | None, numeric("Numbers per electron.", "the full well is the largest number", unit="K")
+    ] = None,
+    black_level: Annotated[
+        int | None, numeric("Number without any electron.", "four deviations of the dark noise")
+    ] = None,
+    mosaic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(ALL_MOSAICS),
+            show_default="none",
+            help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
+        ),
+    ] = None,
+    seed: Annotated[int, numeric("Seed of the noise.")] = 0,
+) -> None:
+    """Add what a real detector does: photon and read noise, saturation, digital numbers.
+
+    The sensor is linear after EMVA Standard 1288. The result is a capture in
+    the units of the first, so that every command takes it. A name that ends
+    in .png or .tiff keeps the digital numbers instead, in 16 bits, for other
+    programs and for 'demosaic'.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
+
+      mitsuba-plenoptic expose colours.exr -o bayer.exr --photons 2000 --mosaic RGGB
+
+      mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
+    """
+    from ..io.captures import RAW_SUFFIXES, read_capture, write_capture, write_raw
+    from ..io.files import require_apart, require_writable
+    from ..light.detector import Detector
+    from ..light.detector import expose as record
+
+    require_writable(output, ".exr", *RAW_SUFFIXES)
+    require_apart(output, capture)
+    detector = Detector(
+        quantum_efficiency=quantum_efficiency,
+        full_well=full_well,
+        dark_electrons=dark_electrons,
+        read_noise=read_noise,
+        bits=bits,
+        gain=gain,
+        black_level=black_level,
+        mosaic=mosaic,
+    )
+    exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
+    (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
+    electrons = detector.quantum_efficiency * photons
+    saturated, rows, columns = exposed.metadata["exposure"]["saturated_pixels"], *exposed.image.shape[:2]
+    typer.echo(
+        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
+        f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
+    )
+
+
+def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
+    """Return how long a capture takes, and what is the cheapest to change about that."""
+    from ..light.render_capture import plenoptic_sensor
+
+    if (method or getattr(scene.integrator(), "method", "")) == "points":
+        cause = "each point is propagated; --method signed_rays takes one to some ray captures"
+    else:
+        count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
+        cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
+    return f"the capture takes about {in_words(seconds)}: {cause}"

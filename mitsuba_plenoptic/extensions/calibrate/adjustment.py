@@ -1,0 +1,249 @@
+"""Least squares for one camera and many poses of a board (bundle adjustment), with what the data say of each parameter.
+
+Levenberg and Marquardt's method with exact derivatives. Each pose's own six parameters are eliminated by an orthogonal
+(QR) step before the camera's are solved for, so that normal equations, which square the condition, are never formed
+(B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import refuse_if
+from ...runtime.limits import single_threaded_blas
+from .board_model import NAMES, Observations, predict, predict_centres
+
+# Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal
+# errors one row in 60 million lies there.
+OUTLIER = 6.0
+
+# Rows beyond this number of deviations count by their distance instead of its square (Huber).
+_HUBER = 4.0
+
+_MOST_REPEATS = 30
+
+
+def deviation(distance: np.ndarray) -> float:
+    """Return the standard deviation along an axis, from the median of distances in two dimensions."""
+    return float(np.median(distance)) / 1.17741
+
+
+def outlying(distance: np.ndarray) -> np.ndarray:
+    """Mark outliers by their distance from the expected position."""
+    return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
+
+
+def huber(distance: np.ndarray) -> np.ndarray:
+    """Return weights by which rows far from the expected position count by their distance, not its square."""
+    bound = _HUBER * max(deviation(distance), 1e-9)
+    return bound / np.maximum(distance, bound)
+
+
+def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fit positions linearly, as long as more than half of them are right.
+
+    The least sum of distances shows which rows are outliers; the others are then fitted by least squares.
+
+    Shapes: `matrix` (n, 2, k), `values` (n, 2); the result (k,), (n,), (n,).
+    """
+    scale = np.sqrt((matrix**2).sum((0, 1)))
+    matrix = matrix / np.where(scale > 0, scale, 1)
+
+    def solve(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        root = np.sqrt(weights)
+        rows = (matrix * root[:, None, None]).reshape(-1, matrix.shape[2])
+        found = np.linalg.lstsq(rows, (values * root[:, None]).ravel())[0]
+        return found, np.hypot(*(matrix @ found - values).T)
+
+    found, distance = solve(np.ones(len(values)))
+    last = np.inf
+    for _ in range(_MOST_REPEATS):
+        total = float(distance.sum())
+        if not total < 0.999 * last:
+            break
+        last = total
+        found, distance = solve(1 / np.maximum(distance, 1e-3 * np.median(distance) + 1e-12))
+    good = ~outlying(distance)
+    for _ in range(_MOST_REPEATS):
+        found, distance = solve(good.astype(float))
+        before, good = good, ~outlying(distance)
+        if (before == good).all():
+            break
+    return found / np.where(scale > 0, scale, 1), distance, good
+
+
+def both_axes(matrix: np.ndarray) -> np.ndarray:
+    """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to each axis with coefficients of its own."""
+    return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
+
+
+_MOST_STEPS = 200
+_MOST_POSE_STEPS = 60
+_DONE = 1e-8
+_MOST_DAMPING = 1e10
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Observations that are fitted together."""
+
+    # Corners seen through lenses.
+    corners: Observations
+    pixel_size: float
+    row_ratio: float
+    # Centres of micro-images, fitted jointly; their `board` and `pose` mean nothing.
+    centres: Observations | None = None
+    # Weight of a centre's residual: the deviation of a corner over that of a centre.
+    centre_weight: float = 1.0
+
+    def residuals(self, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """Return predicted minus observed pixels of the corners, (n, 2)."""
+        with np.errstate(all="ignore"):
+            pixel, _, _ = self._predict(numbers, poses)
+        return pixel - self.corners.pixel
+
+    def centre_residuals(self, numbers: np.ndarray) -> np.ndarray:
+        """Return predicted minus observed pixels of the centres, (n, 2)."""
+        if self.centres is None:
+            return np.zeros((0, 2))
+        pixel, _ = predict_centres(numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio)
+        return pixel - self.centres.pixel
+
+    def cost(self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> float:
+        """Return half the weighted sum of squares; infinite where the model has no value."""
+        square = (weights * (self.residuals(numbers, poses) ** 2).sum(1)).sum()
+        square += self.centre_weight**2 * (self.centre_residuals(numbers) ** 2).sum()
+        return 0.5 * float(square) if np.isfinite(square) else np.inf
+
+    def _predict(self, numbers: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return predict(numbers, poses, self.corners, pixel_size=self.pixel_size, row_ratio=self.row_ratio)
+
+    def blocks(
+        self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray, free: np.ndarray
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Return, of the weighted linear system, the triangle of each pose and the rows of the camera alone.
+
+        The result has the shape (6, 6 + free + 1), (rows, free + 1).
+        """
+        pixel, by_numbers, by_pose = self._predict(numbers, poses)
+        rows = (
+            np.concatenate([by_pose, by_numbers[:, :, free], (self.corners.pixel - pixel)[:, :, None]], axis=2)
+            * np.sqrt(weights)[:, None, None]
+        )
+        triangles = []
+        for index in range(len(poses)):
+            part = rows[self.corners.pose == index].reshape(-1, rows.shape[2])
+            triangles.append(_triangle(part))
+        camera = [triangle[6:, 6:] for triangle in triangles]
+        if self.centres is not None:
+            pixel, by_numbers = predict_centres(
+                numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio
+            )
+            part = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
+            camera.append(_triangle(self.centre_weight * part.reshape(-1, part.shape[2])))
+        return [triangle[:6] for triangle in triangles], camera
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    """Return the triangular factor of a matrix, with as many rows as columns at least."""
+    return np.asarray(np.linalg.qr(np.pad(rows, ((0, max(0, rows.shape[1] - len(rows))), (0, 0))), mode="r"))
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """The result of an adjustment."""
+
+    # (17,).
+    numbers: np.ndarray
+    poses: np.ndarray
+    # Half the weighted sum of squares.
+    cost: float
+    # How often the linear system was solved.
+    steps: int
+
+
+@single_threaded_blas()
+def adjust(
+    problem: Problem,
+    numbers: np.ndarray,
+    poses: np.ndarray,
+    free: Sequence[str] = NAMES,
+    weights: np.ndarray | None = None,
+    *,
+    most_steps: int = _MOST_STEPS,
+) -> Adjusted:
+    """Minimise the weighted sum of squares over some of the camera's parameters and all poses.
+
+    Shapes: `weights` (n,).
+    """
+    chosen = np.array([NAMES.index(name) for name in free], dtype=int)
+    weights = np.ones(len(problem.corners)) if weights is None else weights
+    cost = problem.cost(numbers, poses, weights)
+    refuse_if(
+        not np.isfinite(cost),
+        "calibration: the camera cannot see the board at the start: its numbers do not fit the data",
+    )
+    damping, steps = 1e-3, 0
+    camera_scale, pose_scale = np.zeros(len(chosen)), np.zeros((len(poses), 6))
+    while steps < most_steps:
+        triangles, parts = problem.blocks(numbers, poses, weights, chosen)
+        camera = np.concatenate(parts)
+        both = np.concatenate([*(triangle[:, 6:] for triangle in triangles), camera])
+        camera_scale = np.maximum(camera_scale, np.sqrt((both[:, :-1] ** 2).sum(0)))
+        pose_scale = np.maximum(pose_scale, [np.sqrt((triangle[:, :6] ** 2).sum(0)) for triangle in triangles])
+        while True:
+            steps += 1
+            step, pose_steps = _solve(triangles, camera, np.sqrt(damping) * camera_scale, np.sqrt(damping) * pose_scale)
+            new = numbers.copy()
+            new[chosen] += step
+            new_poses = poses + pose_steps
+            new_cost = problem.cost(new, new_poses, weights)
+            if new_cost <= cost:
+                break
+            damping *= 8
+            if damping > _MOST_DAMPING:
+                return Adjusted(numbers, poses, cost, steps)
+        gain = cost - new_cost
+        numbers, poses, cost, damping = new, new_poses, new_cost, max(damping / 10, 1e-12)
+        if gain <= _DONE * cost:
+            break
+    return Adjusted(numbers, poses, cost, steps)
+
+
+def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the poses that fit best for a held camera.
+
+    A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
+    """
+    found = adjust(problem, numbers, poses, (), weights, most_steps=_MOST_POSE_STEPS).poses
+    flip = np.diag([1.0, 1.0, -1.0])
+    reversed_ = found.copy()
+    for pose in reversed_:
+        pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
+    reversed_ = adjust(problem, numbers, reversed_, (), weights, most_steps=_MOST_POSE_STEPS).poses
+    squares = [
+        np.bincount(problem.corners.pose, weights * (problem.residuals(numbers, each) ** 2).sum(1))
+        for each in (found, reversed_)
+    ]
+    return np.where((squares[1] < squares[0])[:, None], reversed_, found)
+
+
+def _solve(
+    triangles: list[np.ndarray], camera: np.ndarray, camera_damping: np.ndarray, pose_damping: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the damped linear system, each column in its own scale."""
+    reduced, heads = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))], []
+    for triangle, damping in zip(triangles, pose_damping, strict=True):
+        damped = _triangle(np.concatenate([triangle, np.pad(np.diag(damping), ((0, 0), (0, triangle.shape[1] - 6)))]))
+        heads.append(damped[:6])
+        reduced.append(damped[6:, 6:])
+    matrix = np.concatenate(reduced)
+    scale = np.sqrt((matrix[:, :-1] ** 2).sum(0))
+    scale[scale == 0] = 1
+    step = np.linalg.lstsq(matrix[:, :-1] / scale, matrix[:, -1], rcond=1e-14)[0] / scale if scale.size else scale
+    pose_steps = [np.linalg.solve(head[:, :6], head[:, -1] - head[:, 6:-1] @ step) for head in heads]
+    return step, np.array(pose_steps)

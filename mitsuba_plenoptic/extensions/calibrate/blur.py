@@ -1,0 +1,177 @@
+r"""Focal lengths of microlenses from the blur of the corners that they show.
+
+A point whose image by the main lens lies the distance a before the microlens array (negative: behind it) is spread on
+the detector, the distance z behind the array, by a lens of the focal length f and the diameter D, over a disc of the
+radius
+
+.. math:: \rho = \frac{D}{2} \left(1 - \frac{z}{f} + \frac{z}{a}\right)
+
+in the plane of the detector, which changes its sign where the point is in focus. With z/a known from a calibration, the
+radii of the lenses of one type lie on a line. What programs call the radius of a blur differs by a factor, and in its
+sign; the slope of the line gives both, and its value at z/a = 0, divided by the slope, gives z/f.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...lattice.arrangement import Lattice
+from .adjustment import Adjusted
+from .board_model import AT, Observations
+from .observations import placed
+
+# The part of the radii's variance that may be left, and the least part of that which curves instead of lines leave:
+# radii without a sign are bent where they are in focus.
+_LEFT = 0.1
+_STRAIGHT = 0.5
+
+# The least that z/a must vary by.
+_LEAST_SPREAD = 0.01
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Focal lengths of a camera's microlenses from blur radii.
+
+    Attributes
+    ----------
+    focal_lengths, deviations : tuple of float
+        Of each type of lenses in mm, and their standard deviations, with those of the camera's parameters.
+    scale : float
+        Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
+        they mean the whole disc.
+    error : float
+        RMS of what is left of the radii in pixels.
+    """
+
+    focal_lengths: tuple[float, ...]
+    deviations: tuple[float, ...]
+    scale: float
+    error: float
+
+
+def fit_blur(
+    radius: np.ndarray,
+    seen: Observations,
+    numbers: np.ndarray,
+    poses: np.ndarray,
+    lattice: Lattice,
+    types: int,
+    moved: Sequence[Adjusted] = (),
+) -> Blur:
+    """Fit the focal lengths of the microlenses to signed blur radii.
+
+    Shapes: `radius` (n,), `numbers`, `poses` (17,).
+    """
+    ratio = image_ratios(seen, numbers, poses)
+    row = np.round(seen.lens[:, 1])
+    kind = np.zeros(len(row), dtype=int)
+    if types > 1:
+        column, _ = lattice.unit_centre(0.0, row)
+        kind = np.asarray(lattice.lens_type(np.round(seen.lens[:, 0] - column), row), dtype=int)
+    counts = np.bincount(kind, minlength=types)
+    refuse_if(
+        (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD,
+        "corners: rho: blur radii are given, but of too few lenses or all at one depth to determine focus",
+    )
+    matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
+    line = np.linalg.lstsq(matrix, radius)[0]
+    left = radius - matrix @ line
+    square = float(np.mean(left**2))
+    curves = np.column_stack([matrix, *(matrix[:, :-1] * ratio[:, None]).T, *(matrix[:, :-1] * ratio[:, None] ** 2).T])
+    bent = float(np.mean((radius - curves @ np.linalg.lstsq(curves, radius)[0]) ** 2))
+    rounding = 1e-12 * float(np.var(radius))
+    refuse_if(
+        not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square),
+        f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
+        f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
+        "have a sign, other in front of focus than behind it; leave the column out if they have none",
+    )
+    scale = line[-1]
+    over = 1 - line[:-1] / scale
+    z = float(numbers[AT["detector_distance"]])
+    refuse_if(not (over > 0).all(), "corners: rho: the focal lengths that fit the blur radii best are not positive")
+    # Observations of one corner of one picture err together, as such radii are mostly found from its depth.
+    group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
+    inverse = np.linalg.inv(matrix.T @ matrix)
+    scores = np.stack([np.bincount(group, left * column) for column in matrix.T], axis=-1) @ inverse
+    covariance = scores.T @ scores
+    others = []
+    for solution in moved:
+        matrix[:, -1] = image_ratios(seen, solution.numbers, solution.poses)
+        *heights, steep = np.linalg.lstsq(matrix, radius)[0]
+        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
+    camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
+    deviations = []
+    for index in range(types):
+        # Of z/f = 1 - position / slope.
+        slope = np.zeros(types + 1)
+        slope[index], slope[-1] = -1 / scale, line[index] / scale**2
+        deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[index] ** 2) ** 2 + camera[index])))
+    return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
+
+
+def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return z/a of each observation: the detector's distance over that of the corner's image before the array."""
+    f, b, z = numbers[:3]
+    distance = placed(seen.board, poses, seen.pose)[:, 2]
+    return np.asarray(z / (b - distance * f / (distance - f)))
+
+
+# Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
+_POINTS = 42
+_SAMPLES = 65
+_BEYOND = 1.25
+
+
+class CutBlur:
+    """Where the pixels of a camera's micro-images see through their lenses, on average."""
+
+    def __init__(
+        self,
+        # The camera; its tilt and distortion change nothing that matters here.
+        camera: PlenopticCamera,
+    ) -> None:
+        camera.require_thin("what the pupil cuts of blur is computed")
+        self._z = camera.detector_distance
+        self._b = camera.mla_distance
+        self._ratios = self._z / np.array(camera.mla_focal_lengths)
+        reach = _BEYOND * camera.micro_image_diameter / 2
+        e = np.linspace(-reach, reach, _SAMPLES)
+        unit = (np.arange(_POINTS) + 0.5) / _POINTS
+        d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)
+        self._step = (e[1] - e[0]) / camera.pixel_size
+        self._means = np.zeros((len(self._ratios), 2, _SAMPLES, _SAMPLES))
+        for kind, ratio in enumerate(self._ratios):
+            slope = 1 + self._b / self._z * (1 - ratio)
+            for row, y in enumerate(e):
+                px = slope * d[:, 0] - self._b / self._z * e[:, None]
+                py = slope * d[:, 1] - self._b / self._z * y
+                open_ = np.hypot(px, py) < camera.aperture_radius
+                self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
+
+    def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+        r"""Return :math:`\kappa` of lenses of these types and points of these disparities (`board_view`)."""
+        over = self._z / self._b
+        # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
+        return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
+
+    def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
+        """Return the displacement of what pixels show from where they are.
+
+        Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
+        """
+        at = arm[:, :, ::-1] / self._step + (_SAMPLES - 1) / 2
+        moved = np.zeros(arm.shape)
+        for index, mean in enumerate(self._means):
+            mine = kind == index
+            for axis in (0, 1):
+                moved[mine, :, axis] = map_coordinates(mean[axis], np.moveaxis(at[mine], 2, 0), order=1, mode="nearest")
+        return -defocus[:, None, None] * moved

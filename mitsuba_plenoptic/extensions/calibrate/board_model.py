@@ -1,0 +1,250 @@
+r"""Where a camera sees a corner of a board through one of its lenses, with all derivatives.
+
+The main lens images a point X of the camera frame to :math:`q = -X f / (g - f)` at the distance
+:math:`g' = g f / (g - f)` (g: the point's distance). The corner is seen where the ray from q through a microlens's
+centre c meets the detector: the same ray that the sensor plugin follows from there, so that a calibrated camera renders
+what was observed. With b the distance of the microlens array, h the height of the lens on a tilted array, t the slope
+of the ray and U the map that takes the distortion away in the plane :math:`z = -b`, the ray crosses that plane in
+:math:`m = c - h t` and the pupil in :math:`P = m + b t`, and behind it seems to come from :math:`U(m)`. It passes
+through q where
+
+.. math:: (c + (b - h) t) (1 - \gamma) + \gamma U(c - h t) = q, \qquad \gamma = g' / b,
+
+which is linear in t except for the tilt. The detector point is :math:`c - (z + h) t`.
+
+Distances virtual to the array, as in a Galilean camera, need no case of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...camera import PlenopticCamera
+from ...camera.vector import part_units, parts_of, with_parts
+from ...lenses.distortion import undistorted
+
+CALIBRATED = (
+    "focal_length",
+    "mla_distance",
+    "detector_distance",
+    "mla_pitch",
+    "mla_rotation",
+    "mla_offset",
+    "mla_tilt",
+)
+"""Parameters that are calibrated, in the order of a vector, before the principal point and `distortion`."""
+
+UNITS = (
+    {part: unit for name in CALIBRATED for part, unit in part_units(name).items()}
+    | {"principal_u": "pixels", "principal_v": "pixels"}
+    | part_units("distortion")
+)
+"""The numbers that are fitted, with their units: those of the camera's parameters, but instead of the offset the centre
+of lens (0, 0), and the principal point, the pixel on the axis."""
+
+NAMES = tuple(UNITS)
+"""Their names, in the order of a vector of them."""
+
+AT = {name: index for index, name in enumerate(NAMES)}
+"""Index of each name in the vector."""
+
+# The tilt is a thousandth of a radian and the distortion a few per cent, so that each step gains five digits.
+_NEWTON_STEPS = 2
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Observed corners or centres: all arrays have one row for each observation."""
+
+    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
+    lens: np.ndarray
+    # Column and row; the centre of the first pixel is 0; (n, 2).
+    pixel: np.ndarray
+    # Position of the corner on its board in mm; (n, 2).
+    board: np.ndarray
+    # Which pose of the board it is, from 0; (n,).
+    pose: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+    @property
+    def poses(self) -> int:
+        """Number of poses."""
+        return int(self.pose.max()) + 1
+
+    def keep(self, chosen: np.ndarray) -> Observations:
+        """Return some of the rows."""
+        return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
+
+
+def _left_jacobian(vector: np.ndarray) -> np.ndarray:
+    """Return J with d(exp(w) x) = -[exp(w) x] J dw (Sola, "Quaternion kinematics", eq. 145 of SO(3))."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if angle < 1e-4:
+        return np.eye(3) + cross / 2 + cross @ cross / 6
+    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Invert matrices (n, 2, 2); `numpy.linalg.inv` takes ten times as long."""
+    (a, b), (c, d) = matrix.transpose(1, 2, 0)
+    return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
+
+
+def _lenses(
+    numbers: np.ndarray, lens: np.ndarray, row_ratio: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the lenses' centres (n, 2) and heights (n,) over the plane z = -b, and their derivatives."""
+    along, across, turn, ox, oy, tilt_x, tilt_y = numbers[3:10]
+    angle = np.deg2rad(turn)
+    rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    unit = lens * [1.0, row_ratio]
+    spoke = unit * [along, across] @ rows.T
+    c = spoke + np.array([ox, oy])
+    slopes = np.tan(np.deg2rad([tilt_x, tilt_y]))
+    c_by = np.zeros((len(lens), 2, len(NAMES)))
+    c_by[:, :, AT["pitch_along"]] = unit[:, :1] * rows[:, 0]
+    c_by[:, :, AT["pitch_across"]] = unit[:, 1:] * rows[:, 1]
+    c_by[:, :, AT["mla_rotation"]] = np.stack([-spoke[:, 1], spoke[:, 0]], axis=-1) * (np.pi / 180)
+    c_by[:, 0, AT["offset_x"]] = c_by[:, 1, AT["offset_y"]] = 1
+    h_by = np.einsum("a,nak->nk", slopes, c_by)
+    h_by[:, [AT["tilt_x"], AT["tilt_y"]]] += c * (1 + slopes**2) * (np.pi / 180)
+    return c, c @ slopes, c_by, h_by
+
+
+def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Turn positions on the detector and their derivatives into pixels."""
+    by_numbers = p_by / pixel_size
+    principal = [AT["principal_u"], AT["principal_v"]]
+    by_numbers[:, [0, 1], principal] += 1
+    return p / pixel_size + numbers[principal], by_numbers
+
+
+def predict_centres(
+    numbers: np.ndarray, lens: np.ndarray, *, pixel_size: float, row_ratio: float
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Predict the centres of micro-images, where the chief ray of each lens meets the detector.
+
+    :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
+
+    The result has the shape (n, 2), (n, 2, 17).
+    """
+    c, h, c_by, h_by = _lenses(numbers, lens, row_ratio)
+    b, z = numbers[1:3]
+    before, behind = (b - h)[:, None], (z + h)[:, None]
+    p_by = c_by * (1 + behind / before)[:, :, None]
+    p_by += (c * (before + behind) / before**2)[:, :, None] * h_by[:, None]
+    p_by[:, :, AT["detector_distance"]] += c / before
+    p_by[:, :, AT["mla_distance"]] -= c * behind / before**2
+    return _pixels(numbers, c * (1 + behind / before), p_by, pixel_size)
+
+
+def predict(
+    numbers: np.ndarray, poses: np.ndarray, seen: Observations, *, pixel_size: float, row_ratio: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predict where corners are seen, and how that changes.
+
+    Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
+    """
+    f, b, z = numbers[:3]
+    n = len(seen)
+    c, h, c_by, h_by = _lenses(numbers, seen.lens, row_ratio)
+    # The point and its image.
+    corner = np.concatenate([seen.board, np.zeros((n, 1))], axis=1)
+    X, X_by = np.empty((n, 3)), np.zeros((n, 3, 6))
+    for index, pose in enumerate(poses):
+        mine = seen.pose == index
+        turned = Rotation.from_rotvec(pose[:3]).apply(corner[mine])
+        X[mine] = turned + pose[3:]
+        arm = np.zeros((len(turned), 3, 3))
+        arm[:, 0, 1], arm[:, 0, 2], arm[:, 1, 2] = turned[:, 2], -turned[:, 1], turned[:, 0]
+        X_by[mine, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
+        X_by[mine, :, 3:] = np.eye(3)
+    g = X[:, 2]
+    # Nearer than the focal length there is no image: the caller sees values that are not finite.
+    beyond = np.where(g > f, g - f, np.nan)
+    q = -X[:, :2] * (f / beyond)[:, None]
+    gamma = g * f / (beyond * b)
+    q_by_X = np.zeros((n, 2, 3))
+    q_by_X[:, 0, 0] = q_by_X[:, 1, 1] = -f / beyond
+    q_by_X[:, :, 2] = -q / beyond[:, None]
+    gamma_by_g = -(f**2) / (beyond**2 * b)
+    q_by, gamma_by = np.zeros((n, 2, len(NAMES))), np.zeros((n, len(NAMES)))
+    q_by[:, :, AT["focal_length"]] = -X[:, :2] * (g / beyond**2)[:, None]
+    gamma_by[:, AT["focal_length"]] = g**2 / (beyond**2 * b)
+    gamma_by[:, AT["mla_distance"]] = -gamma / b
+    # The ray's slope.
+    t = np.zeros((n, 2))
+    for _ in range(_NEWTON_STEPS):
+        m = c - h[:, None] * t
+        P = c + (b - h)[:, None] * t
+        source, bend, source_by = undistorted(m, numbers[12:])
+        miss = P * (1 - gamma)[:, None] + gamma[:, None] * source - q
+        by_t = ((b - h) * (1 - gamma))[:, None, None] * np.eye(2) - (gamma * h)[:, None, None] * bend
+        inverse = _inverse(by_t)
+        t = t - np.einsum("nab,nb->na", inverse, miss)
+    by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * bend
+    by_h = -np.einsum("nab,nb->na", by_c, t)
+    miss_by = by_c @ c_by + by_h[:, :, None] * h_by[:, None] + (source - P)[:, :, None] * gamma_by[:, None] - q_by
+    miss_by[:, :, AT["mla_distance"]] += (1 - gamma)[:, None] * t
+    miss_by[:, :, 12:] += gamma[:, None, None] * source_by
+    t_by = -inverse @ miss_by
+    by_X = q_by_X.copy()
+    by_X[:, :, 2] -= (source - P) * gamma_by_g[:, None]
+    t_by_pose = inverse @ by_X @ X_by
+    p = c - (z + h)[:, None] * t
+    p_by = c_by - (z + h)[:, None, None] * t_by - t[:, :, None] * h_by[:, None]
+    p_by[:, :, AT["detector_distance"]] -= t
+    pixel, by_numbers = _pixels(numbers, p, p_by, pixel_size)
+    return pixel, by_numbers, t_by_pose * (-(z + h) / pixel_size)[:, None, None]
+
+
+_PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
+
+
+def on_pixel_grid(numbers: np.ndarray) -> np.ndarray:
+    """Return the numbers with the principal point moved to the nearest centre, edge or corner of a pixel."""
+    moved = numbers.copy()
+    moved[_PRINCIPAL] = np.round(2 * moved[_PRINCIPAL]) / 2
+    return moved
+
+
+def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera of these numbers, with a principal point `on_pixel_grid`.
+
+    What they do not determine is as in `like`: recorded pixels and their size, f-number, lattice, apertures and focal
+    lengths of the microlenses, and how rays refract.
+    """
+    ends = np.cumsum([len(parts_of(like, name)) for name in CALIBRATED])
+    *rest, beyond = np.split(numbers, ends)
+    parts, focal_length = dict(zip(CALIBRATED, rest, strict=True)), numbers[AT["focal_length"]]
+    parts |= {"distortion": beyond[2:], "aperture_radius": np.array([focal_length / (2 * like.f_number)])}
+    offset, parts["mla_offset"] = parts["mla_offset"], np.zeros(2)
+    resolution, crop = [], []
+    for pixels, principal in zip(like.crop_size, numbers[_PRINCIPAL], strict=True):
+        # Twice the distance of the axis from the first pixel's edge.
+        twice = round(2 * principal) + 1
+        crop.append(max(0, pixels - twice))
+        resolution.append(max(twice, 2 * pixels - twice))
+    camera = with_parts(
+        like,
+        parts,
+        detector_width=like.pixel_size * resolution[0],
+        resolution=tuple(resolution),
+        crop_offset=tuple(crop),
+        crop_size=like.crop_size,
+    )
+    return with_parts(camera, {"mla_offset": offset - camera.lattice.centre(0.0, 0.0)})
+
+
+def numbers_of(camera: PlenopticCamera) -> np.ndarray:
+    """Return a camera's numbers, in the order of `NAMES`."""
+    parts = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
+    principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
+    return np.concatenate([*parts.values(), principal, camera.distortion])

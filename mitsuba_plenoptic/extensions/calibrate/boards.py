@@ -1,0 +1,350 @@
+r"""Corners of checkerboards in raw pictures: a sharp view of a focused camera's board, and where OpenCV finds it.
+
+With C the centre of a micro-image, a point is seen in it at :math:`p = C + \sigma (C - Q)`: Q is where the point would
+be seen through a lens on the line to the main lens's centre, and :math:`\sigma` its disparity, the same for all points
+of one depth. Both are in pixels of the raw picture and ask for no number of the camera. A view takes each position Q
+from the nearest lenses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.special import erf
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, require_module
+from ...runtime.backend import set_variant
+from .observations import Board
+
+# Disparities that are tried: below, a micro-image shows too little of the scene, above, too few lenses see a point.
+_LEAST, _MOST, _COUNT = 0.04, 0.6, 28
+
+# Positions at which lenses are compared, about; and the best disparities at which the board is looked for.
+_TRIED = 30_000
+_LOOKED_AT = 6
+
+# Lenses of which a position of the view is the mean.
+_LENSES = 3
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A raw picture over its white image, and where its micro-images are."""
+
+    name: str
+    # Values over those of white; (rows, columns).
+    image: np.ndarray
+    # How much light white gives, at most 1; 0 where that is too little; (rows, columns).
+    weight: np.ndarray
+    # Column and row of the micro-images' centres, (n, 2).
+    centre: np.ndarray
+    # Of the micro-images in pixels.
+    radius: float
+    # Distance from their centres up to which the main lens's rim takes no light from them.
+    even: float
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """The approximate position of a board."""
+
+    disparity: float
+    # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
+    corners: np.ndarray
+
+
+def find_board(picture: Picture, board: Board) -> BoardView:
+    """Find a board in a raw picture."""
+    cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
+    tree = cKDTree(picture.centre)
+    for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
+        step = max(1.0, 0.6 / abs(disparity))
+        positions = _positions(picture, step)
+        flat = positions.reshape(-1, 2)
+        view = _seen(picture, flat, tree.query(flat, k=_LENSES)[1], disparity)[0].reshape(positions.shape[:2])
+        if not np.isfinite(view).any():
+            continue
+        low, high = np.percentile(view[np.isfinite(view)], [2, 98])
+        grey = np.nan_to_num((view - low) / max(high - low, 1e-12)).clip(0, 1)
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        # The other detector, findChessboardCornersSB, finds corners in noise here, others each time.
+        found, corners = cv2.findChessboardCorners(
+            (255 * grey).astype(np.uint8), (board.columns, board.rows), flags=flags
+        )
+        if found:
+            return BoardView(disparity, _upright(corners.reshape(board.rows, board.columns, 2) * step))
+    raise InputError(
+        f"{picture.name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it, whole, at any "
+        "distance at which several lenses see each corner"
+    )
+
+
+def _upright(corners: np.ndarray) -> np.ndarray:
+    """Order corners so that columns run to the right and rows down, as seen from the front of the board."""
+    if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
+        corners = corners[::-1, ::-1]
+    along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
+    return corners if along[0] * across[1] > along[1] * across[0] else corners[::-1]
+
+
+def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
+    """Return disparities in order of how well neighbouring lenses agree about what they see."""
+    sizes = np.geomspace(_LEAST, _MOST, _COUNT)
+    disparities = np.concatenate([sizes, -sizes])
+    position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
+    _, lens = tree.query(position, k=_LENSES)
+    errors = []
+    for disparity in disparities:
+        view, spread = _seen(picture, position, lens, disparity)
+        known = np.isfinite(spread)
+        total = np.var(view[known]) if known.sum() > 0.1 * known.size else 0.0
+        errors.append(float(spread[known].mean() / total) if total > 0 else np.inf)
+    return disparities[np.argsort(errors)]
+
+
+def _positions(picture: Picture, step: float) -> np.ndarray:
+    """Return a grid of positions (rows, columns, 2) with a given spacing in pixels."""
+    rows, columns = picture.image.shape
+    return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)
+
+
+def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of the lenses' views of positions, and its variance where several see one, else NaN.
+
+    `position` is (n, 2), `lens` (n, lenses).
+    """
+    centre = picture.centre[lens]
+    arm = disparity * (centre - position[:, None])
+    at = (centre + arm)[:, :, ::-1].transpose(2, 0, 1)
+    weight = map_coordinates(picture.weight, at, order=1, mode="constant")
+    weight *= np.hypot(*arm.transpose(2, 0, 1)) < picture.radius - 0.5
+    value = map_coordinates(picture.image, at, order=1, mode="nearest")
+    total = weight.sum(1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (weight * value).sum(1) / total
+        spread = (weight * (value - mean[:, None]) ** 2).sum(1) / total
+    spread[(weight > 0).sum(1) < 2] = np.nan
+    return mean, spread
+
+
+# What lies behind the board is hidden by its margin, in squares.
+_MARGIN = 1.0
+
+
+def board_scene(
+    board: Board, pose: np.ndarray, camera: PlenopticCamera, *, dark: float = 0.1, light: float = 1.0, spp: int = 16
+) -> Any:
+    """Return a Mitsuba scene of a board that shines evenly, before a camera.
+
+    Parameters
+    ----------
+    board : Board
+        The board. It has a square more than corners along each axis, and a white margin of one square.
+    pose : (6,) array
+        Rotation vector in radians and position of its first inner corner in mm, from the board's to the camera frame,
+        as `Calibration` gives them. The board's front is towards -z in its own frame.
+    camera : PlenopticCamera
+        The camera, at the origin.
+    dark, light : float
+        Radiance of the squares. The first corner's upper left square is dark.
+    spp : int
+        Samples for each pixel.
+
+    Returns
+    -------
+    mitsuba.Scene
+        In the active variant, or ``llvm_ad_mono`` if none is.
+    """
+    set_variant(None)
+    rotation = Rotation.from_rotvec(pose[:3]).as_matrix()
+    squares = np.array([board.columns + 1, board.rows + 1])
+
+    def rectangle(margin: float, back: float) -> Any:
+        # The rectangle's front is its own +z: turned to the board's -z, which turns its y, too.
+        half = (squares / 2 + margin) * board.square
+        middle = np.array([*(squares / 2 - 1) * board.square, back])
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation @ np.diag([half[0], -half[1], -1.0])
+        matrix[:3, 3] = rotation @ middle + pose[3:]
+        return mi.ScalarTransform4f(matrix)
+
+    def shining(radiance: Any, to_world: Any) -> dict[str, Any]:
+        return {
+            "type": "rectangle",
+            "to_world": to_world,
+            "emitter": {"type": "area", "radiance": radiance},
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+        }
+
+    # Two periods of the texture are a unit of it; its rows rise with the rectangle's y, that is against the board's.
+    first = [light, dark] if board.rows % 2 else [dark, light]
+    texture = {
+        "type": "checkerboard",
+        "color0": first[0],
+        "color1": first[1],
+        "to_uv": mi.ScalarTransform3f().scale(mi.ScalarPoint2f(squares / 2)),
+    }
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 1},
+            "sensor": camera.to_sensor() | {"sampler": {"type": "independent", "sample_count": spp}},
+            "squares": shining(texture, rectangle(0.0, 0.0)),
+            "margin": shining(light, rectangle(_MARGIN, 1e-3 * board.square)),
+        }
+    )
+
+
+_STEPS = 12
+_BLOCK = 2048
+
+# Blur in pixels that a fit starts with, and that it stays within.
+_BLUR = 1.2
+_LEAST_BLUR, _MOST_BLUR = 0.3, 6.0
+
+# Radius of the window about a corner: pixels at least, and the fraction of the micro-image's radius at most.
+_LEAST_WINDOW, _WINDOW = 2.0, 0.6
+
+# A corner moves by no more than this from where it was looked for, in pixels.
+_FARTHEST = 3.0
+
+
+@dataclass(frozen=True)
+class Saddles:
+    """Candidates for corners: arrays with one row each."""
+
+    # Column and row of the corner, 0 at the centre of the first pixel, (n, 2).
+    position: np.ndarray
+    # Standard deviation of the position along its worse direction, from what the fit leaves; (n,).
+    deviation: np.ndarray
+    # Half the difference between light and dark squares; (n,).
+    contrast: np.ndarray
+    # Radius of the blur, 1.4 of its standard deviations; (n,).
+    blur: np.ndarray
+
+
+def find_saddles(
+    image: np.ndarray,
+    weight: np.ndarray,
+    position: np.ndarray,
+    angles: np.ndarray,
+    centre: np.ndarray,
+    *,
+    radius: float,
+    even: float,
+    seen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Saddles:
+    """Refine corners, each within a window of its micro-image.
+
+    Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
+    """
+    blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // _BLOCK)))
+    parts = []
+    for rows in blocks:
+        shift = None if seen is None else partial(seen, rows)
+        parts.append(_fit(image, weight, position[rows], angles[rows], centre[rows], radius, even, shift))
+    return Saddles(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _fit(
+    image: np.ndarray,
+    weight: np.ndarray,
+    position: np.ndarray,
+    angles: np.ndarray,
+    centre: np.ndarray,
+    radius: float,
+    even: float,
+    seen: Callable[[np.ndarray], np.ndarray] | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    n = len(position)
+    # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
+    reach = (radius - np.hypot(*(position - centre).T)).clip(_LEAST_WINDOW, _WINDOW * radius)[:, None]
+    half = int(np.ceil(_WINDOW * radius))
+    steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
+    pixel = np.round(position).astype(int)[:, None] + steps
+    x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
+    arm = pixel - centre[:, None]
+    shown = pixel if seen is None else pixel + seen(arm)
+    # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
+    distance = np.hypot(*np.moveaxis(shown - position[:, None], 2, 0))
+    w = weight[y, x] * (reach + 0.5 - distance).clip(0, 1)
+    w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
+    w *= (pixel == np.stack([x, y], axis=-1)).all(2)
+    value = image[y, x]
+    enough = w.sum(1) > 12
+    p = np.concatenate([position, angles, np.full((n, 1), np.log(_BLUR))], axis=1)
+    p, linear, square, information = _descend(shown, value, w, p, position)
+    degrees = np.maximum(w.sum(1) - 7, 1)
+    covariance = np.linalg.pinv(information[:, :2, :2]) * (square / degrees)[:, None, None]
+    deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
+    deviation = np.where(enough & (np.hypot(*(p[:, :2] - position).T) < _FARTHEST), deviation, np.inf)
+    return p[:, :2], deviation, np.abs(linear[:, 1]), np.exp(p[:, 4])
+
+
+def _descend(
+    pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Minimise over position, angles and blur; level and contrast follow at each step (variable projection)."""
+    linear, square, jacobian, left = _model(pixel, value, w, p)
+    damping = np.full(len(p), 1e-2)
+    low, high = np.log([_LEAST_BLUR, _MOST_BLUR])
+    for _ in range(_STEPS):
+        matrix = np.einsum("npa,np,npb->nab", jacobian, w, jacobian, optimize=True)
+        slope = np.einsum("npa,np,np->na", jacobian, w, left, optimize=True)
+        scale = np.einsum("naa->na", matrix) + 1e-12
+        damped = matrix + (damping[:, None] * scale)[:, :, None] * np.eye(5)
+        new = p + np.linalg.solve(damped, slope[:, :, None])[:, :, 0].clip(-1, 1)
+        new[:, :2] = position + (new[:, :2] - position).clip(-_FARTHEST, _FARTHEST)
+        new[:, 4] = new[:, 4].clip(low, high)
+        tried = _model(pixel, value, w, new)
+        better = tried[1] < square
+        p = np.where(better[:, None], new, p)
+        damping = np.where(better, damping / 5, damping * 5).clip(1e-6, 1e6)
+        linear = np.where(better[:, None], tried[0], linear)
+        square = np.where(better, tried[1], square)
+        jacobian = np.where(better[:, None, None], tried[2], jacobian)
+        left = np.where(better[:, None], tried[3], left)
+    information = np.einsum("npa,np,npb->nab", jacobian, w, jacobian, optimize=True)
+    return p, linear, square, information
+
+
+def _model(
+    pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return level and contrast, the weighted sum of squares, derivatives by the parameters p, and what is left."""
+    arm = pixel - p[:, None, :2]
+    blur = np.exp(p[:, 4])[:, None]
+    edges = []
+    for angle in (p[:, 2, None], p[:, 3, None]):
+        cosine, sine = np.cos(angle), np.sin(angle)
+        t = (cosine * arm[:, :, 1] - sine * arm[:, :, 0]) / blur
+        # By t; by the angle; along both axes.
+        edges.append((erf(t), 2 / np.sqrt(np.pi) * np.exp(-t * t), t, arm, cosine, sine))
+    product = edges[0][0] * edges[1][0]
+    weights = w.sum(1) + 1e-30
+    mean, mean_value = (w * product).sum(1) / weights, (w * value).sum(1) / weights
+    about = product - mean[:, None]
+    contrast = (w * about * value).sum(1) / ((w * about * about).sum(1) + 1e-30)
+    level = mean_value - contrast * mean
+    left = value - level[:, None] - contrast[:, None] * product
+    jacobian = np.zeros((*product.shape, 5))
+    for own, (other, (_, bell, t, _, cosine, sine)) in enumerate(zip(edges[::-1], edges, strict=True)):
+        by_t = contrast[:, None] * bell * other[0]
+        jacobian[:, :, 0] += by_t * sine / blur
+        jacobian[:, :, 1] -= by_t * cosine / blur
+        jacobian[:, :, 2 + own] = by_t * -(sine * arm[:, :, 1] + cosine * arm[:, :, 0]) / blur
+        jacobian[:, :, 4] -= by_t * t
+    # What level and contrast make up for is no information.
+    for base in (np.ones_like(product), about):
+        part = np.einsum("np,np,npa->na", w, base, jacobian) / ((w * base * base).sum(1) + 1e-30)[:, None]
+        jacobian -= base[:, :, None] * part[:, None]
+    return np.stack([level, contrast], axis=-1), (w * left * left).sum(1), jacobian, left

@@ -1,0 +1,308 @@
+"""``mitsuba-plenoptic calibrate``: a camera from corners, corners and centres from pictures, an evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...cli.inputs import CameraFile, Linear, White, load_camera, numeric, output_option
+from ...errors import refuse_if
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .calibration import Board, Evaluation
+
+# Outliers that are printed by line.
+_NAMED = 10
+
+_PICTURES = (".exr", ".png", ".tif", ".tiff")
+
+
+def calibrate(
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="CORNERS.csv|WHITE|PICTURES...",
+            help="Corners of a board seen through the lenses; or white images (.exr, .png, .tiff) at one or several "
+            "apertures; or, with --board, raw pictures of the board, one for each pose.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, output_option("FILE", "File to write: the camera as JSON; of pictures, corners or centres as CSV.")
+    ] = None,
+    camera: CameraFile = None,
+    board: Annotated[
+        str | None, typer.Option(metavar="COLUMNSxROWS", help="Inner corners along the board and across it.")
+    ] = None,
+    square: Annotated[
+        float | None, numeric("Distance of neighbouring corners, the scale of all lengths.", "none", unit="MM")
+    ] = None,
+    centres: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Centres of micro-images, fitted jointly; WHITE writes such a file. Or those of LFToolbox and "
+            "PlenoptiCam (.json).",
+        ),
+    ] = None,
+    evaluate: Annotated[
+        Path | None,
+        typer.Option(metavar="CORNERS.csv", help="Hold the camera, refit the poses, and print how far off it is."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Also write a page with parameters, poses and residuals.")
+    ] = None,
+    white: White = None,
+    linear: Linear = False,
+) -> None:
+    """Calibrate a real camera from corners of a checkerboard and white images.
+
+    Corners are a table k, l, u, v, cluster, frame: lens along its row, row,
+    pixel, index of the corner, picture. Start values come from the data, except
+    for what [bold]--camera[/bold] provides: detector, lattice and f-number.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic calibrate white.png -o centres.csv
+
+      mitsuba-plenoptic calibrate board*.png --board 9x5 --white white.png -o corners.csv
+
+      mitsuba-plenoptic calibrate corners.csv --board 9x5 --square 10 --camera start.json -o camera.json
+
+      mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
+    """
+    from ...io.files import require_apart, require_different
+    from ..raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
+    from .calibration import Board
+
+    sources = sources or []
+    if bool(sources) == (evaluate is not None):
+        raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
+    for path in sources:
+        refuse_if(
+            path.suffix.lower() in LYTRO_SUFFIXES,
+            f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
+        )
+    pictures = [path.suffix.lower() in _PICTURES for path in sources]
+    if evaluate is not None and output is not None:
+        raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
+    if report is not None and (evaluate is not None or all(pictures)):
+        raise typer.BadParameter("a report is of a calibration from corners", param_hint="--report")
+    require_different(output, report)
+    for path in filter(None, (output, report)):
+        require_apart(path, *sources, centres, white)
+    if evaluate is not None:
+        _refuse("an evaluation", centres=centres, white=white, linear=linear)
+        _evaluate(evaluate, camera, board, square)
+    elif all(pictures) and board is not None:
+        _refuse("detecting corners", square=square)
+        _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
+    elif all(pictures):
+        _refuse("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
+        _centres(sources, output, linear)
+    elif len(sources) > 1:
+        raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
+    else:
+        _refuse("a calibration from corners", white=white, linear=linear)
+        _calibrate(sources[0], output, camera, board, square, centres, report)
+
+
+def _refuse(work: str, **options: object) -> None:
+    for name, value in options.items():
+        refuse_if(value, f"--{name}: {work} does not take it; leave it out")
+
+
+def _board(board: str | None, square: float | None) -> Board:
+    from .calibration import Board
+
+    if board is None or square is None:
+        raise typer.BadParameter(
+            "corners need the board and the distance of its corners", param_hint="--board --square"
+        )
+    return Board.parse(board, square)
+
+
+def _camera(camera: str | None) -> str:
+    if camera is None:
+        raise typer.BadParameter("name a camera: a preset, a JSON file or a scene", param_hint="--camera")
+    return camera
+
+
+def _output(output: Path | None, suffix: str) -> Path:
+    from ...io.files import require_writable
+
+    if output is None:
+        raise typer.BadParameter("name the file to write", param_hint="--output")
+    return require_writable(output, suffix)
+
+
+def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
+    from . import calibration
+    from .calibrated_cameras import lens_index
+
+    tested, record = load_camera(_camera(camera), {})
+    index = lens_index(record)
+    size = _board(board, square)
+    found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
+    for frame, error in zip(found.frames, found.pose_errors, strict=True):
+        typer.echo(f"frame {frame}: {error:.4f} px")
+    _print_outliers(found)
+    typer.echo(
+        f"reprojection error {found.error:.4f} px over {len(found.residuals)} observations of {len(found.frames)} poses"
+    )
+
+
+def _picture(path: Path, linear: bool) -> np.ndarray:
+    from ...io.captures import read_capture
+    from ...io.pictures import read_picture
+
+    return read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=linear)
+
+
+def _detect(
+    paths: list[Path],
+    output: Path | None,
+    camera: str | None,
+    board: Board,
+    centres: Path | None,
+    white: Path | None,
+    linear: bool,
+) -> None:
+    import numpy as np
+
+    from ...views import white_image
+    from . import calibration
+    from .calibrated_cameras import lens_index
+
+    output, known = _output(output, ".csv"), None
+    if camera is not None:
+        known, record = load_camera(camera, {})
+        middles = calibration.camera_centres(known, lens_index(record))
+        light = white_image(known) if white is None else _picture(white, linear)
+    elif white is not None:
+        light = _picture(white, linear)
+        middles = calibration.find_centres(light).table(white.name)
+    else:
+        raise typer.BadParameter(
+            "pictures of a board need a white image of the same camera, or the camera", param_hint="--white --camera"
+        )
+    if centres is not None:
+        middles = calibration.read_centres(centres)
+    found = []
+    for frame, path in enumerate(paths):
+        picture = _picture(path, linear)
+        found.append(
+            calibration.detect_corners(picture, light, middles, board, camera=known, frame=frame, name=path.name)
+        )
+        seen = len(np.unique(found[-1]["cluster"]))
+        typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
+    calibration.write_corners(output, calibration.concatenate(found))
+    typer.echo(f"{output}: {sum(len(table['k']) for table in found)} corners in {len(paths)} pictures")
+
+
+def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
+    from . import calibration
+
+    output = _output(output, ".csv")
+    found = calibration.find_centres(*(_picture(path, linear) for path in paths))
+    calibration.write_centres(output, found)
+    if found.doubtful.any():
+        lenses = _named([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()])
+        typer.echo(
+            f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
+            f"lenses (k, l) {lenses}"
+        )
+    along, across = found.grid.spacing
+    rows = "" if found.grid.shifted_rows is None else ", every second row shifted"
+    typer.echo(
+        f"{output}: {len(found.pixel)} centres, {found.error:.3f} px RMS from a regular grid of {along:.5f} x "
+        f"{across:.5f} px{rows}, turned by {math.degrees(found.grid.rotation):.4f} degrees; the faintest micro-image "
+        f"has {found.light.min():.0%} of the brightest's light"
+    )
+
+
+def _calibrate(
+    path: Path,
+    output: Path | None,
+    camera: str | None,
+    board: str | None,
+    square: float | None,
+    centres: Path | None,
+    report: Path | None,
+) -> None:
+    from ...io.files import require_writable
+    from . import calibration
+    from .board_model import UNITS
+    from .calibration_result import REMEDY
+
+    output = _output(output, ".json")
+    start, _ = load_camera(_camera(camera), {})
+    size = _board(board, square)
+    corners = calibration.read_corners(path, size, start.crop_size)
+    middles = None if centres is None else calibration.read_centres(centres)
+    if report:
+        require_writable(report, ".html")
+    found = calibration.calibrate(corners, size, start, middles)
+    calibration.write_calibration(output, found, size)
+    if report:
+        from .calibration_page import write_calibration_report
+
+        write_calibration_report(report, found, size, corners, middles)
+    for name, value in found.numbers.items():
+        typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {UNITS[name]}".rstrip())
+    if found.blur is not None:
+        for value, deviation in zip(found.blur.focal_lengths, found.blur.deviations, strict=True):
+            typer.echo(f"{'mla_focal_length':>18} {value:14.7g} +- {deviation:.2g} mm")
+        typer.echo(f"blur radii {found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens")
+    for weakness, parts in found.weak_directions():
+        terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
+        typer.echo(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
+    if moved := found.open_direction:
+        terms = ", ".join(f"{name} {change:+.2g}" for name, change in moved.items() if name != "focal_length")
+        typer.echo(
+            f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
+            f"{REMEDY}"
+        )
+    typer.echo(f"boards in other poses are predicted to {found.prediction_deviation:.2g} px")
+    if found.by_frames:
+        typer.echo(
+            f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "
+            "model misses something: deviations are those of leaving out frames"
+        )
+    _print_outliers(found.evaluation)
+    if len(found.centre_outliers):
+        typer.echo(f"{len(found.centre_outliers)} centres not used, in lines {_named(found.centre_outliers + 2)}")
+    if found.centre_error is not None:
+        typer.echo(f"centres of micro-images {found.centre_error:.4f} px RMS over {len(found.centre_residuals)}")
+    seen = found.evaluation
+    typer.echo(
+        f"{output}: reprojection error {seen.error:.4f} px over {len(seen.residuals)} observations of "
+        f"{len(seen.frames)} poses"
+    )
+
+
+def _print_outliers(seen: Evaluation) -> None:
+    """Print which rows are outliers, and the error without them."""
+    import numpy as np
+
+    rows = seen.outliers
+    if not len(rows):
+        return
+    frames = ", ".join(
+        f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count
+    )
+    typer.echo(f"{len(rows)} outliers, in lines {_named(rows + 2)}; by frame: {frames}")
+    typer.echo(
+        f"without outliers {seen.error_without_outliers:.4f} px over {len(seen.residuals) - len(rows)} observations"
+    )
+
+
+def _named(items: Sequence[object] | np.ndarray) -> str:
+    """Return the first items as a list."""
+    more = "" if len(items) <= _NAMED else f" and {len(items) - _NAMED} more; the file has them all"
+    return ", ".join(map(str, items[:_NAMED])) + more

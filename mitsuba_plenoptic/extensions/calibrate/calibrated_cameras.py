@@ -1,0 +1,181 @@
+"""Calibrated cameras as JSON files, and configurations of libpleno and COMPOTE.
+
+A calibrated camera is a file of `PlenopticCamera.to_json` with one object more, ``calibration``: how the data count
+lenses and pixels, the numbers with their deviations, the poses, and how well they explain the data. Every command that
+takes a camera takes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...camera.camera_files import camera_and_record
+from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
+from ...io.files import write_text
+from ...lenses.distortion import undistort
+from .board_model import NAMES, camera_of
+from .calibration_result import Calibration
+from .observations import Board, LensIndex
+
+_PIXELS = "u is the column and v the row in the recorded picture; (0, 0) is the centre of its first pixel"
+_POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from the board's to the camera frame"
+
+
+def write_calibration(path: str | Path, calibration: Calibration, board: Board) -> None:
+    """Write a calibrated camera, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    calibration : Calibration
+        What to write.
+    board : Board
+        The board that was seen.
+    """
+    seen = calibration.evaluation
+    record = {
+        "lens_index": asdict(calibration.index),
+        "pixel": {"size_mm": calibration.camera.pixel_size, "convention": _PIXELS},
+        "board": {"columns": board.columns, "rows": board.rows, "square_mm": board.square},
+        "reprojection_error_px": seen.error,
+        "reprojection_error_without_outliers_px": seen.error_without_outliers,
+        "centre_error_px": calibration.centre_error,
+        "observations": len(seen.residuals),
+        "numbers": {
+            name: {"value": value, "deviation": calibration.deviations[name]}
+            for name, value in calibration.numbers.items()
+        },
+        "frames_disagree": calibration.disagreement,
+        "deviations_by_frames": calibration.by_frames,
+        "blur": None if calibration.blur is None else asdict(calibration.blur),
+        "weak_directions": [
+            {"weakness": weakness, "numbers": parts} for weakness, parts in calibration.weak_directions()
+        ],
+        "open_direction": calibration.open_direction,
+        "prediction_deviation_px": calibration.prediction_deviation,
+        "pose_convention": _POSES,
+        "poses": {str(frame): pose.tolist() for frame, pose in zip(seen.frames, seen.poses, strict=True)},
+        "outlier_rows": (seen.outliers + 2).tolist(),
+        "outlier_centre_rows": (calibration.centre_outliers + 2).tolist(),
+    }
+    text = json.dumps({**calibration.camera.to_dict(), "calibration": record}, indent=1) + "\n"
+    write_text(path, text, ".json")
+
+
+def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
+    """Read a camera as every command does, and how the data of its calibration count lenses.
+
+    Parameters
+    ----------
+    source : str or path
+        A preset, a JSON or YAML file of parameters or of arguments of `PlenopticCamera.matched`, these as text,
+        ``NAME=VALUE,NAME=VALUE``, or a configuration of libpleno and COMPOTE.
+
+    Returns
+    -------
+    camera : PlenopticCamera
+    index : LensIndex or None
+        How the data of its calibration count lenses; None if the file does not say.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is no camera.
+    """
+    camera, record = camera_and_record(source)
+    with naming(source):
+        return camera, lens_index(record)
+
+
+def lens_index(record: Any) -> LensIndex | None:
+    """Return how data count lenses, from the object ``calibration`` of a camera's file; None without that object."""
+    if record is None:
+        return None
+    with refusing(
+        f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first", *NO_RECORD
+    ):
+        given = record["lens_index"]
+        odd_rows, row_sign, (k, l) = given["odd_rows"], given["row_sign"], given["first"]  # noqa: E741
+    refuse_if(
+        odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1),
+        f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1",
+    )
+    first = require_count("first", k, minimum=-(2**20)), require_count("first", l, minimum=-(2**20))
+    return LensIndex(float(odd_rows), int(row_sign), first)
+
+
+def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
+    """Translate a configuration that libpleno and COMPOTE write (``intrinsics.js``).
+
+    COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.
+    The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The
+    array's rotation becomes tilt and rotation to first order: it is some 1e-4 rad in a real camera.
+    """
+    with refusing("it is no configuration of libpleno:", IndexError, OverflowError, *NO_RECORD):
+        sensor, mla, lens = values["sensor"], values["mla"], values["main_lens"]
+        size = require_number("scale", float(sensor["scale"]), positive=True)
+        columns, rows = int(sensor["width"]), int(sensor["height"])
+        x0, y0, detector = _numbers(sensor["pose"]["translation"][0])
+        x1, y1, height = _numbers(mla["mesh"]["pose"]["translation"][0])
+        rotation = np.array([_numbers(row) for row in mla["mesh"]["pose"]["rotation"]])
+        pitches = _numbers(mla["mesh"]["pitch"][0])
+        count = int(mla["mesh"]["width"]), int(mla["mesh"]["height"])
+        f, stop = float(lens["f"]), float(lens["aperture"])
+        distances = {"f": f, "aperture": stop, "mla": -height, "sensor": height - detector}
+        for name, value in distances.items():
+            require_number(name, value, positive=True)
+        distortion = np.array(_numbers(values["distortions"]["radial"][0] + values["distortions"]["tangential"][0]))
+        lengths = _numbers(mla["focal_lengths"])
+    # Their x and y are ours reversed. A lens near the axis is our lens (0, 0).
+    step = rotation @ np.diag([pitches[0], pitches[1] * math.sqrt(0.75), 0.0])
+    j = 2 * round(count[1] / 4)
+    i = round(count[0] / 2)
+    centre = -(step @ [i + 0.5, j, 0] + [x1, y1, 0])[:2]
+    tilt = np.rad2deg(np.arctan([-rotation[2, 0], -rotation[2, 1]]))
+    numbers = [
+        f,
+        -height,
+        height - detector,
+        *pitches,
+        float(np.rad2deg(np.arctan2(rotation[1, 0], rotation[0, 0]))),
+        *centre,
+        *tilt,
+        columns - 1 + x0 / size,
+        rows - 1 + y0 / size,
+        *_inverse_distortion(distortion, size * math.hypot(columns, rows) / 2),
+    ]
+    like = PlenopticCamera(
+        focal_length=f,
+        aperture_radius=f / (2 * stop),
+        mla_focal_length=lengths if len(lengths) in (1, 3) else lengths[0],
+        mla_lattice="hexagonal",
+        detector_width=size * columns,
+        resolution=(columns, rows),
+    )
+    assert len(numbers) == len(NAMES)
+    return camera_of(np.array(numbers), like)
+
+
+def _numbers(values: Any) -> list[float]:
+    return [require_number("number", float(value)) for value in values]
+
+
+def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
+    """Return the coefficients that best remove a distortion over a disc; theirs have opposite signs in x and y."""
+    radius, angle = np.meshgrid(np.linspace(0.02, 1, 40) * reach, np.linspace(0, 2 * np.pi, 24, endpoint=False))
+    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    k1, k2, k3, p1, p2 = distortion * [1, 1, 1, -1, -1]
+    u, v = undistort(x, y, (k1, k2, k3, p1, p2))
+    unit = np.eye(5)
+    columns = [np.concatenate(undistort(u, v, e)) - np.concatenate([u, v]) for e in unit]
+    scale = np.array([np.abs(column).max() for column in columns])
+    wanted = np.concatenate([x - u, y - v])
+    return np.asarray(np.linalg.lstsq(np.stack(columns, axis=-1) / scale, wanted)[0] / scale)

@@ -1,0 +1,36 @@
+"""Calibration of a real camera: its parameters from corners of a board, its micro-images' centres from white images."""
+
+from .blur import Blur
+from .board_fit import calibrate, cross_validate, evaluate
+from .boards import board_scene
+from .calibrated_cameras import read_camera, write_calibration
+from .calibration_result import Calibration, Evaluation, ResidualMap, residual_map
+from .detect import camera_centres, detect_corners, write_corners
+from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
+from .white_centres import Centres, find_centres, write_centres
+
+__all__ = [
+    "Blur",
+    "Board",
+    "Calibration",
+    "Centres",
+    "Evaluation",
+    "LensIndex",
+    "ResidualMap",
+    "Table",
+    "board_scene",
+    "calibrate",
+    "camera_centres",
+    "concatenate",
+    "cross_validate",
+    "detect_corners",
+    "evaluate",
+    "find_centres",
+    "read_camera",
+    "read_centres",
+    "read_corners",
+    "residual_map",
+    "write_calibration",
+    "write_centres",
+    "write_corners",
+]

@@ -1,0 +1,358 @@
+"""The result of a calibration: residuals by lens, field, depth and pose, and standard deviations of the parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from ...camera import PlenopticCamera
+from ...errors import require_choice, require_count
+from .adjustment import Adjusted, Problem, outlying
+from .blur import Blur
+from .board_model import NAMES, numbers_of, predict_centres
+from .observations import Board, LensIndex, Table, placed
+
+OPEN = 0.1
+"""Part of the focal length from which on its deviation leaves it open."""
+
+REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
+"""What determines an open focal length."""
+
+GROUPED_BY = {
+    "lens": ("k", "l", "u", "v"),
+    "field": ("u", "v"),
+    "depth": ("nearest", "farthest"),
+    "pose": ("frame",),
+}
+"""Groups of residuals, each with the columns that identify a group."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well a camera explains corners, every row counted.
+
+    Attributes
+    ----------
+    residuals : (n, 2) array
+        Predicted minus observed pixels, in the order of the file.
+    frames : (poses,) int array
+        Indices of the poses' frames.
+    pose : (n,) int array
+        Which of them each row belongs to.
+    poses : (poses, 6) array
+        Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
+    """
+
+    residuals: np.ndarray
+    frames: np.ndarray
+    pose: np.ndarray
+    poses: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """RMS of the distances between predicted and observed positions in pixels."""
+        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+
+    @property
+    def pose_errors(self) -> np.ndarray:
+        """The same for each pose."""
+        return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows, from 0, of residuals beyond six times what is typical."""
+        return np.flatnonzero(outlying(np.hypot(*self.residuals.T)))
+
+    @property
+    def error_without_outliers(self) -> float:
+        """RMS of the distances without the outliers."""
+        return self.without_outliers().error
+
+    def without_outliers(self) -> Evaluation:
+        """Return the same without the outliers."""
+        inliers = np.delete(np.arange(len(self.residuals)), self.outliers)
+        return replace(self, residuals=self.residuals[inliers], pose=self.pose[inliers])
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The result of a calibration.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
+        the crop window is recorded.
+    index : LensIndex
+        How the data count lenses.
+    evaluation : Evaluation
+        Residuals and poses.
+    numbers, deviations : dict
+        The camera's parameters by the names of `model.NAMES`, and their standard deviations.
+    correlation : (17, 17) array
+        Of the parameters' errors.
+    centre_residuals : (n, 2) array
+        Of the centres that were given.
+    steps : int
+        How often the linear system was solved.
+    blur : Blur, optional
+        The microlenses' focal lengths from blur radii, where the corners have them.
+    disagreement : float
+        By how much the frames disagree about the parameters, over what their residuals' scatter explains.
+    by_frames : bool
+        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+    centre_outliers : (m,) int array
+        Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
+    prediction_deviation : float
+        RMS in pixels by which the parameters' errors displace corners of boards that are turned by 30 degrees from
+        those seen and whose poses are fitted.
+    """
+
+    camera: PlenopticCamera
+    index: LensIndex
+    evaluation: Evaluation
+    numbers: dict[str, float]
+    deviations: dict[str, float]
+    correlation: np.ndarray
+    centre_residuals: np.ndarray
+    steps: int
+    blur: Blur | None = None
+    disagreement: float = 1.0
+    by_frames: bool = False
+    centre_outliers: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    prediction_deviation: float = 0.0
+
+    @property
+    def centre_error(self) -> float | None:
+        """RMS of the distances between predicted and observed centres in pixels; None without centres."""
+        if not len(self.centre_residuals):
+            return None
+        return float(np.sqrt((self.centre_residuals**2).sum(1).mean()))
+
+    @property
+    def open_direction(self) -> dict[str, float]:
+        """Changes of the parameters when the focal length changes by its deviation, if that exceeds a tenth of it.
+
+        Only the parameters that follow the focal length are named, those with a correlation beyond 0.5; empty where
+        the data determine it.
+        """
+        at = NAMES.index("focal_length")
+        if self.deviations["focal_length"] < OPEN * abs(self.numbers["focal_length"]):
+            return {}
+        return {
+            name: float(part) * self.deviations[name]
+            for name, part in zip(NAMES, self.correlation[at], strict=True)
+            if abs(part) > 0.5
+        }
+
+    def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
+        """Return the parameters that the data determine worst: combinations that can change together.
+
+        Parameters
+        ----------
+        count : int
+            How many of them.
+
+        Returns
+        -------
+        list of (float, dict)
+            Deviation of the combination over that of parameters that were independent, greatest first; and by how many
+            of its deviations each parameter changes, those that matter.
+        """
+        values, vectors = np.linalg.eigh(self.correlation)
+        return [
+            (
+                float(np.sqrt(values[-rank])),
+                {NAMES[i]: float(v) for i, v in enumerate(vectors[:, -rank]) if abs(v) > 0.2},
+            )
+            for rank in range(1, count + 1)
+        ]
+
+
+@dataclass(frozen=True)
+class ResidualMap:
+    """Residuals of groups of observations: arrays of one row for each group.
+
+    Attributes
+    ----------
+    by : str
+        What they have in common, of `GROUPED_BY`.
+    key : (groups, columns) array
+        Which group it is, with the columns that `GROUPED_BY` names. ``lens``: indices as the data have them, and where
+        the camera has the centre of the micro-image, in pixels; ``field``: middle of a square of the detector, in
+        pixels; ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
+    count : (groups,) int array
+        Observations in it.
+    mean : (groups, 2) array
+        Mean of observed minus predicted positions, in pixels.
+    error : (groups,) array
+        RMS of the distances between them, in pixels.
+    """
+
+    by: str
+    key: np.ndarray
+    count: np.ndarray
+    mean: np.ndarray
+    error: np.ndarray
+
+
+def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
+    """Group the residuals of a calibration's corners.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What was found.
+    board : Board
+        The board that was seen.
+    corners : Table
+        The corners that it was found from.
+    by : {"lens", "field", "depth", "pose"}
+        What the observations of a group have in common.
+    parts : int
+        Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
+
+    Raises
+    ------
+    InputError
+        If `by` is not one of these, or `parts` is not from 1 to 1000.
+    """
+    require_choice("by", by, GROUPED_BY)
+    require_count("parts", parts, minimum=1, maximum=1000)
+    seen, camera = calibration.evaluation, calibration.camera
+    if by == "lens":
+        lenses, group = np.unique(np.stack([corners["k"], corners["l"]], axis=-1), axis=0, return_inverse=True)
+        unit = calibration.index.unit(*lenses.T)
+        geometry = {"pixel_size": camera.pixel_size, "row_ratio": camera.lattice.row_ratio}
+        key = np.concatenate([lenses, predict_centres(numbers_of(camera), unit, **geometry)[0]], axis=1)
+    elif by == "field":
+        key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
+    elif by == "depth":
+        depth = placed(board.places(corners["cluster"]), seen.poses, seen.pose)[:, 2]
+        group = np.empty(len(depth), dtype=int)
+        ranges = [part for part in np.array_split(np.argsort(depth, kind="stable"), parts) if len(part)]
+        for number, part in enumerate(ranges):
+            group[part] = number
+        key = np.array([depth[part[[0, -1]]] for part in ranges])
+    else:
+        key, group = seen.frames[:, None], seen.pose
+    count, mean = group_means(-seen.residuals, group.ravel())
+    square = np.bincount(group.ravel(), (seen.residuals**2).sum(1)) / count
+    return ResidualMap(by, key.astype(float), count, mean, np.sqrt(square))
+
+
+def field_cells(pixel: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middles of the occupied squares of a grid, in pixels, and the index of the square of each position."""
+    cell, group = np.unique(np.floor((pixel + 0.5) / side), axis=0, return_inverse=True)
+    return (cell + 0.5) * side - 0.5, group.ravel()
+
+
+def group_means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how many rows each group has, and their mean."""
+    count = np.bincount(group)
+    return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]
+
+
+# A disagreement that independent residuals exceed this rarely is taken for the model's misfit.
+_CHANCE = 1e-3
+
+# Degrees of freedom from which on a frame's own scatter is well known.
+_MANY = 100
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """How well the parameters are known."""
+
+    # Of the parameters' errors; (17, 17).
+    covariance: np.ndarray
+    # By how much the frames disagree about the parameters, over what their residuals' scatter explains.
+    disagreement: float
+    # Whether that is more than chance allows, so that the covariance is that of leaving out frames.
+    by_frames: bool
+
+    @property
+    def values(self) -> np.ndarray:
+        """Standard deviations, (17,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
+    """Return how well a fit's parameters are known, all of them free.
+
+    Shapes: `weights` (n,).
+    """
+    count = len(NAMES)
+    _, parts = problem.blocks(found.numbers, found.poses, weights, np.arange(count))
+    rows = np.concatenate(parts)
+    scale = np.sqrt((rows[:, :count] ** 2).sum(0))
+    parts = [part / np.append(scale, 1.0) for part in parts]
+    used = 2 * np.bincount(problem.corners.pose, weights > 0)
+    squares = (weights[:, None] * problem.residuals(found.numbers, found.poses) ** 2).sum()
+    variance = float(squares) / max(1, used.sum() - count - found.poses.size)
+    inverse = np.linalg.pinv(np.linalg.qr(np.concatenate(parts)[:, :count], mode="r"))
+    covariance = variance * inverse @ inverse.T
+    frames = len(used)
+    moved, freedom = 0.0, -count
+    for part, values in zip(parts, used, strict=False):
+        # The triangle's last column: what the parameters can explain of the frame's residuals, and what is left of
+        # them.
+        own = int(values) - found.poses.shape[1] - count
+        if own > 0:
+            scatter = float(part[count, -1] ** 2) / own
+            moved += float((part[:count, -1] ** 2).sum()) / (scatter if own > _MANY else max(scatter, variance))
+            freedom += count
+    disagreement = max(1.0, moved / freedom) if freedom > 0 else 1.0
+    by_frames = freedom > 0 and disagreement > chi2.ppf(1 - _CHANCE, freedom) / freedom
+    if by_frames:
+        others = [np.concatenate(parts[:g] + parts[g + 1 :]) for g in range(frames)]
+        without = np.array([np.linalg.lstsq(each[:, :count], each[:, -1])[0] for each in others])
+        without -= without.mean(0)
+        # From few frames the variance itself is uncertain, and errors over it follow Student's distribution.
+        student = (frames - 1) / max(frames - 3, 0.5)
+        covariance = covariance + student * (frames - 1) / frames * without.T @ without
+    else:
+        covariance = covariance * disagreement
+    return Deviations(covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames))
+
+
+def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
+    """Return solutions a standard deviation away along each independent combination of parameters, the poses refitted.
+
+    The squared changes of anything else that follows from parameters and poses add up to its variance.
+    """
+    heads, _ = problem.blocks(found.numbers, found.poses, weights, np.arange(len(NAMES)))
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    moved = []
+    for step in (vectors * np.sqrt(values.clip(0))).T * scale:
+        poses = [-np.linalg.solve(head[:, :6], head[:, 6:-1] @ step) for head in heads]
+        moved.append(Adjusted(found.numbers + step, found.poses + poses, found.cost, 0))
+    return moved
+
+
+# How far boards are turned about their middle to find how well others than those seen are predicted, in radians.
+_TURNED = np.deg2rad(30) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+
+
+def prediction_deviation(problem: Problem, found: Adjusted, covariance: np.ndarray) -> float:
+    """Return the RMS in pixels by which parameters' errors displace corners of turned boards, the poses fitted."""
+    seen, count = problem.corners, len(NAMES)
+    middle = np.append((seen.board.min(0) + seen.board.max(0)) / 2, 0.0)
+    square, rows = 0.0, 0
+    for turn in _TURNED:
+        old = Rotation.from_rotvec(found.poses[:, :3])
+        new = Rotation.from_rotvec(turn) * old
+        place = found.poses[:, 3:] + old.apply(middle) - new.apply(middle)
+        poses = np.concatenate([new.as_rotvec(), place], axis=1)
+        # A corner within the focal length has no image.
+        imaged = np.isfinite(problem.residuals(found.numbers, poses)).all(1)
+        turned = replace(problem, corners=seen.keep(imaged), centres=None)
+        _, parts = turned.blocks(found.numbers, poses, np.ones(imaged.sum()), np.arange(count))
+        by_numbers = np.concatenate(parts)[:, :count]
+        square += float(((by_numbers @ covariance) * by_numbers).sum())
+        rows += int(imaged.sum())
+    return float(np.sqrt(square / rows)) if rows else np.inf

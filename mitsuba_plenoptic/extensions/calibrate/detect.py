@@ -1,0 +1,288 @@
+"""Corners of a checkerboard in raw pictures of a focused plenoptic camera, as `calibrate` takes them.
+
+OpenCV finds the board in a view of the whole scene (`board_view`). From there each corner is looked for in all the
+micro-images that should show it, and met in each to a fraction of a pixel (`saddle`); the corners found show more
+exactly where to look.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...io.captures import require_pixels
+from ...io.files import atomic_output
+from ...runtime.limits import require_memory
+from ...views.lens_grid import lens_types
+from .blur import CutBlur
+from .board_model import numbers_of, predict_centres
+from .boards import BoardView, Picture, Saddles, find_board, find_saddles
+from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
+
+# Pixels of less than this fraction of the light in the middle of micro-images are not used.
+_DARK = 0.25
+
+# Micro-images are evenly lit as far from their centres as they give this fraction of their middle's light on average.
+# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than this
+# fraction of the micro-images' radius, there is too little without the rest.
+_EVEN, _LEAST_EVEN = 0.97, 0.6
+
+# Corners nearer than this to a micro-image's rim, in pixels, are not searched for.
+_RIM = 3.0
+
+# How often corners are looked for, from where they were found the time before.
+_PASSES = 3
+
+# Limits of an accepted corner: its deviation in pixels at most, its fraction of the median contrast at least, and how
+# far it may lie from where the other lenses see it: a multiple of the typical distance, or pixels.
+_DEVIATION = 0.5
+_CONTRAST = 0.3
+_OUTLIER, _NEAR = 6.0, 0.3
+
+# Lenses that must see a corner.
+_FEWEST = 3
+
+
+def detect_corners(
+    image: np.ndarray,
+    white: np.ndarray,
+    centres: Table,
+    board: Board,
+    *,
+    camera: PlenopticCamera | None = None,
+    frame: int = 0,
+    name: str = "picture",
+) -> Table:
+    """Find the corners of a board in a raw picture, in every micro-image that shows one.
+
+    Parameters
+    ----------
+    image : (rows, columns[, channels]) array
+        Raw picture, with values proportional to light.
+    white : (rows, columns[, channels]) array
+        The same of something evenly white, by the same camera.
+    centres : Table
+        Centres of micro-images, as `read_centres` and `Centres.table` give them; `camera_centres` of a known camera.
+        Lenses with doubtful centres are not looked at.
+    board : Board
+        The board; its whole must be in the picture. Its squares' size does not matter.
+    camera : PlenopticCamera, optional
+        The camera, if it is known: what the main lens's pupil cuts off the microlenses' blur then displaces no corner
+        (`CutBlur`).
+    frame : int
+        Number of the picture.
+    name : str
+        What messages call it.
+
+    Returns
+    -------
+    Table
+        As `read_corners` gives it. Corners are counted to the right and then down, as they are seen: a board that has
+        been turned upside down is counted from its other end.
+
+    Raises
+    ------
+    InputError
+        If OpenCV is not there, the picture and the white one do not match, or no board is seen.
+    """
+    if DOUBTFUL_COLUMN in centres.columns:
+        centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
+    picture = _picture(image, white, centres, name)
+    corner, lens, saddles = _refined(picture, find_board(picture, board), camera)
+    refuse_if(
+        not len(corner),
+        f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
+    )
+    columns = {index: centres[index][lens] for index in ("k", "l")}
+    columns |= {"u": saddles.position[:, 0], "v": saddles.position[:, 1]}
+    columns |= {"cluster": corner, "frame": np.full(len(corner), frame)}
+    return Table(name, {column: columns[column] for column in CORNER_COLUMNS})
+
+
+def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> Table:
+    """Return the centres of a known camera's micro-images on its recorded picture, as `read_centres` does.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera, tilted or not.
+    index : LensIndex, optional
+        How its lenses are counted. Default: from lens (0, 0) of its lattice.
+    """
+    camera.require_thin("centres of micro-images are computed")
+    camera.require_resolved()
+    lattice, size = camera.lattice, np.array(camera.crop_size)
+    index = index or LensIndex(0.5 if lattice.stagger == 2 else 0.0, 1, (0, 0))
+
+    def pixels(unit: np.ndarray) -> np.ndarray:
+        pixel_size, ratio = camera.pixel_size, lattice.row_ratio
+        return predict_centres(numbers_of(camera), unit, pixel_size=pixel_size, row_ratio=ratio)[0]
+
+    # Where the picture's corners would be among the lenses, were the array not tilted.
+    first, *ends = pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * size
+    reach = np.abs(np.linalg.solve(np.stack([end - first for end in ends]).T, (corners - first).T)).max(1)
+    across, up = np.ceil(reach + 0.02 * reach + 2).astype(int)
+    require_memory(500.0 * (2 * across + 1) * (2 * up + 1), f"{across * up * 4} lenses")
+    k, l = (  # noqa: E741
+        np.stack(np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1)), axis=-1).reshape(-1, 2)
+        + index.first
+    ).T
+    pixel = pixels(index.unit(k, l))
+    inside = ((pixel > -0.5) & (pixel < size - 0.5)).all(1)
+    return Table("camera", {"k": k[inside], "l": l[inside], "u": pixel[inside, 0], "v": pixel[inside, 1]})
+
+
+def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) -> Picture:
+    values, light = (_grey(what, given) for what, given in ((name, image), ("white", white)))
+    refuse_if(
+        values.shape != light.shape,
+        f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
+        f"{light.shape[0]}",
+    )
+    middle = centres.pixel
+    distance, _ = cKDTree(middle).query(middle, k=2)
+    nearest = float(np.median(distance[:, 1])) / 2
+    column, row = np.round(middle).astype(int).T
+    inside = (column >= 0) & (column < light.shape[1]) & (row >= 0) & (row < light.shape[0])
+    refuse_if(
+        inside.sum() < 16, f"{name}: {inside.sum()} of {centres.name} lie in it: 16 micro-images are needed at least"
+    )
+    full = float(np.median(light[row[inside], column[inside]]))
+    refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
+    weight = (light / full).clip(max=1)
+    weight[weight < _DARK] = 0
+    divided = values / np.where(weight > 0, light / full, 1)
+    # Micro-images may be smaller than their distance allows, on all of the picture that they cover.
+    low, high = middle[inside].min(0).astype(int), middle[inside].max(0).astype(int) + 1
+    lit = (weight[low[1] : high[1], low[0] : high[0]] > 0).mean() * np.prod(high - low) / inside.sum()
+    radius = min(nearest, float(np.sqrt(lit / np.pi)))
+    even = evenly_lit(light, middle[inside], radius)
+    return Picture(name, divided, weight, middle[inside], radius, even if even > _LEAST_EVEN * radius else radius)
+
+
+def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
+    """Return the radius in pixels within which micro-images are on average as light as in their middle."""
+    half = int(radius) + 1
+    whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
+    steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
+    pixel = np.round(whole).astype(int)[:, None] + steps
+    values = light[pixel[:, :, 1], pixel[:, :, 0]]
+    own = values[:, np.abs(steps).max(1) <= 1].mean(1)
+    lit = own > 0
+    # Rings of half a pixel, as far as all of them is seen.
+    ring = (2 * np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))[lit]).astype(int)
+    ratio = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    dark = np.flatnonzero(ratio[: 2 * half] < _EVEN)
+    return min(radius, dark[0] / 2) if dark.size else radius
+
+
+def _grey(name: str, image: np.ndarray) -> np.ndarray:
+    values = np.asarray(image, dtype=np.float64)
+    refuse_if(values.ndim not in (2, 3), f"{name} of shape {values.shape}: it must be an image")
+    require_pixels(name, values)
+    return values if values.ndim == 2 else values.mean(axis=2)
+
+
+def _refined(
+    picture: Picture, found: BoardView, camera: PlenopticCamera | None
+) -> tuple[np.ndarray, np.ndarray, Saddles]:
+    """Return corners as seen through lenses: indices of corner and lens, and the position."""
+    cut = None if camera is None else CutBlur(camera)
+    kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
+    position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
+    disparity = np.full(len(position), found.disparity)
+    for _ in range(_PASSES):
+        corner, lens, expected = _expected(picture, position, disparity)
+        # A micro-image shows the directions as they are, or turned by half a turn.
+        saddles = find_saddles(
+            picture.image,
+            picture.weight,
+            expected,
+            angles[corner],
+            picture.centre[lens],
+            radius=picture.radius,
+            even=picture.even,
+            seen=None if cut is None or kind is None else _shown(cut, kind[lens], disparity[corner]),
+        )
+        good = saddles.deviation < _DEVIATION
+        if good.any():
+            good &= saddles.contrast > _CONTRAST * np.median(saddles.contrast[good])
+        corner, lens = corner[good], lens[good]
+        saddles = Saddles(saddles.position[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
+        position, disparity, agreed = _agreed(picture, corner, lens, saddles.position, position, disparity)
+    saddles = Saddles(
+        saddles.position[agreed], saddles.deviation[agreed], saddles.contrast[agreed], saddles.blur[agreed]
+    )
+    return corner[agreed], lens[agreed], saddles
+
+
+def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return a function for `find_saddles`: the displacement of what pixels about corners show."""
+    defocus = cut.defocus(kind, disparity)
+    return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
+
+
+def _directions(corners: np.ndarray) -> np.ndarray:
+    """Return the directions in radians of the board's columns and rows at each corner."""
+    steps = np.gradient(corners, axis=1), np.gradient(corners, axis=0)
+    return np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
+
+
+def _expected(
+    picture: Picture, position: np.ndarray, disparity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which corners should be seen through which lenses, and where."""
+    reach = (picture.radius - _RIM) / np.abs(disparity)
+    lenses = cKDTree(picture.centre).query_ball_point(position, reach)
+    corner = np.repeat(np.arange(len(position)), [len(some) for some in lenses])
+    lens = np.concatenate([np.array(some, dtype=int) for some in lenses])
+    centre = picture.centre[lens]
+    return corner, lens, centre + disparity[corner, None] * (centre - position[corner])
+
+
+def _agreed(
+    picture: Picture,
+    corner: np.ndarray,
+    lens: np.ndarray,
+    seen: np.ndarray,
+    position: np.ndarray,
+    disparity: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return position and disparity of each corner anew, and mark the observations that agree with them."""
+    position, disparity = position.copy(), disparity.copy()
+    agreed = np.zeros(len(seen), dtype=bool)
+    for index in range(len(position)):
+        mine = np.flatnonzero(corner == index)
+        centre = picture.centre[lens[mine]]
+        chosen = np.ones(len(mine), dtype=bool)
+        for _ in range(3):
+            if chosen.sum() < _FEWEST:
+                break
+            # p - C = sigma C - sigma Q is linear in sigma and sigma Q.
+            around, moved = centre[chosen], (seen[mine] - centre)[chosen]
+            about, shift = around.mean(0), moved.mean(0)
+            spread = ((around - about) ** 2).sum()
+            if not spread > 0:
+                break
+            slope = ((around - about) * (moved - shift)).sum() / spread
+            if not 0.5 < slope / disparity[index] < 2:
+                break
+            miss = np.hypot(*(shift + slope * (centre - about) - (seen[mine] - centre)).T)
+            chosen = miss < max(_NEAR, _OUTLIER * np.median(miss[chosen]) / 1.17741)
+        else:
+            disparity[index], position[index] = slope, about - shift / slope
+            agreed[mine[chosen]] = True
+    return position, disparity, agreed
+
+
+def write_corners(path: str | Path, corners: Table) -> None:
+    """Write corners as a CSV file for `calibrate`."""
+    with atomic_output(path, ".csv") as temporary:
+        rows = np.stack([corners[name] for name in CORNER_COLUMNS], axis=-1)
+        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d,%d", header=",".join(CORNER_COLUMNS), comments="")

@@ -1,0 +1,169 @@
+"""Centres of micro-images from a white image, lens by lens.
+
+`lightfield.estimate_lens_grid` finds the lattice. Each micro-image is then centred on its own light: its centroid in a
+disc with a soft rim, which follows the centroid until both agree, so that a symmetrical micro-image is met wherever its
+centre lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
+
+Dust on the array or the detector darkens part of a micro-image and displaces its centroid. Such centres are doubtful:
+they lie off their neighbours' lattice, or their light differs from that of the neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import refuse_if
+from ...io.files import atomic_output
+from ...views import LensGrid, estimate_lens_grid
+from ...views.grid_estimation import centroids, pixels_around
+from .adjustment import OUTLIER
+from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
+
+_REPEATS = 6
+_BLOCK = 2048
+
+# Micro-images fainter than this fraction of the median have no centre of their own.
+_FAINT = 0.1
+
+# Lenses on each side of one that it is compared with.
+_NEIGHBOURS = 4
+
+# Light that differs from the neighbours' by less is never doubtful: vignetting changes it from lens to lens.
+_LEAST_DARKER = 0.02
+
+
+@dataclass(frozen=True)
+class Centres:
+    """Centres of micro-images.
+
+    Attributes
+    ----------
+    grid : LensGrid
+        The regular grid that fits them best.
+    lens : (n, 2) int array
+        Index of each lens along its row, and its row, counted from the grid's first.
+    pixel : (n, 2) array
+        Column and row; the centre of the first pixel is 0.
+    light : (n,) array
+        Light of each micro-image over that of the brightest, which falls with vignetting.
+    residuals : (n, 2) array
+        Centres minus those of the grid in pixels: lenses that are displaced, tilt and distortion.
+    doubtful : (n,) bool array
+        Centres that dust or a defect may have displaced: their position or their light differs from that of their
+        neighbours by more than six deviations.
+    """
+
+    grid: LensGrid
+    lens: np.ndarray
+    pixel: np.ndarray
+    light: np.ndarray
+    residuals: np.ndarray
+    doubtful: np.ndarray
+
+    @property
+    def error(self) -> float:
+        """RMS of the residuals' lengths."""
+        return float(np.sqrt((self.residuals**2).sum(1).mean()))
+
+    def table(self, name: str) -> Table:
+        """Return them as `read_centres` does."""
+        k, l = self.lens.T  # noqa: E741
+        u, v = self.pixel.T
+        return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
+
+
+def find_centres(*whites: np.ndarray) -> Centres:
+    """Find the micro-images of a white image and the centre of each.
+
+    Parameters
+    ----------
+    *whites : (rows, columns[, channels]) arrays
+        Pictures of something evenly white, with values proportional to light: one, or several of one camera at several
+        apertures, over which the centres are averaged.
+
+    Raises
+    ------
+    InputError
+        If a picture shows no lattice of micro-images, or they differ in size.
+    """
+    sizes = {np.shape(white)[:2] for white in whites}
+    refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
+    grid = estimate_lens_grid(whites[0])
+    images = [np.asarray(white, dtype=np.float64) for white in whites]
+    images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
+    first = grid.centres()
+    radius = grid.nearest_distance / 2
+    row, column = np.indices(grid.shape)
+    size = np.array(images[0].shape[::-1])
+    inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
+    lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
+    found = [_all_centred(image, start, radius) for image in images]
+    centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
+    used = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
+    used &= np.hypot(*(centre - start).T) < radius / 2
+    lens, centre, light = lens[used], centre[used], light[used]
+    residuals = centre - _plain_grid(grid, lens, centre)
+    light = light / light.max()
+    return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
+
+
+def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    parts = [_centred(image, block, radius) for block in np.array_split(start, -(-len(start) // _BLOCK))]
+    centre, light = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return centre, light
+
+
+def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres that agree with the centroids of their windows, and the light over the darkest there."""
+    patches, light = pixels_around(image, centre, int(np.ceil(radius)) + 2), np.zeros(len(centre))
+    for _ in range(_REPEATS):
+        centre, light = centroids(
+            patches,
+            centre,
+            lambda distance: np.cos(0.5 * np.pi * (1 + (distance - radius) / 2).clip(0, 1)) ** 2,
+        )
+    return centre, light
+
+
+def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return the positions of the affine grid that fits the centres best."""
+    k, l = lens.T.astype(np.float64)  # noqa: E741
+    if grid.shifted_rows is not None:
+        k = k + 0.5 * (l % 2 == grid.shifted_rows)
+    matrix = np.column_stack([np.ones(len(k)), k, l])
+    return np.asarray(matrix @ np.linalg.lstsq(matrix, centre)[0])
+
+
+def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Mark centres that differ from their neighbours, in position or in light, by more than neighbours do."""
+    values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
+    differs = values - _local_medians(lens, values)
+    sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)
+    typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
+    beyond = sizes > OUTLIER * typical
+    beyond[:, 1] &= np.abs(differs[:, 2]) > _LEAST_DARKER
+    return np.asarray(beyond.any(1))
+
+
+def _local_medians(lens: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the medians of values (n, m) over the neighbours of each lens."""
+    column, row = (lens - lens.min(0) + _NEIGHBOURS).T
+    side = 2 * _NEIGHBOURS + 1
+    medians = np.empty_like(values)
+    for index, each in enumerate(values.T):
+        array = np.full((row.max() + side, column.max() + side), np.nan)
+        array[row, column] = each
+        around = np.lib.stride_tricks.sliding_window_view(array, (side, side))[row - _NEIGHBOURS, column - _NEIGHBOURS]
+        medians[:, index] = np.nanmedian(around.reshape(len(values), -1), axis=1)
+    return medians
+
+
+def write_centres(path: str | Path, centres: Centres) -> None:
+    """Write centres as a CSV file for `calibrate`."""
+    with atomic_output(path, ".csv") as temporary:
+        rows = np.column_stack([centres.lens, centres.pixel, centres.doubtful])
+        header = ",".join([*CENTRE_COLUMNS, DOUBTFUL_COLUMN])
+        np.savetxt(temporary, rows, "%d,%d,%.4f,%.4f,%d", header=header, comments="")

@@ -1,0 +1,53 @@
+"""``mitsuba-plenoptic dataset``: random scenes from a recipe, captured with ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...cli.inputs import OutputFolder, batches_on
+from ...cli.stopping import resumable
+from ...runtime.progress import progress_bar
+
+if TYPE_CHECKING:
+    pass
+
+
+def dataset(
+    recipe: Annotated[Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.")],
+    output: OutputFolder,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", show_default="this process", help="Number of processes of this machine to render on."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Render on the workers of this Dask scheduler, which must see the output and the scenes under the "
+            "same names.",
+        ),
+    ] = None,
+) -> None:
+    """Make a data set: random scenes captured by rays and by waves, with ground truth.
+
+    Run it again to resume after it was stopped, or to let it grow to a larger
+    count: the files have the same bits. The folder holds shards (HDF5), a data
+    card (README.md), a preview, and checksums.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic dataset shapes.yaml -o shapes --workers 2
+    """
+    # Data sets need libraries that take a second to load.
+    from .dataset import make_dataset, read_recipe
+
+    wanted = read_recipe(recipe)
+    with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress, resumable(progress):
+        made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
+    size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
+    typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")

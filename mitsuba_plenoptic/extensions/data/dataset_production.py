@@ -1,0 +1,356 @@
+"""Making a data set: sample by sample, so that a killed run resumes where it was."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ...errors import naming
+from ...io.files import remove_leftovers, write_text
+from ...report.images import shrink, write_png
+from ...runtime.backend import set_variant
+from ...runtime.batches import BatchMap
+from ...runtime.jobs import Progress
+from .recipe import Recipe
+from .sample import Sample, make_sample, open_sample
+from .shards import (
+    CARD,
+    CHECKSUMS,
+    MANIFEST,
+    PREVIEW,
+    DataSet,
+    Layout,
+    checksum,
+    claim,
+    locked,
+    open_shard,
+    read_sample,
+    recorded_checksums,
+    whole_samples,
+    write_samples,
+)
+
+_log = logging.getLogger(__name__)
+
+Maker = Callable[[Recipe, int], Sample]
+
+
+@dataclass(frozen=True)
+class SampleTask:
+    """Renders one sample and writes it to a file of its own, in this process or in another."""
+
+    recipe: Recipe
+    index: int
+    # The file, which a worker elsewhere must see under the same name.
+    path: Path
+    make: Maker
+
+    @property
+    def samples(self) -> int:
+        """Of fields: above these a sample travels alone."""
+        return 2**62
+
+    def prepare(self) -> Callable[[], int]:
+        """Return the function that does it, and returns the sample's index."""
+        return partial(_make, self.recipe, self.index, self.path, self.make)
+
+
+def describe_dataset(folder: Path, recipe: Recipe, made: DataSet) -> None:
+    """Write the data card and the preview of a data set."""
+    write_preview(folder / PREVIEW, made)
+    write_card(folder / CARD, recipe, made)
+
+
+def make_dataset(
+    recipe: Recipe,
+    folder: str | Path,
+    *,
+    batch_map: BatchMap | None = None,
+    progress: Progress | None = None,
+    make: Maker = make_sample,
+    describe: Callable[[Path, Recipe, DataSet], None] = describe_dataset,
+) -> DataSet:
+    """Make a data set, or resume making it.
+
+    Every sample is a file of its own until all of its shard are there. A run that was killed, at whatever moment,
+    resumes when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
+    smaller count grows. Samples that are there are compared with their digests first; damaged ones are named in the log
+    and rendered again. One process at a time makes a data set.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What `read_recipe` returned.
+    folder : path
+        Where it is to lie; made if it is not there.
+    batch_map : callable, optional
+        Who renders, for example `Cluster`; workers must see folder and scene files under the same names. Default: this
+        process.
+    progress : callable, optional
+        Called with the samples that are done and their number.
+    make : callable, optional
+        Renders a sample from the recipe and its index. Default: `make_sample`.
+    describe : callable, optional
+        Writes the data card and the preview of the complete set; called with the folder, the recipe and the set.
+
+    Returns
+    -------
+    DataSet
+
+    Raises
+    ------
+    InputError
+        If the folder holds something else, another process is making it, or a sample cannot be rendered.
+    """
+    folder = Path(folder).absolute()
+    set_variant(recipe.variant)
+    _try_scenes(recipe)
+    with locked(folder):
+        layout = claim(folder, recipe)
+        _produce(recipe, layout, batch_map, progress, make)
+        describe(folder, recipe, DataSet(folder))
+        write_checksums(folder / CHECKSUMS, layout)
+    return DataSet(folder)
+
+
+def _produce(
+    recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None, make: Maker
+) -> None:
+    # Whatever is there is compared with its digests before anything of it is dropped.
+    finished = {
+        number: whole_samples(layout.shard(number)).intersection(layout.members(number))
+        for number in range(layout.shards)
+    }
+    recorded = recorded_checksums(layout.folder)
+    unchanged = {number for number in finished if _as_recorded(layout, number, recorded)}
+    missing = []
+    for number, there in finished.items():
+        for index in layout.members(number):
+            if index not in there and index not in whole_samples(layout.sample(index)):
+                layout.sample(index).unlink(missing_ok=True)
+                missing.append(index)
+    _clear(layout, finished)
+    done = recipe.count - len(missing)
+    tasks = [SampleTask(recipe, index, layout.sample(index), make) for index in missing]
+    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
+    waiting = set(missing)
+
+    def pack() -> None:
+        for number in [number for number in finished if not waiting.intersection(layout.members(number))]:
+            there = finished.pop(number)
+            if there != set(layout.members(number)) or number not in unchanged:
+                _pack(layout, number, there)
+
+    pack()
+    if progress:
+        progress(done, recipe.count)
+    for index in results:
+        waiting.discard(index)
+        done += 1
+        pack()
+        if progress:
+            progress(done, recipe.count)
+    shutil.rmtree(layout.sample(0).parent)
+
+
+def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bool:
+    """Return whether a shard has the checksum that an earlier run wrote, if one did."""
+    path = layout.shard(number)
+    expected = recorded.get(path.relative_to(layout.folder).as_posix())
+    if expected is None or not path.exists() or checksum(path) == expected:
+        return True
+    _log.warning("%s: its checksum differs from the recorded one; it is written again from its undamaged samples", path)
+    return False
+
+
+def _make(recipe: Recipe, index: int, path: Path, make: Maker) -> int:
+    with naming(f"sample {index}"):
+        write_samples(path, [make(recipe, index)])
+    return index
+
+
+def _try_scenes(recipe: Recipe) -> None:
+    """Load one scene of each source, so that an error in a file is reported before anything is rendered."""
+    left = set(range(len(recipe.scenes)))
+    for index in range(min(recipe.count, 1000)):
+        plan = recipe.plan(index)
+        if plan.source in left:
+            left.discard(plan.source)
+            open_sample(recipe, plan)
+        if not left:
+            return
+
+
+def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
+    """Remove what processes that were killed left behind, and samples that are in shards already."""
+    for path in (layout.sample(0).parent, layout.shard(0).parent):
+        for leftover in path.glob(".*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+    for name in (CARD, PREVIEW, CHECKSUMS):
+        remove_leftovers(layout.folder / name)
+        # They describe a complete data set.
+        (layout.folder / name).unlink(missing_ok=True)
+    for index in set().union(*finished.values()):
+        layout.sample(index).unlink(missing_ok=True)
+
+
+def _pack(layout: Layout, number: int, there: set[int]) -> None:
+    """Put the samples of a shard into its file, with those that are in it."""
+    path = layout.shard(number)
+
+    def samples() -> Iterator[Sample]:
+        for index in layout.members(number):
+            source = path if index in there else layout.sample(index)
+            file: Any
+            with open_shard(source) as file:
+                yield read_sample(file, source, index)
+
+    write_samples(path, samples())
+    for index in layout.members(number):
+        layout.sample(index).unlink(missing_ok=True)
+
+
+_MEANINGS = {
+    "ray": "capture by geometric optics",
+    "wave": "capture by wave optics (scalar diffraction through both lenses)",
+    "ray_exposed": "the capture by rays with the noise of a detector (EMVA 1288)",
+    "wave_exposed": "the capture by waves with the noise of a detector (EMVA 1288)",
+    "depth": "distance along the axis from the main lens, mm; of the chief ray of each pixel",
+    "virtual_depth": "the same, in plane mirrors of the mirror image, mm",
+    "position": "where the pixel's chief ray meets the scene, world frame, mm",
+    "normal": "shading normal there, world frame",
+    "albedo": "diffuse reflectance there",
+    "shape_index": "number of the shape there, 0 for none",
+    "sharp": "what a small pupil sees through each lens, all in focus; in focus the sum of the photodiodes",
+    "lens_depth": "distance along the axis from the main lens, mm; of the chief ray of each lens",
+    "blur_radius": "radius, in lenses, of the image of a point at that distance; negative behind the plane in focus",
+}
+
+_TEXT = """# {name}
+
+{count} samples of plenoptic (light-field) captures, simulated from the recipe below.
+Sample k depends on the seed and k alone: the same recipe and software make the same bits.
+
+![The first samples: captures, and depth with near in white]({preview})
+
+## Contents
+
+`shards/*.h5`: HDF5, one group per sample (`000000`, ...), with these float32 arrays (sizes of the first sample):
+
+{table}
+
+and `facts`, UTF-8 JSON: the camera, all that was drawn, names of the shapes, and how each capture was made; and
+`digests` of all these, which are compared when they are read. Pixels are
+radiance, averaged over the lens. What is unknown is NaN, the depth of nothing infinite. Arrays `views_...` are ground
+truth of the decoded views (v, u, t, s), of the rays that `decode` makes samples of.
+
+## Reading
+
+```python
+from mitsuba_plenoptic.dataset import DataSet
+from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset  # pip install torch
+
+sample = DataSet("{folder}")[0]
+light_field = mitsuba_plenoptic.decode(sample.capture("{model}"), truth=sample.truth)
+loader = torch.utils.data.DataLoader(TorchDataset("{folder}", {arrays}), batch_size=8, shuffle=True)
+```
+
+`sha256sum -c checksums.sha256` finds damaged files.
+
+## What it is good for, and what not
+
+For training and judging what reads light fields (depth, views, refocusing), and for what diffraction and noise do.
+Scenes are synthetic: random shapes have neither the statistics nor the materials of photographs. Lenses are thin and
+without aberrations but those of the recipe's camera; waves are scalar and monochromatic per channel, and objects do not
+diffract. Split by sample number: samples are independent of one another.
+
+## Recipe
+
+```yaml
+{recipe}```
+
+Software: {software}; source of mitsuba_plenoptic {version}.
+"""
+
+
+def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
+    """Write the data card as Markdown."""
+    lines = ["| array | shape | meaning |", "|---|---|---|"]
+    for name, array in sorted(made[0].arrays.items()):
+        base = name.removeprefix("views_")
+        if base != name:
+            meaning = f"the same as `{base}`, of the samples of the views"
+        elif name in _MEANINGS:
+            meaning = _MEANINGS[name]
+        else:
+            capture = max((each for each in _MEANINGS if name.startswith(f"{each}_")), key=len)
+            meaning = f"sums of the pixels of `{capture}` below each lens that lie {name[len(capture) + 1 :]}"
+        lines.append(f"| `{name}` | {' x '.join(map(str, np.shape(array)))} | {meaning} |")
+    software = dict(made.manifest["software"])
+    model, names = recipe.models[-1], made[0].arrays
+    pair = [name for name in names if name.startswith(f"{model}_") and "exposed" not in name]
+    text = _TEXT.format(
+        name=recipe.name,
+        count=recipe.count,
+        version=software.pop("mitsuba_plenoptic"),
+        preview=PREVIEW,
+        table="\n".join(lines),
+        folder=recipe.name,
+        model=model,
+        arrays=json.dumps([*pair, "lens_depth"] if "lens_depth" in names else [model, "depth"]),
+        recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
+        software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
+    )
+    write_text(path, text)
+
+
+def write_checksums(path: Path, layout: Layout) -> None:
+    """Write the SHA-256 of every file of a data set, in the form that ``sha256sum -c`` reads."""
+    files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
+    files += [layout.shard(index) for index in range(layout.shards)]
+    lines = [f"{checksum(file)}  {file.relative_to(layout.folder).as_posix()}\n" for file in files]
+    write_text(path, "".join(lines))
+
+
+_ROWS, _WIDTH = 8, 256
+
+
+def write_preview(path: Path, samples: DataSet) -> None:
+    """Write a PNG with a row for each of the first eight samples: its captures, and depth, near in white."""
+    rows = []
+    for index in range(min(_ROWS, len(samples))):
+        arrays = samples[index].arrays
+        depth = arrays.get("lens_depth", arrays.get("depth"))
+        captures = [array for name, array in arrays.items() if name.startswith(("ray", "wave"))]
+        if "lens_depth" in arrays:
+            captures = [array for array in captures if array.shape[:2] == arrays["lens_depth"].shape]
+        peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
+        pictures = [_grey(capture) / peak for capture in captures]
+        if depth is not None:
+            pictures.append(inverse_distance(depth))
+        rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
+    width = min(row.shape[1] for row in rows)
+    write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return image.mean(axis=2) if image.ndim == 3 else image
+
+
+def inverse_distance(depth: np.ndarray) -> np.ndarray:
+    """Return the inverse of depths from 0, as far as any, to 1."""
+    known = np.isfinite(depth)
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))
+    if not known.any():
+        return inverse
+    low, high = inverse[known].min(), inverse[known].max()
+    return np.asarray(np.where(known, 0.1 + 0.9 * (inverse - low) / max(high - low, 1e-12), 0), np.float32)

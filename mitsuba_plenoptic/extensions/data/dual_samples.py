@@ -1,0 +1,101 @@
+"""What a data set of dual or quad pixels has of each sample: pictures of photodiodes, and what is true of each lens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...io.captures import Capture
+from ...light.lens_kinds import chief_ray_shift
+from ...light.render_capture import plenoptic_sensor, render_capture
+from ...plugins.other_camera import with_camera
+from ...runtime.backend import drjit_array
+from ...views.ground_truth import FirstHits
+from ..onchip.disparity import blur_radius
+from ..onchip.halves import dual_pixel, photodiode_names, photodiodes
+from ..onchip.photodiode_response import ACROSS
+
+_STOPPED = 32.0
+"""Factor by which the main lens is stopped down for pictures that are all in focus."""
+
+_FILLED = 0.95
+"""Diameter of a micro-image over the pitch, then."""
+
+
+def pictures_of(capture: Capture, layout: tuple[int, int], name: str) -> dict[str, np.ndarray]:
+    """Return the pictures of a capture's photodiodes, named like ``ray_left``."""
+    halves = dual_pixel(capture, layout)
+    names = photodiode_names(halves)
+    return {f"{name}_{which}": halves.values[place] for place, which in np.ndenumerate(names)}
+
+
+def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
+    """Return the picture that is all in focus, and each lens's depth and signed blur radius in lenses.
+
+    The depth is that of the ray through the middles of the lens and of the pupil. Where the scene is in focus, the
+    picture is the sum of those of the photodiodes.
+    """
+    sensor = plenoptic_sensor(scene)
+    camera = PlenopticCamera.from_sensor(sensor)
+    rows, columns = (count // ACROSS for count in camera.shape)
+    regular = _lens_centres(camera)
+    shift = chief_ray_shift(camera, *regular)
+    x, y = (drjit_array(mi.Float, place + aside) for place, aside in zip(regular, shift, strict=True))
+    hits = FirstHits(scene, sensor, ["depth"])
+
+    def of_lenses(index: Any) -> tuple[Any, Any]:
+        position = dr.gather(mi.Float, x, index), dr.gather(mi.Float, y, index)
+        return sensor.pupil_ray((mi.Float(0), mi.Float(0)), position)
+
+    depth = hits.along(of_lenses, rows * columns)["depth"].reshape(rows, columns)
+    small = _stopped_down(camera)
+    sharp = render_capture(with_camera(scene, small), model="ray", spp=spp, seed=seed)
+    total = photodiodes(sharp.image, 1, 1)[0, 0]
+    # Pixels across a micro-image.
+    wide, narrow = (each.micro_image_diameter / each.pixel_size for each in (camera, small))
+    return {
+        "sharp": ((wide / narrow) ** 2 * total).astype(np.float32),
+        "lens_depth": depth,
+        "blur_radius": blur_radius(camera, depth).astype(np.float32),
+    }
+
+
+def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y of the middles of the recorded lenses on the array, each (rows, columns), before `mla_cra`."""
+    index = [
+        np.floor(((first + ACROSS * np.arange(size // ACROSS) + 1) - count / 2 - offset / camera.pixel_size) / ACROSS)
+        for first, size, count, offset in zip(
+            camera.crop_offset, camera.crop_size, camera.resolution, camera.mla_offset, strict=True
+        )
+    ]
+    x, y = camera.lattice.centre(*np.meshgrid(*index))
+    return x, y
+
+
+def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return a camera with the same lenses and a small pupil, whose image below each lens is as large as before.
+
+    Lenses that are aligned to chief rays stand where the smaller pitch puts them that suits the recorded ones best.
+    """
+    b, (x, y) = camera.pupil_distance, _lens_centres(camera)
+    right, up = chief_ray_shift(camera, x, y)
+    pitch = camera.mla_pitch * (1 + float((x * right + y * up).sum() / (x * x + y * y).sum()))
+    z = _FILLED * pitch * b * _STOPPED / (2 * camera.pupil_radius)
+    return camera.replace(
+        aperture_radius=camera.aperture_radius / _STOPPED,
+        mla_shape=None,
+        mla_medium=1.0,
+        mla_absorption=0.0,
+        mla_focal_length=z,
+        detector_distance=z,
+        mla_pitch=pitch,
+        detector_width=camera.resolution[0] * pitch * (b + z) / (ACROSS * b),
+        mla_cra=(),
+        pixel_crosstalk=0.0,
+        pixel_response=(),
+        photodiode_response=None,
+    )

@@ -1,0 +1,213 @@
+"""Generators of random scenes. A new one is one class with `scene`, and one entry in `GENERATORS`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import mitsuba as mi
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from ...camera import PlenopticCamera
+from ...design import depth_ranges
+from ...errors import refuse_if, require_count, require_number, short_repr
+from ...runtime.backend import drjit_array
+
+_TEXELS = (64, 512)
+"""Texels along an edge, at least and at most."""
+
+_PER_LENS = 4
+"""Texels to a lens, where that many are allowed."""
+
+_DETAIL = (0.2, 2.0)
+"""Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
+
+_DARKEST, _BRIGHTEST = 0.02, 0.95
+"""Bounds of a reflectance."""
+
+
+def random_diffuse(random: np.random.Generator, plain: float, width: float) -> dict[str, Any]:
+    """Describe a diffuse surface with a random pattern for ``mi.load_dict``.
+
+    Band-limited noise or a checkerboard; in variants of three channels between two random colours.
+    """
+    # All are drawn, whichever is used, so that what follows does not depend on it.
+    is_plain, is_noise = random.random() < plain, random.random() < 0.75
+    level = random.uniform(0.1, 0.8)
+    detail = math.exp(random.uniform(math.log(_DETAIL[0]), math.log(_DETAIL[1])))
+    colours = random.uniform(_DARKEST, _BRIGHTEST, (2, 3)).astype(np.float32)
+    texels = int(np.clip(_PER_LENS * width, *_TEXELS))
+    field = random.normal(size=(texels, texels))
+    if is_noise:
+        field = gaussian_filter(field, min(detail * texels / width, texels / 4), mode="wrap")
+        pattern = 0.45 + 0.22 * field / field.std()
+    else:
+        cells = int(np.clip(width / (2 * detail), 2, texels / 2))
+        row, column = np.indices(field.shape) * cells // texels
+        pattern = np.where((row + column) % 2, 0.5 + level / 2, 0.5 - level / 2)
+    if is_plain:
+        pattern = np.full(field.shape, level)
+    pattern = np.clip(pattern, _DARKEST, _BRIGHTEST).astype(np.float32)[..., None]
+    coloured = colours[0] + pattern * (colours[1] - colours[0]) if mi.is_rgb else pattern
+    texture = {"type": "bitmap", "raw": True, "data": drjit_array(mi.TensorXf, coloured)}
+    return {"type": "twosided", "surface": {"type": "diffuse", "reflectance": texture}}
+
+
+MOST_OBJECTS = 1000
+
+KINDS = ("rectangle", "disk", "sphere", "cube", "cylinder")
+
+_FARTHEST = 10.0
+"""Distance, over that in focus, that counts as the end of a range without end."""
+
+_BEHIND = 1.02
+"""Distance of the wall over the farthest of the objects."""
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """Illumination of generated scenes."""
+
+    # Radiance from everywhere, from 0 to 1e6.
+    sky: float = 0.5
+    # Irradiance, over pi, that a small lamp makes on what faces it in the middle of the scene, from 0 to 1e6.
+    lamp: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("sky", "lamp"):
+            require_number(f"light: {name}", getattr(self, name), minimum=0, maximum=1e6)
+        refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
+
+    def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
+        """Describe the lights for ``mi.load_dict``; the lamp stands next to or above the camera, at random."""
+        angle = random.uniform(0, 2 * math.pi)
+        position = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
+        squared = float(np.sum(np.square(position - [0, 0, distance])))
+        return {
+            "sky": {"type": "constant", "radiance": self.sky},
+            "lamp": {"type": "point", "position": position.tolist(), "intensity": math.pi * self.lamp * squared},
+        }
+
+
+class SceneGenerator(Protocol):
+    """Makes random scenes before a camera."""
+
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
+        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Textured shapes at random positions, turned at random, before a textured wall.
+
+    Depths are drawn evenly in disparity, so that near and far are equally frequent in what a light field measures.
+    """
+
+    objects: int = 12
+    # Distances between which they stand. Default: the range that the camera's microlenses resolve
+    # (`design.depth_ranges`).
+    near: float | None = None
+    far: float | None = None
+    # Half their width, over that of the field of view at their distance, 0.01 to 1.
+    size: float = 0.15
+    # Probability that one has no texture, 0 to 1.
+    plain: float = 0.2
+    # Which shapes there are: rectangle, disk, sphere, cube, cylinder.
+    kinds: tuple[str, ...] = KINDS
+    # Degrees by which flat shapes are turned away from the camera, at most, up to 80.
+    tilt: float = 50.0
+
+    def __post_init__(self) -> None:
+        require_count("objects", self.objects, minimum=0, maximum=MOST_OBJECTS)
+        for name in ("near", "far"):
+            if getattr(self, name) is not None:
+                require_number(name, getattr(self, name), positive=True, maximum=1e9)
+        require_number("size", self.size, minimum=0.01, maximum=1)
+        require_number("plain", self.plain, minimum=0, maximum=1)
+        require_number("tilt", self.tilt, minimum=0, maximum=80)
+        refuse_if(
+            not isinstance(self.kinds, (list, tuple)) or not self.kinds or not set(self.kinds) <= set(KINDS),
+            f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}",
+        )
+
+    def between(self, camera: PlenopticCamera) -> tuple[float, float]:
+        """Return the nearest and the farthest distance of objects before a camera."""
+        found = [limits for limits in depth_ranges(camera) if limits]
+        refuse_if(
+            not found and None in (self.near, self.far),
+            "near, far: give both, as the camera resolves no distance by itself",
+        )
+        near = min(limits[0] for limits in found) if self.near is None else self.near
+        far = max(limits[1] for limits in found) if self.far is None else self.far
+        far = min(far, _FARTHEST * max(near, camera.focal_length))
+        refuse_if(
+            not camera.focal_length < near < far,
+            f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
+            f"{camera.focal_length:g}",
+        )
+        return float(near), float(far)
+
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
+        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+        near, far = self.between(camera)
+        extent = np.array([camera.detector_width, camera.detector_height])
+        wall = _BEHIND * far
+        # Wide enough for all points of the pupil, tilts included.
+        half = 2 * max(extent) * wall / camera.mla_distance + 4 * camera.aperture_radius
+        lens = max(camera.mla_pitches) / camera.mla_distance
+        objects = {"wall": self._object("rectangle", np.array([0, 0, wall]), half, 2.0, 0.0, lens, random)}
+        for index in range(self.objects):
+            g = 1 / random.uniform(1 / far, 1 / near)
+            field = extent * g / camera.mla_distance
+            position = np.array([*(random.uniform(-0.5, 0.5, 2) * field), g])
+            kind = self.kinds[int(random.integers(len(self.kinds)))]
+            size = self.size * max(field) * random.uniform(0.5, 1.5)
+            objects[f"object_{index}"] = self._object(kind, position, size, self.tilt, self.plain, lens, random)
+        middle = 2 / (1 / near + 1 / far)
+        return {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            **light.emitters(random, middle),
+            **objects,
+        }
+
+    def _object(
+        self,
+        kind: str,
+        position: np.ndarray,
+        size: float,
+        tilt: float,
+        plain: float,
+        lens: float,
+        random: np.random.Generator,
+    ) -> dict[str, Any]:
+        """Describe one shape; `lens` is the angle between neighbouring lenses, as tangent."""
+        size = float(size)
+        towards = mi.ScalarTransform4f().translate(position.tolist())
+        # Mitsuba takes the axis of a rotation as it is: one that is not of length 1 shears.
+        axis = random.normal(size=3)
+        angle, roll = random.uniform(0, tilt), random.uniform(0, 360)
+        if kind in ("rectangle", "disk"):
+            # They face the camera, rolled and then tilted about an axis across its view.
+            turned = (
+                towards.rotate([*(axis[:2] / np.linalg.norm(axis[:2])), 0.0], angle)
+                .rotate([0, 0, 1], roll)
+                .rotate([0, 1, 0], 180)
+            )
+        else:
+            turned = towards.rotate((axis / np.linalg.norm(axis)).tolist(), roll)
+        if kind == "cylinder":
+            turned = turned.translate([0, 0, -size]).scale([0.5 * size, 0.5 * size, 2 * size])
+        else:
+            turned = turned.scale(size)
+        return {
+            "type": kind,
+            "to_world": turned,
+            "bsdf": random_diffuse(random, plain, 2 * size / (lens * float(position[2]))),
+        }
+
+
+GENERATORS: dict[str, type[SceneGenerator]] = {"shapes": Shapes}
+"""Generators by the names that recipes call them."""

@@ -1,0 +1,401 @@
+"""The recipe of a data set: which scenes, cameras, light and noise, and how often; from YAML or JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...camera.matched import MATCHED
+from ...camera.parameters import PARAMETERS
+from ...errors import (
+    InputError,
+    naming,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_known,
+    require_number,
+    short_repr,
+)
+from ...io.captures import MODELS
+from ...io.files import read_yaml
+from ...io.truth_files import QUANTITIES, require_quantities
+from ...light.detector import Detector
+from ...light.render_capture import MOST_SAMPLES
+from ...light.scene_unit import UNITS
+from ...presets import PRESETS
+from ...runtime.backend import DEFAULT_VARIANT
+from ...scene_files import scene_path
+from ..onchip.halves import require_layout
+from ..onchip.photodiode_response import require_pixel_pairs
+from .generators import GENERATORS, Illumination, SceneGenerator
+
+MOST_COUNT = 10**6
+
+_CHECKED = 1000
+"""Samples whose parameters are drawn and checked before the first is rendered."""
+
+_KEYS = (
+    "name", "count", "seed", "models", "variant", "camera", "scenes", "light", "noise", "ray", "wave", "truth",
+    "photodiodes", "samples_per_shard",
+)  # fmt: skip
+_WAVE = ("spp", "wavelength", "method", "accuracy")
+
+
+@dataclass(frozen=True)
+class Source:
+    """One kind of scenes."""
+
+    generator: str | None
+    # Instead of it, the path of a scene file or the name of a built-in scene.
+    scene: str | None
+    # How often it is chosen, in proportion to those of the others.
+    share: float
+    # The generator's settings or the scene's parameters, parsed by `draws.parse`.
+    values: Mapping[str, Any]
+    # Of the scene's lengths.
+    unit: str = "mm"
+
+
+@dataclass(frozen=True)
+class SamplePlan:
+    """The parameters drawn for one sample."""
+
+    index: int
+    # Which of the recipe's scenes.
+    source: int
+    camera: PlenopticCamera
+    light: Illumination
+    maker: SceneGenerator | None
+    parameters: Mapping[str, str]
+    # As for `expose`; None without noise.
+    detector: Detector | None
+    photons: float | None
+    # Of each model, as for `render_capture`.
+    options: Mapping[str, Mapping[str, Any]]
+    # All drawn values by section, in plain JSON values.
+    draws: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A data set that can be made again, bit for bit.
+
+    Attributes
+    ----------
+    name : str
+        Title.
+    count : int
+        Number of samples.
+    seed : int
+        All randomness of sample k follows from the seed and k.
+    models : tuple of str
+        ``ray``, ``wave`` or both, of the same scene.
+    variant : str
+        Mitsuba variant.
+    camera, light, noise, ray, wave : dict
+        Sections, parsed by `draws.parse`. No noise: None.
+    scenes : tuple of Source
+        Where scenes come from.
+    truth : tuple of str
+        Quantities of ground truth.
+    photodiodes : (int, int), optional
+        Photodiodes of a lens along x and along y, for pictures of each; None for other cameras.
+    samples_per_shard : int
+        Samples in one file.
+    content : dict
+        The recipe as it was given.
+    """
+
+    name: str
+    count: int
+    seed: int
+    models: tuple[str, ...]
+    variant: str
+    camera: Mapping[str, Any]
+    scenes: tuple[Source, ...]
+    light: Mapping[str, Any]
+    noise: Mapping[str, Any] | None
+    ray: Mapping[str, Any]
+    wave: Mapping[str, Any]
+    truth: tuple[str, ...]
+    photodiodes: tuple[int, int] | None
+    samples_per_shard: int
+    content: Mapping[str, Any]
+
+    def plan(self, index: int) -> SamplePlan:
+        """Draw what varies for a sample.
+
+        Parameters
+        ----------
+        index : int
+            Number of the sample.
+
+        Raises
+        ------
+        InputError
+            If a value is out of range for what it is of.
+        """
+        shares = np.cumsum([source.share for source in self.scenes])
+        chosen = int(
+            np.searchsorted(shares, generator(self.seed, index, "scenes").uniform(0, shares[-1]), side="right")
+        )
+        number = min(chosen, len(self.scenes) - 1)
+        source = self.scenes[number]
+        drawn = {
+            section: draw(getattr(self, section) or {}, self.seed, index, section)
+            for section in ("camera", "light", "noise", *self.models)
+        }
+        drawn["scene"] = draw(source.values, self.seed, index, f"scenes.{number}")
+        numbers = dict(drawn["camera"])
+        with naming("camera"):
+            camera = PlenopticCamera.from_json(json.dumps(PRESETS[numbers.pop("preset", "paper")] | numbers))
+            if self.photodiodes:
+                require_pixel_pairs(camera)
+        maker, parameters = None, {}
+        if source.generator:
+            with naming(f"scenes: generator {source.generator}"):
+                maker = GENERATORS[source.generator](**drawn["scene"])
+        else:
+            parameters = {name: str(value) for name, value in drawn["scene"].items()}
+        detector = photons = None
+        if self.noise is not None:
+            with naming("noise"):
+                settings = dict(drawn["noise"])
+                photons = require_number("photons", settings.pop("photons"), minimum=1e-9, maximum=1e9)
+                detector = Detector(**settings)
+        options = {model: drawn[model] for model in self.models}
+        light = Illumination(**drawn["light"])
+        return SamplePlan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
+
+    def check(self) -> None:
+        """Draw the first thousand samples, and refuse values that are out of range before anything is rendered."""
+        for index in range(min(self.count, _CHECKED)):
+            with naming(f"sample {index}"):
+                plan = self.plan(index)
+            for model, options in plan.options.items():
+                require_count(f"sample {index}: {model}: spp", options["spp"], maximum=MOST_SAMPLES)
+
+
+def read_recipe(path: str | Path) -> Recipe:
+    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If it is no recipe: one line with the name that is wrong and the rule.
+    """
+    path = Path(path)
+    content = read_yaml(path)
+    refuse_if(
+        not isinstance(content, dict),
+        f"{path}: a recipe must be a mapping of names, with 'count', 'camera' and 'scenes'",
+    )
+    with naming(path):
+        return parse_recipe({"name": path.stem, **content}, path.parent)
+
+
+def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
+    """Make a recipe of plain values; scene files that it names lie in the folder.
+
+    Parameters
+    ----------
+    content : mapping
+        What a recipe's file holds.
+    folder : path
+        Where scene files are looked for.
+
+    Raises
+    ------
+    InputError
+        If it is no recipe.
+    """
+    _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
+    models = content.get("models", list(MODELS))
+    refuse_if(
+        not isinstance(models, list) or not models or len(set(map(str, models))) < len(models),
+        f"models = {short_repr(models)}: it must be a list of some of {', '.join(MODELS)}",
+    )
+    for model in models:
+        require_choice("models", model, MODELS)
+    for section in MODELS:
+        refuse_if(
+            section in content and section not in models,
+            f"{section}: models = {short_repr(models)} has no {section} captures; leave it out",
+        )
+    camera = _section("camera", content, (*PARAMETERS, *MATCHED, "preset"))
+    if "preset" in camera:
+        require_choice("camera: preset", camera["preset"], tuple(PRESETS))
+    noise = _section("noise", content, ("photons", *(f.name for f in fields(Detector)))) if "noise" in content else None
+    refuse_if(
+        noise is not None and "photons" not in noise, "noise: photons is missing: photons that hit a pixel of value 1"
+    )
+    scenes = content["scenes"]
+    refuse_if(
+        not isinstance(scenes, list) or not scenes,
+        f"scenes = {short_repr(scenes)}: it must be a list of scenes and generators",
+    )
+    truth = content.get("truth", ["depth", "normal"])
+    refuse_if(
+        not isinstance(truth, list),
+        f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}",
+    )
+    recipe = Recipe(
+        name=str(content.get("name", "dataset")),
+        count=require_count("count", content["count"], maximum=MOST_COUNT),
+        seed=require_count("seed", content.get("seed", 0), minimum=0, maximum=2**63),
+        models=tuple(models),
+        variant=str(content.get("variant", DEFAULT_VARIANT)),
+        camera=camera,
+        scenes=tuple(_source(index, entry, folder) for index, entry in enumerate(scenes)),
+        light=_section("light", content, tuple(f.name for f in fields(Illumination))),
+        noise=noise,
+        ray={"spp": 16, **_section("ray", content, ("spp",))},
+        wave={"spp": 16, "method": "signed_rays", **_section("wave", content, _WAVE)},
+        truth=require_quantities(truth) if truth else (),
+        photodiodes=_layout(content["photodiodes"]) if "photodiodes" in content else None,
+        samples_per_shard=require_count("samples_per_shard", content.get("samples_per_shard", 50), maximum=10000),
+        content=dict(content),
+    )
+    recipe.check()
+    return recipe
+
+
+def _layout(value: Any) -> tuple[int, int]:
+    with naming("photodiodes"):
+        return require_layout(value)
+
+
+def _source(number: int, entry: Any, folder: Path) -> Source:
+    """Make one entry of the list of scenes."""
+    name = f"scenes: entry {number + 1}"
+    refuse_if(
+        not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry),
+        f"{name} = {short_repr(entry)}: it must have either 'generator' or 'scene'",
+    )
+    share = require_number(f"{name}: share", entry.get("share", 1), positive=True, maximum=1e9)
+    if "generator" in entry:
+        kind = require_choice(f"{name}: generator", entry["generator"], tuple(GENERATORS))
+        known = tuple(field.name for field in fields(GENERATORS[kind]))  # type: ignore[arg-type]
+        _require_names(name, entry, ("generator", "share", *known))
+        values = {key: value for key, value in entry.items() if key in known}
+        return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
+    _require_names(name, entry, ("scene", "share", "parameters", "unit"))
+    values = entry.get("parameters", {})
+    refuse_if(
+        not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
+    )
+    scene = str(entry["scene"])
+    with naming(name):
+        path = folder / scene if (folder / scene).is_file() else scene_path(scene)
+    parsed = {str(key): parse(f"{name}: {key}", value) for key, value in values.items()}
+    unit = require_choice(f"{name}: unit", entry.get("unit", "mm"), UNITS)
+    return Source(None, str(path.resolve()), share, parsed, unit)
+
+
+def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
+    """Parse a section whose names are known."""
+    section = content.get(name, {})
+    refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
+    _require_names(name, section, known)
+    return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
+
+
+def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
+    require_known(f"{name}: ", values, known)
+    for key in needed:
+        refuse_if(key not in values, f"{name}: {key} is missing")
+
+
+_SCALES = ("linear", "log")
+
+_WIDEST = 2.0**53
+"""Steps of a range, at most: as many as numbers have."""
+
+
+def generator(seed: int, index: int, name: str) -> np.random.Generator:
+    """Return the random numbers of one name in one sample."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, zlib.crc32(name.encode()))))
+
+
+@dataclass(frozen=True)
+class Between:
+    """A uniform or log-uniform value between two bounds; with a step, a multiple of it above the lower bound."""
+
+    low: float
+    high: float
+    # Whether the logarithm is even.
+    log: bool = False
+    # Distance of the values there are, counted from `low`.
+    step: float | None = None
+
+    def draw(self, random: np.random.Generator) -> float:
+        """Draw a value."""
+        if self.step is not None:
+            value = self.low + self.step * random.integers(math.floor((self.high - self.low) / self.step + 1e-9) + 1)
+            return int(value) if float(value).is_integer() else float(value)
+        if self.log:
+            return float(math.exp(random.uniform(math.log(self.low), math.log(self.high))))
+        return float(random.uniform(self.low, self.high))
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of several values, all as probable."""
+
+    values: tuple[Any, ...]
+
+    def draw(self, random: np.random.Generator) -> Any:
+        """Draw a value."""
+        return self.values[int(random.integers(len(self.values)))]
+
+
+def parse(name: str, value: Any) -> Any:
+    """Turn what a recipe says about a value into a `Between`, a `OneOf`, or the value itself."""
+    if not isinstance(value, Mapping):
+        return value
+    if set(value) == {"one_of"}:
+        choices = value["one_of"]
+        refuse_if(
+            not isinstance(choices, list) or not choices,
+            f"{name}: one_of = {short_repr(choices)}: it must be a list of values",
+        )
+        return OneOf(tuple(choices))
+    require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
+    refuse_if(
+        "one_of" in value or not {"from", "to"} <= set(value),
+        f"{name} = {short_repr(dict(value))}: a range is {{from: A, to: B}}, a choice {{one_of: [A, B, ...]}}",
+    )
+    low, high = (require_number(f"{name}: {key}", value[key]) for key in ("from", "to"))
+    refuse_if(not low < high, f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")
+    log = require_choice(f"{name}: scale", value.get("scale", "linear"), _SCALES) == "log"
+    refuse_if(log and low <= 0, f"{name}: from = {low:g}: it must be greater than 0 on a scale of logarithms")
+    step = require_number(f"{name}: step", value["step"], positive=True) if "step" in value else None
+    if log and step is not None:
+        raise InputError(f"{name}: step = {step:g}: it is of no use on a scale of logarithms")
+    refuse_if(
+        not high - low < (math.inf if step is None else _WIDEST * step),
+        f"{name}: from = {low:g}, to = {high:g}: a range must be finite and have at most {_WIDEST:.0e} steps",
+    )
+    return Between(low, high, log, step)
+
+
+def draw(values: Mapping[str, Any], seed: int, index: int, prefix: str) -> dict[str, Any]:
+    """Draw all values of a section for one sample."""
+    return {
+        name: value.draw(generator(seed, index, f"{prefix}.{name}")) if isinstance(value, (Between, OneOf)) else value
+        for name, value in values.items()
+    }

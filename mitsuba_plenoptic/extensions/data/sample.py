@@ -1,0 +1,148 @@
+"""One sample of a data set: captures of a scene by one camera, what is true of it, and all that was drawn for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...io.captures import Capture
+from ...io.truth_files import GroundTruth
+from ...io.versions import camera_of_waves, is_of_1_0, stamped
+from ...light.detector import expose
+from ...light.render_capture import render_capture
+from ...light.scene import load_scene
+from ...plugins.other_camera import with_camera
+from ...views import ground_truth
+from .dual_samples import pictures_of, truth_of_lenses
+from .recipe import Recipe, SamplePlan, generator
+
+VIEWS = "views_"
+"""Before the names of quantities of the decoded views; those without it are of the pixels."""
+
+EXPOSED = "_exposed"
+"""After the name of a model: its capture with the noise of a detector."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample.
+
+    Attributes
+    ----------
+    index : int
+        Its index in the data set.
+    arrays : dict
+        Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
+        ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
+        as ``views_depth`` (v, u, t, s[, 3]), as `GroundTruth` has them. With `photodiodes` also their pictures, such as
+        ``ray_left``, and of each lens ``sharp``, ``lens_depth`` and ``blur_radius``.
+    facts : dict
+        Plain JSON values: ``version``, ``camera``, ``to_world``, ``shapes``, ``scene``, ``draws``, and in ``captures``
+        the metadata and the wavelength of each.
+    """
+
+    index: int
+    arrays: dict[str, np.ndarray]
+    facts: dict[str, Any]
+
+    @property
+    def camera(self) -> PlenopticCamera:
+        """The camera."""
+        return PlenopticCamera.from_dict(self.facts["camera"])
+
+    def capture(self, model: str, *, exposed: bool = False) -> Capture:
+        """Return a capture, for `decode`, `reconstruct` and all else.
+
+        Parameters
+        ----------
+        model : {"ray", "wave"}
+            Which one.
+        exposed : bool
+            Whether with the noise of a detector.
+        """
+        return self.capture_called(model + EXPOSED * exposed, model)
+
+    def capture_called(self, name: str, model: str) -> Capture:
+        """Return the capture of a name; by waves of version 1.0 or earlier, with the lens model that these had."""
+        about, camera = self.facts["captures"][name], self.camera
+        if model == "wave" and is_of_1_0(self.facts):
+            camera = camera_of_waves(camera, about["wavelength"], about["metadata"])
+        return Capture(self.arrays[name], camera, about["wavelength"], model, about["metadata"])
+
+    @property
+    def truth(self) -> GroundTruth:
+        """The ground truth, for `decode`."""
+        views = {name.removeprefix(VIEWS): array for name, array in self.arrays.items() if name.startswith(VIEWS)}
+        return GroundTruth(
+            camera=self.camera,
+            pixels={name: self.arrays[name] for name in views},
+            views=views,
+            shapes=tuple(self.facts["shapes"]),
+            to_world=np.array(self.facts["to_world"], np.float64),
+        )
+
+
+def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
+    """Make or load the scene of a sample, seen by its camera."""
+    source = recipe.scenes[plan.source]
+    if plan.maker:
+        # The scene's own random numbers, whatever else is drawn.
+        random = generator(recipe.seed, plan.index, f"scenes.{plan.source}")
+        scene = load_scene(plan.maker.scene(plan.camera, plan.light, random), variant=recipe.variant)
+        scene.set_id(str(source.generator))
+    else:
+        scene = load_scene(str(source.scene), variant=recipe.variant, parameters=plan.parameters, unit=source.unit)
+    return with_camera(scene, plan.camera)
+
+
+def make_sample(recipe: Recipe, index: int) -> Sample:
+    """Render a sample; its bits depend on the recipe and its index alone.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        The recipe.
+    index : int
+        Number of the sample.
+
+    Raises
+    ------
+    InputError
+        If the recipe asks for what cannot be rendered.
+    """
+    plan = recipe.plan(index)
+    scene = open_sample(recipe, plan)
+    arrays: dict[str, np.ndarray] = {}
+    about: dict[str, Any] = {}
+
+    def seed(name: str) -> int:
+        return int(generator(recipe.seed, index, f"seed.{name}").integers(2**32))
+
+    for model in recipe.models:
+        found = {model: render_capture(scene, model=model, seed=seed(model), **plan.options[model])}
+        if plan.detector and plan.photons is not None:
+            name = model + EXPOSED
+            found[name] = expose(found[model], plan.detector, photons=plan.photons, seed=seed(name))
+        for name, capture in found.items():
+            arrays[name] = capture.image
+            if recipe.photodiodes:
+                arrays |= pictures_of(capture, recipe.photodiodes, name)
+            about[name] = {"wavelength": capture.wavelength, "metadata": capture.metadata}
+    if recipe.photodiodes:
+        arrays |= truth_of_lenses(scene, plan.options[recipe.models[0]]["spp"], seed("sharp"))
+    truth = ground_truth(scene, recipe.truth) if recipe.truth else None
+    facts = {
+        "camera": plan.camera.to_dict(),
+        "scene": scene.id(),
+        "draws": dict(plan.draws),
+        "captures": about,
+        "shapes": [],
+        "to_world": np.eye(4).tolist(),
+    }
+    if truth:
+        facts |= {"shapes": list(truth.shapes), "to_world": truth.to_world.tolist()}
+        arrays |= truth.pixels | {VIEWS + name: array for name, array in truth.views.items()}
+    return Sample(index, arrays, stamped(facts))

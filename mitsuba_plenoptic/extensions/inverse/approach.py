@@ -1,0 +1,193 @@
+"""Coarse fits: a camera near enough to the true one for `fit` to converge."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...camera.vector import CameraVector
+from ...errors import require_wavelength
+from ...views.grid_estimation import estimate_lens_grid
+from .fit_light import View, check_views
+from .point_rays import RayModels, check_numbers, vector_of
+
+
+def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
+    """Return a camera with the pitches, the angle and the offset of its microlens array taken from a white capture.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The approximate camera. Its distances determine the ratio of the lens pitch to that of the micro-images, and its
+        lattice selects, among equivalent lattices, the one of the nearest axis and angle.
+    white : array (rows, columns)
+        A capture of something evenly white.
+
+    Raises
+    ------
+    InputError
+        If the image shows no lattice.
+    """
+    centres = estimate_lens_grid(white).centres().reshape(-1, 2)
+    shrunk = camera.pupil_distance / (camera.pupil_distance + camera.reduced_distance)
+    position = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)
+    distance = np.hypot(*position.T)
+    reach, found = 3 * max(camera.mla_pitches), camera
+    while True:
+        # From the axis outwards, so that errors of the start do not add up to whole lenses.
+        found = _fitted(found, position[distance <= reach])
+        if reach > distance.max():
+            return found
+        reach *= 1.5
+
+
+def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
+    """Return the camera whose nearest lenses are at these positions."""
+    lattice = camera.lattice
+    i, j = lattice.cell(*position.T)
+    u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
+    v = v * lattice.row_ratio
+    x, y = position.T
+    one, none = np.ones(len(position)), np.zeros(len(position))
+    # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
+    ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
+    for _ in range(8):
+        rows = np.concatenate(
+            [np.stack([u, -ratio * v, one, none], 1), np.stack([ratio * v, u, none, one], 1)],
+        )
+        (a, b, left, up), *_ = np.linalg.lstsq(rows, np.concatenate([x, y]), rcond=None)
+        if np.ndim(camera.to_dict()["mla_pitch"]) == 0:
+            break
+        across = (x - left - a * u) * -b + (y - up - b * u) * a
+        ratio = float((across * v).sum() / ((a * a + b * b) * (v * v).sum()))
+    pitch = math.hypot(a, b)
+    return camera.replace(
+        mla_pitch=pitch if ratio == 1 else (pitch, ratio * pitch),
+        mla_rotation=math.degrees(math.atan2(b, a)),
+        mla_offset=(float(left), float(up)),
+    )
+
+
+_BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
+"""Standard deviations of the Gaussians that blur captures, in microlenses, one after the other."""
+
+_SHARPEST = 1.0
+"""Least of them, in pixels."""
+
+_LATTICE = ("mla_pitch", "mla_rotation", "mla_offset")
+_TELLS_LATTICE = 0.5
+"""Blur, in microlenses, below which the lattice is sought, too: what is blurred more does not show it."""
+
+_MOST_STEPS = 15
+"""Cameras that are tried with each."""
+
+_AT_BOUND = 1e-3
+"""A parameter is at a bound if it is nearer than this part of what lies between its bounds."""
+
+
+def coarse_fit(
+    camera: PlenopticCamera,
+    views: View | Sequence[View],
+    names: Iterable[str] | str,
+    *,
+    wavelength: float = 633.0,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> PlenopticCamera:
+    """Find a camera from which `fit` converges, where the start is some percent off in every length.
+
+    A fit does not converge if the spots of the model do not overlap those of a capture. Here both are blurred, at first
+    so that they overlap and then less and less, and the least squares of their differences are found with the fast ray
+    model. Because of the blur, and of diffraction, which the ray model neglects, the error of the result is larger than
+    that due to photon noise.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        Where to start: the lattice by less than half a pitch wrong anywhere, see `lattice_from_white`.
+    views : View, or sequence of View
+        Captures by one camera, and their light.
+    names : str or iterable of str
+        The parameters that are fitted, as for `fit`.
+    wavelength : float
+        In nanometres.
+    bounds : mapping, optional
+        As for `fit`, and as there by default. A parameter that ends at one is warned of.
+    progress : callable, optional
+        Called with the cameras that have been tried and the most that are.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value, a capture is black, or for the reasons of `point_rays.PointRays`.
+    """
+    given = [views] if isinstance(views, View) else list(views)
+    check_views(camera, given)
+    vector = vector_of(camera, names)
+    check_numbers(vector)
+    low, high = vector.limits(bounds)
+    models = RayModels(camera, given, require_wavelength(wavelength))
+    blurs = np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST)
+    found, tried = camera, 0
+
+    def count() -> None:
+        nonlocal tried
+        tried += 1
+        if progress:
+            progress(tried, _MOST_STEPS * len(blurs))
+
+    for blur in np.unique(blurs)[::-1].tolist():
+        whole = blur >= _TELLS_LATTICE * camera.pixels_per_lens
+        sought = np.array([not (whole and each.name in _LATTICE) for each in vector.components])
+        if sought.any():
+            some = vector.of(found).keep(np.array(vector.labels)[sought])
+            found = _nearest(some, (low[sought], high[sought]), models, given, blur, count)
+    x = vector.of(found).values
+    stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
+    if stuck.any():
+        named = ", ".join(f"{vector.labels[one]} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
+        warnings.warn(
+            f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters", stacklevel=2
+        )
+    return found
+
+
+def _nearest(
+    vector: CameraVector,
+    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
+    models: RayModels,
+    views: list[View],
+    blur: float,
+    count: Callable[[], None],
+) -> PlenopticCamera:
+    """Return the camera whose captures, blurred by some pixels, are nearest to the views; count the cameras tried."""
+    from scipy.ndimage import gaussian_filter
+    from scipy.optimize import least_squares
+
+    seen = np.stack([view.image for view in views]).astype(np.float64)
+    used = np.stack([view.used for view in views])
+    brightest = seen.max(axis=(1, 2), keepdims=True, where=used, initial=0)
+    start, unit = vector.values, vector.scales
+
+    def blurred(images: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(gaussian_filter(images * used / brightest, blur, axes=(-2, -1)))
+
+    def camera_at(step: NDArray[np.float64]) -> PlenopticCamera:
+        return vector.at(start + step * unit)
+
+    def residuals(step: NDArray[np.float64]) -> NDArray[np.float64]:
+        count()
+        return blurred(models.images(camera_at(step)) - seen).ravel()
+
+    def jacobian(step: NDArray[np.float64]) -> NDArray[np.float64]:
+        slopes = models.at(camera_at(step)).derivatives(vector, seen) * unit[:, None, None, None]
+        return blurred(slopes).reshape(len(start), -1).T
+
+    bounds = tuple((limit - start) / unit for limit in limits)
+    return camera_at(least_squares(residuals, 0 * start, jacobian, bounds=bounds, max_nfev=_MOST_STEPS).x)

@@ -1,0 +1,313 @@
+"""Captures and reconstructions as functions of NumPy's arrays with derivatives: what PyTorch's and JAX's modules share.
+
+Axes before those that a function names are a batch. There are two kinds of functions: linear maps, with their
+transposes, and others, which return their value at some arrays together with the derivatives there, so that nothing is
+computed again in the reverse pass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if, require_known
+from ...light.lens_kinds import regular_array
+from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH
+from ...points.operator import CaptureOperator
+from ...refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+
+Array = NDArray[Any]
+Shape = tuple[int, ...]
+Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFunction:
+    """A linear map between arrays, with its transpose."""
+
+    straight: Callable[[Array], Array]
+    transposed: Callable[[Array], Array]
+    # What it takes and its results, for messages, and their last axes.
+    takes: str
+    gives: str
+    before: Shape
+    after: Shape
+
+    @property
+    def T(self) -> LinearFunction:
+        """The transpose."""
+        return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of the result from that of an array, or refuse it before anything is computed."""
+        return *_batch(self.takes, given, self.before), *self.after
+
+
+class Value(Protocol):
+    """The value of a function at some arrays, and its derivatives there."""
+
+    value: Array
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the value with those of the arrays; None stands for an array that does not change."""
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradient by each array that needs it, of its shape."""
+
+
+class SmoothFunction(Protocol):
+    """A function of arrays with derivatives."""
+
+    def at(self, *given: Array) -> Value:
+        """Return its value, and what its derivatives need."""
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of the value from that of the first array, or refuse it before anything is computed."""
+
+
+class Latest:
+    """A function that remembers its latest value with what the derivatives need."""
+
+    def __init__(
+        self,
+        function: SmoothFunction,
+        copied: Callable[[Any], Any],
+        equal: Callable[[Any, Any], bool],
+        # What the function takes, of an array of the library that calls.
+        taken: Callable[[Any], Any],
+    ) -> None:
+        self.taken, self.shape = taken, function.shape
+        self._function, self._copied, self._equal = function, copied, equal
+        self._given: list[Any] = []
+        self._value: Value | None = None
+
+    def at(self, given: Sequence[Any]) -> Value:
+        """Return the value at some arrays."""
+        # Another thread may have this function forget its value meanwhile.
+        known, value = self._given, self._value
+        if value is None or len(known) != len(given) or not all(map(self._equal, given, known)):
+            # Their owners may use the memory of the arrays for others.
+            known = [self._copied(each) for each in given]
+            value = self._function.at(*map(self.taken, known))
+            self._given, self._value = known, value
+        return value
+
+    def forget(self) -> None:
+        """Free the latest value; whoever asks for it again has it computed again."""
+        self._given, self._value = [], None
+
+
+def _batch(name: str, given: Shape, last: Shape) -> Shape:
+    """Return the axes of a batch, or refuse an array of other last axes."""
+    refuse_if(
+        given[-len(last) :] != last or not math.prod(given),
+        f"{name} of shape {given}: it must not be empty, and its last axes must be {last}",
+    )
+    return given[: len(given) - len(last)]
+
+
+ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusing and rendering have none"
+"""What is told who differentiates twice."""
+
+
+def working_array(array: Array) -> Array:
+    """Return an array of a type that the sums take: half precision as single."""
+    return array if array.dtype in (np.float32, np.float64) else array.astype(np.float32)
+
+
+# -- points ------------------------------------------------------------------------------------------
+
+
+def points(operator: CaptureOperator) -> LinearFunction:
+    """Return the map from weights of points to images."""
+    both = partial(_images, operator), partial(_products, operator)
+    return LinearFunction(*both, "weights", "images", *_axes(operator))
+
+
+def _images(operator: CaptureOperator, weights: Array) -> Array:
+    """Apply the operator to weights."""
+    made = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
+    before, after = _axes(operator)
+    # In the order of memory that the layers of networks are fast with.
+    return np.ascontiguousarray(np.concatenate(made)).reshape(*weights.shape[: -len(before)], *after)
+
+
+def _products(operator: CaptureOperator, images: Array) -> Array:
+    """Apply the operator's transpose to images."""
+    made = [operator.adjoint(channels).T for channels in _channels(operator, images)]
+    after, before = _axes(operator)
+    return np.concatenate(made).reshape(*images.shape[: -len(before)], *after)
+
+
+def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
+    """Return weights as the operator takes them."""
+    return _split("weights", weights, _axes(operator)[0], operator)
+
+
+def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
+    """Return images as the operator takes them."""
+    return _split("images", images, _axes(operator)[1], operator)
+
+
+def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
+    """Return the last axes of weights, and those of images."""
+    count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
+    if spectrum is None:
+        return (count,), shape
+    return (len(spectrum.wavelengths), count), (spectrum.channels, *shape)
+
+
+def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
+    """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
+    _batch(name, given.shape, last)
+    flat = given.reshape(-1, *last)
+    return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
+
+
+# -- cameras -----------------------------------------------------------------------------------------
+
+
+class CameraCapture:
+    """The captures of points as a function of their weights and of parameters of the camera."""
+
+    def __init__(
+        self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
+    ) -> None:
+        require_known("parameters: ", names, [name for name in DIFFERENTIABLE if name != WAVELENGTH])
+        self._make, self._camera, self._names = make, regular_array(camera), tuple(names)
+
+    @cached_property
+    def _last_axes(self) -> tuple[Shape, Shape]:
+        """The last axes of weights and of images: not the operator that has them, which may be large."""
+        return _axes(self._make(self._camera))
+
+    def at(self, *given: Array) -> CameraValue:
+        """Capture points with weights by a camera with some values."""
+        weights, *values = given
+        changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
+        camera = self._camera.replace(**changed)
+        return CameraValue(self._make(camera), camera, self._names, weights, values)
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of images from that of weights."""
+        before, after = self._last_axes
+        return *_batch("weights", given, before), *after
+
+
+class CameraValue:
+    """Captures of points, and their derivatives by the weights and by parameters of the camera."""
+
+    def __init__(
+        self,
+        operator: CaptureOperator,
+        camera: PlenopticCamera,
+        names: tuple[str, ...],
+        weights: Array,
+        values: Sequence[Array],
+    ) -> None:
+        self._operator, self._names, self._weights = operator, names, weights
+        self._shapes = [np.shape(value) for value in values]
+        # A list of one number may stand for all parts, too.
+        self._for_all = [
+            value.size == 1 and np.ndim(getattr(camera, name)) == 0 for name, value in zip(names, values, strict=True)
+        ]
+        self.value = _images(operator, weights)
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the images; see `Value`."""
+        of_weights, *of_values = changes
+        total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
+        named = {name: each for name, each in zip(self._names, of_values, strict=True) if each is not None}
+        if not named:
+            return total
+        columns = _columns(self._operator, self._weights)
+        made = [np.moveaxis(self._operator.derivative(each, named), -1, 0) for each in columns]
+        return total + np.concatenate(made).reshape(total.shape)
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradients; see `Value`."""
+        names = [name for name, one in zip(self._names, needed[1:], strict=True) if one]
+        total: dict[str, Any] = dict.fromkeys(names, 0.0)
+        if names:
+            columns, channels = _columns(self._operator, self._weights), _channels(self._operator, gradient)
+            for factors, image in zip(columns, channels, strict=True):
+                found = self._operator.gradient(factors, image, names)
+                total = {name: total[name] + found[name] for name in names}
+        by_values = [
+            _shaped(total[name], shape, for_all) if name in total else None
+            for name, shape, for_all in zip(self._names, self._shapes, self._for_all, strict=True)
+        ]
+        return [_products(self._operator, gradient) if needed[0] else None, *by_values]
+
+
+def _shaped(gradient: Array, shape: Shape, for_all: bool) -> Array:
+    """Return the gradient by the parts of a parameter as one by its value, which may be one number for all parts."""
+    return np.reshape(gradient.sum() if for_all else gradient[: math.prod(shape)], shape)
+
+
+# -- reconstructions ---------------------------------------------------------------------------------
+
+
+def refocusing(by: Refocus) -> LinearFunction | Refocused:
+    """Return the function from captures to refocused images."""
+    if isinstance(by, RayRefocus):
+        before, after = by.camera.shape, by.shape
+        straight = partial(_together, by.forward, _NAMES[0], before)
+        transposed = partial(_together, by.adjoint, _NAMES[1], after)
+        return LinearFunction(straight, transposed, *_NAMES, before, after)
+    return Refocused(by)
+
+
+_NAMES = "captures", "images"
+
+
+@dataclass(frozen=True, eq=False)
+class Refocused:
+    """Refocusing that is not linear."""
+
+    by: CoherentRefocus | DeconvolvedRefocus
+
+    def at(self, *given: Array) -> RefocusedValue:
+        """Refocus captures."""
+        return RefocusedValue(self.by, *given)
+
+    def shape(self, given: Shape) -> Shape:
+        """Return the shape of images from that of captures, or refuse it."""
+        return *_batch(_NAMES[0], given, self.by.camera.shape), *self.by.shape
+
+
+class RefocusedValue:
+    """Refocused captures, and their derivatives."""
+
+    def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
+        def image(given: Array) -> Array:
+            self._at = by.at(given)
+            return self._at.image
+
+        self._axes = by.camera.shape, by.shape
+        self.value = _together(image, _NAMES[0], self._axes[0], captures)
+
+    def jvp(self, changes: Sequence[Array | None]) -> Array:
+        """Return the change of the images; see `Value`."""
+        (change,) = changes
+        if change is None:
+            return np.zeros(self.value.shape)
+        return _together(self._at.jvp, _NAMES[0], self._axes[0], change)
+
+    def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
+        """Return the gradient by the captures; see `Value`."""
+        return [_together(self._at.vjp, _NAMES[1], self._axes[1], gradient) if needed[0] else None]
+
+
+def _together(function: Callable[[Array], Array], name: str, last: Shape, given: Array) -> Array:
+    """Apply a function of an image with channels to a batch of images."""
+    batch = _batch(name, given.shape, last)
+    made = function(np.moveaxis(given.reshape(-1, *last), 0, -1))
+    return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*batch, *made.shape[:2])

@@ -1,0 +1,255 @@
+"""Fitting parameters of a camera to captures of known light: least squares with the captures' own derivatives."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...camera.vector import CameraVector
+from ...errors import (
+    InputError,
+    refuse_if,
+    require_accuracy,
+    require_choice,
+    require_count,
+    require_number,
+    require_wavelength,
+    suggest_keywords,
+)
+from ...io.captures import MODELS
+from ...io.checkpoints import Checkpoint, digest
+from ...light.lens_kinds import regular_array
+from ...points.pupil_weights import PupilWeights
+from .fit_light import PixelNoise, Pixels, View, by_model, check_views
+from .fit_result import Fit, doubts, steps_along, summary
+from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of
+
+_ROUNDS = 2
+"""How often the noise is taken from the model anew, where it depends on it."""
+
+_DONE = 1e-7
+"""Relative change of the parameters, or of the sum of squares, that ends a round."""
+
+
+@suggest_keywords
+def fit(
+    camera: PlenopticCamera,
+    views: View | Sequence[View],
+    names: Iterable[str] | str,
+    *,
+    wavelength: float = 633.0,
+    photons: float | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    model: str = "wave",
+    accuracy: float = 0.0,
+    steps: int = 30,
+    progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> Fit:
+    r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
+
+    The weighted squares of the residuals are minimised by a trust region method (``scipy.optimize.least_squares``). The
+    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays;
+    its captures have kinks, and its deviations are those of the mean slopes over a deviation, to the side on which the
+    captures change less.
+    The light does not change. If the noise is that of counted electrons, its variance is the one that the model
+    expects, which is updated after a first fit: variances from the data would give bright pixels the wrong weights and
+    bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one; deviations and
+    chi-square take that into account.
+
+    A warning is issued if chi-square differs from 1 by more than five of its deviations, if a parameter ends at a
+    bound, or if the search has not converged.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        Where to start; the parameters that are not fitted are right. It must be near: spots of the model that do not
+        overlap those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice
+        near.
+    views : View, or sequence of View
+        Captures by one camera, and their light.
+    names : str or iterable of str
+        Names of the parameters that are fitted, those by which captures are differentiated, as for
+        `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
+    wavelength : float
+        In nanometres.
+    photons : float, optional
+        Photons counted in a pixel of value 1, for views whose noise is not given.
+    bounds : mapping, optional
+        By name, as in `Fit.values`, the lowest and the highest value. By default lengths stay within 50 % of their
+        start, angles within 50 degrees of it, and ``mla_fill`` is at most 1. A parameter that ends at a bound causes a
+        warning, and its deviation is one-sided, see `Fit`.
+    model : {"ray", "wave"}
+        Model of the light in the camera. The ray model is faster and neglects diffraction.
+    accuracy : float
+        As for `CaptureOperator`, for the wave model. Above 0 shared point spreads make the model jump a little.
+    steps : int
+        Cameras that are tried at most in each of the two rounds, or in the single one if the noise does not depend on
+        the model; 2 or more.
+    progress : callable, optional
+        Called with the cameras that have been tried and the most that are.
+    checkpoint : Checkpoint, optional
+        Keeps the best camera of a long fit, so that the same fit resumes from there after a stop.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value, the camera has an objective, a capture is black or negative, the noise of a view
+        is not known, or a parameter changes no pixel.
+    """
+    from scipy.optimize import least_squares
+
+    if not camera.lens_data.converges:
+        camera.require_thin("cameras are fitted", "fit one behind a prescription")
+    camera = regular_array(camera)
+    given = [views] if isinstance(views, View) else list(views)
+    default = None if photons is None else PixelNoise(require_number("photons", photons, positive=True))
+    refuse_if(
+        default is None and any(view.noise is None for view in given), "photons: give them, or the noise of every view"
+    )
+    vector = vector_of(camera, names)
+    start, unit, limits = vector.values, vector.scales, vector.limits(bounds)
+    if model == "ray":
+        check_numbers(vector)
+    check_views(camera, given, default)
+    images = np.stack([view.image for view in given]).astype(np.float64)
+    model_of = _model_of(model, camera, given, require_wavelength(wavelength), require_accuracy(accuracy))
+    steps = require_count("steps", steps, minimum=2)
+    trial = _Trials(vector, model_of, progress, _ROUNDS * steps)
+    x = start
+    if checkpoint:
+        asked = {"model": model, "wavelength": wavelength, "photons": photons, "accuracy": accuracy}
+        # A fit may continue from its last camera as well as from the first.
+        held = {name: value for name, value in camera.to_dict().items() if name not in vector.names}
+        every = vector_of(camera, vector.names)
+        held |= {
+            label: value
+            for label, value in zip(every.labels, every.values.tolist(), strict=True)
+            if label not in vector.labels
+        }
+        facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
+        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
+
+    def pixels_at(x: NDArray[np.float64]) -> Pixels:
+        return Pixels.of(given, trial.expected(x), default)
+
+    def residuals(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
+        return np.asarray(((trial.expected(x) - images) / pixels.weight).ravel())
+
+    def jacobian(x: NDArray[np.float64], pixels: Pixels) -> NDArray[np.float64]:
+        return np.asarray((trial.derivatives(x) / pixels.weight).reshape(len(start), -1).T)
+
+    options = {"bounds": limits, "x_scale": unit, "xtol": _DONE, "ftol": _DONE, "max_nfev": steps}
+    for _ in range(_ROUNDS if any(by_model(view, default) for view in given) else 1):
+        # Weights by what a model expects, and held within a round, do not follow the noise, as those by the data would.
+        result = least_squares(residuals, x, jacobian, args=(pixels_at(x),), **options)
+        x = result.x
+    pixels = pixels_at(x)
+    named = vector.at(x), vector.labels, x, unit, limits
+    found = summary(*named, jacobian(x, pixels) * unit, residuals(x, pixels), pixels, trial.count)
+    last = model_of(found.camera)
+    if isinstance(last, RayModel):
+        # The slopes at one point are not those over which noise moves a fit.
+        slopes = last.slopes(
+            vector,
+            steps_along(found),
+            lambda images: float(np.linalg.norm((images - trial.expected(x)) / pixels.weight)),
+        )
+        rows = (slopes / pixels.weight).reshape(len(start), -1).T * unit
+        found = summary(*named, rows, residuals(x, pixels), pixels, trial.count)
+    if result.status == 0:
+        warnings.warn(
+            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters",
+            stacklevel=2,
+        )
+    for doubt in doubts(found, given, trial.expected(x)):
+        warnings.warn(f"fit: {doubt}", stacklevel=2)
+    return found
+
+
+class Model(Protocol):
+    """The captures of some views by a camera."""
+
+    def images(self) -> NDArray[np.float64]:
+        """Return the expected pixels of all views, (views, rows, columns)."""
+
+    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of the captures, (parameters, views, rows, columns)."""
+
+
+def _model_of(
+    model: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
+) -> Callable[[PlenopticCamera], Model]:
+    """Return what makes the model of a camera near the first."""
+    if require_choice("model", model, MODELS) == "wave":
+        return partial(WaveModel, views=views, wavelength=wavelength, accuracy=accuracy)
+    refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by the wave model; leave it out")
+    return RayModels(camera, views, wavelength).at
+
+
+class _Trials:
+    """Cameras that are tried, of which the last one is remembered."""
+
+    def __init__(
+        self,
+        vector: CameraVector,
+        model_of: Callable[[PlenopticCamera], Model],
+        progress: Callable[[int, int], None] | None,
+        most: int,
+    ) -> None:
+        self._vector, self._progress, self._most = vector, progress, most
+        self._model_of = model_of
+        self._checkpoint: Checkpoint | None = None
+        self.count = 0
+        self._x: NDArray[np.float64] | None = None
+        self._slopes: NDArray[np.float64] | None = None
+
+    def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the captures of a camera of these parameters."""
+        if self._x is None or not np.array_equal(x, self._x):
+            self._model = self._model_of(self._vector.at(x))
+            self._images, self._slopes, self._x = self._model.images(), None, x.copy()
+            self.count += 1
+            if self._progress:
+                self._progress(min(self.count, self._most), self._most)
+        return self._images
+
+    def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of that, which are asked for where a step has led to a better camera."""
+        images = self.expected(x)
+        if self._checkpoint:
+            self._checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
+        if self._slopes is None:
+            self._slopes = self._model.derivatives(self._vector, images)
+        return self._slopes
+
+    def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
+        """Save the parameters in a checkpoint, and return those that it has of the same fit, or the start."""
+        self._checkpoint = checkpoint
+        arrays = checkpoint.begin_arrays(**facts)
+        if arrays is None:
+            return start
+        x, tried = arrays.get("numbers"), arrays.get("tried")
+        if x is None or tried is None or x.shape != start.shape or tried.shape != (1,):
+            raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
+        self.count = int(tried[0])
+        return x
+
+
+def _digest(views: list[View]) -> str:
+    """Return a digest that identifies captures and their light."""
+    arrays: list[NDArray[Any] | None] = []
+    for view in views:
+        pupil = PupilWeights.of(view.pupil_weights, len(view.points))
+        noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
+        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
+        arrays += [None if view.saturation is None else np.asarray(view.saturation)]
+        arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
+    return digest(*arrays)

@@ -1,0 +1,190 @@
+"""``mitsuba-plenoptic fit``: a camera from captures of known scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...cli.choices import MODELS
+from ...cli.inputs import (
+    CameraFile,
+    Definitions,
+    Unit,
+    named_camera,
+    numeric,
+    output_option,
+    parse_definitions,
+    require_in_use,
+)
+from ...cli.stopping import Resume, existing_checkpoint, stopped_by_hand
+from ...errors import InputError, refuse_if, require_number
+from ...runtime.progress import progress_bar
+
+if TYPE_CHECKING:
+    from ...io.captures import Capture
+    from .fitting import Fit, PixelNoise
+
+# Directions that are printed: the worst determined.
+_NAMED = 3
+
+
+def fit(
+    captures: Annotated[
+        list[Path], typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.")
+    ],
+    output: Annotated[Path, output_option("FILE.json", "File to write: the camera.")],
+    scenes: Annotated[
+        list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
+    ],
+    names: Annotated[
+        list[str],
+        typer.Option("--parameter", metavar="NAME", help="Parameter to fit, such as mla_pitch; repeat for several."),
+    ],
+    photons: Annotated[
+        float | None,
+        numeric("Photons counted in a pixel of value 1, for the noise.", "the noise that 'expose' keeps"),
+    ] = None,
+    saturation: Annotated[
+        float | None,
+        numeric("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
+    ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Picture of the captures' size, not black where pixels are left out."),
+    ] = None,
+    camera: CameraFile = None,
+    start: Annotated[
+        bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
+    ] = False,
+    wavelength: Annotated[float | None, numeric("Wavelength.", "the captures', or 633", unit="NM")] = None,
+    points_per_lens: Annotated[
+        int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
+    ] = 64,
+    afar: Annotated[
+        bool,
+        typer.Option(
+            "--from-afar",
+            help="Fit coarsely first, by rays and blurred captures: lengths some percent off.",
+        ),
+    ] = False,
+    model: Annotated[
+        str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
+    ] = "wave",
+    accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
+    resume: Resume = False,
+    unit: Unit = "mm",
+    define: Definitions = None,
+) -> None:
+    """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
+
+    It starts from the captures' own camera, or from --camera. Noise and
+    saturation of captures that 'expose' made are those of their detector.
+    Changes of several numbers at once that hardly change the captures are
+    printed.
+
+    [bold]Example:[/bold]
+
+      mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
+    """
+    import numpy as np
+
+    from ...io.captures import read_capture
+    from ...io.checkpoints import SUFFIX, Checkpoint
+    from ...io.files import require_apart, require_writable
+    from ...io.pictures import read_picture
+    from ...light.scene import load_scene
+    from ...runtime.backend import DEFAULT_VARIANT
+    from . import fitting
+    from .point_rays import vector_of
+
+    if len(scenes) != len(captures):
+        raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
+    require_apart(require_writable(output, ".json"), *captures, mask)
+    read = [read_capture(path) for path in captures]
+    noises = [_recorded_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
+    left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
+    for path, capture in zip(captures, read, strict=True):
+        if left_out is not None and left_out.shape != capture.camera.shape:
+            raise InputError(
+                f"{mask}: it has {left_out.shape} pixels, {path} {capture.camera.shape}: give one mask for all"
+            )
+    if saturation is not None:
+        require_number("saturation", saturation, positive=True)
+    first = named_camera(camera) or read[0].camera
+    if start:
+        first = fitting.lattice_from_white(first, read[0].image)
+    known = wavelength or read[0].wavelength or 633.0
+    if isinstance(known, tuple):
+        raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
+    # Light is found below, which takes much longer than seeing what is asked for.
+    vector_of(first, names)
+    if photons is not None:
+        require_number("photons", photons, positive=True)
+    views = []
+    for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
+        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define), unit=unit)
+        require_in_use(name, parse_definitions(define))
+        view = fitting.known_view(
+            capture.image,
+            scene,
+            first,
+            wavelength=known,
+            points_per_lens=points_per_lens,
+            noise=noise,
+            mask=left_out,
+            saturation=full if saturation is None else saturation,
+        )
+        views.append(view)
+    checkpoint = require_writable(output.with_name(output.name + SUFFIX))
+    with Checkpoint(checkpoint, existing_checkpoint(resume)) as steps:
+        with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
+            # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
+            if afar and not (resume and checkpoint.exists()):
+                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
+            found = fitting.fit(
+                first,
+                views,
+                names,
+                wavelength=known,
+                photons=photons,
+                model=model,
+                accuracy=accuracy,
+                progress=progress,
+                checkpoint=steps,
+            )
+        _write(output, found)
+
+
+def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
+    """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
+    from . import fitting
+
+    noise, saturation = fitting.noise_of(capture)
+    refuse_if(
+        noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
+    )
+    if noise is not None and photons is not None:
+        raise InputError(f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons")
+    return noise, saturation
+
+
+def _write(output: Path, found: Fit) -> None:
+    """Write the camera, and print what is known of it."""
+    from ...io.files import write_text
+
+    write_text(output, found.camera.to_json(), ".json")
+    for name, value in found.values.items():
+        side = found.at_bounds.get(name)
+        at_bound = f", at its {side}: the deviation is one-sided" if side else ""
+        typer.echo(f"{name} = {value:.8g} +- {found.deviations[name]:.2g}{at_bound}")
+    typer.echo(
+        f"chi-square per pixel {found.chi_square:.4g} +- {found.chi_square_deviation:.2g} over {found.pixels} pixels, "
+        f"{found.steps} cameras tried"
+    )
+    for direction in found.directions[:_NAMED] if len(found.values) > 1 else ():
+        parts = sorted(direction.parts.items(), key=lambda part: -abs(part[1]))
+        terms = ", ".join(f"{part:+.2f} {name}" for name, part in parts if abs(part) > 0.1)
+        typer.echo(f"determined to {direction.deviation:.2g}: {terms}")
+    typer.echo(f"{output}: the fitted camera")

@@ -1,0 +1,310 @@
+"""Known light of a capture, and the noise of its pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
+from ...io.captures import Capture, as_array, require_pixels, response_of
+from ...light.detector import require_demosaiced
+from ...light.lens_kinds import regular_array
+from ...light.optical_system import OpticalSystem
+from ...light.render_capture import chosen_integrator, plenoptic_sensor
+from ...light.sampling import check_positions
+from ...light.scene_light import SceneLight
+from ...plugins.other_camera import with_camera
+from ...points.scene_points import find_points, require_matte
+from ...points.units import brightness_at
+from ...runtime.backend import one_at_a_time
+
+_LEAST_ELECTRONS = 1.0
+"""Variance, in squared electrons, by which pixels are weighted at least: of a stray count in the dark."""
+
+_CLEAR = 4.0
+"""Standard deviations by which a pixel that counts is expected below its saturation."""
+
+_LIGHT = 3.0
+"""Standard deviations of its dark noise by which the sum of a capture is above zero, or it is black."""
+
+_NEGATIVE = 6.0
+"""Standard deviations of its dark noise, by no more of which a pixel is below zero."""
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    r"""Noise of counted electrons, and of the dark.
+
+    The variance of a pixel whose expected value is :math:`v` is :math:`(E v + d) / E^2`.
+
+    Parameters
+    ----------
+    electrons : float
+        Electrons that are counted in a pixel of value 1, E: photons times quantum efficiency.
+    dark_variance : float
+        Variance without light, d, in squared electrons: of dark current, reading and rounding.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    electrons: float
+    dark_variance: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_number("electrons", self.electrons, positive=True)
+        require_number("dark_variance", self.dark_variance, minimum=0)
+
+
+def noise_of(capture: Capture) -> tuple[PixelNoise | None, float | None]:
+    """Return the noise of a capture that `expose` made, from its metadata, and the value at which its pixels saturate.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture.
+
+    Returns
+    -------
+    noise : PixelNoise or None
+        None if no detector has recorded the capture.
+    saturation : float or None
+        Four standard deviations of the reading below a full well, or below the largest digital number.
+
+    Raises
+    ------
+    InputError
+        If the metadata are damaged, or the capture is a mosaic of colours.
+    """
+    require_demosaiced(capture)
+    exposure = capture.metadata.get("exposure")
+    if not isinstance(exposure, dict):
+        return None, None
+    gain, black, dark, unit = response_of(exposure)
+    reading, full = (require_number(name, exposure.get(name), minimum=0) for name in ("read_noise", "full_well"))
+    largest = (2 ** require_number("bits", exposure.get("bits"), minimum=1, maximum=16) - 1 - black) / gain
+    # Rounding adds a twelfth of the square of a digital number (EMVA Standard 1288).
+    noise = PixelNoise(unit, dark + reading**2 + 1 / (12 * gain**2))
+    return noise, (min(full, largest) - dark - _CLEAR * reading) / unit
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The expected noise of all pixels of some views, (views, rows, columns)."""
+
+    # Deviations by which residuals are divided; infinite where a pixel does not count.
+    weight: NDArray[np.float64]
+    # Expected squares of the residuals after that: 1, less in the dark, and 0 where a pixel does not count.
+    share: NDArray[np.float64]
+    # Variances of those squares.
+    spread: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, views: Sequence[View], expected: NDArray[np.float64], default: PixelNoise | None) -> Pixels:
+        """Return the noise of views whose pixels are expected to have some values; `default` where a view has none."""
+        return cls(*map(np.stack, zip(*map(_pixels, views, expected, [default] * len(views)), strict=True)))
+
+
+def by_model(view: View, default: PixelNoise | None) -> bool:
+    """Return whether the noise of a view, or which of its pixels count, depends on what a model expects."""
+    return view.saturation is not None or isinstance(default if view.noise is None else view.noise, PixelNoise)
+
+
+def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | None) -> tuple[NDArray[np.float64], ...]:
+    noise: Any = default if view.noise is None else view.noise
+    if isinstance(noise, PixelNoise):
+        counts, unit = noise.electrons * np.maximum(expected, 0), noise.electrons
+        variance = counts + noise.dark_variance
+        weight = np.maximum(variance, _LEAST_ELECTRONS)
+    else:
+        counts, unit = np.zeros_like(expected), 1.0
+        weight = variance = counts + np.square(noise)
+    used = view.used
+    if view.saturation is not None:
+        # By what is expected alone, so that noise does not decide which pixels near saturation count.
+        used = used & (expected + _CLEAR * np.sqrt(variance) / unit < view.saturation)
+    share = np.where(used, variance / weight, 0.0)
+    # The fourth cumulant of a Poisson distribution is its mean; that of a normal one is zero.
+    spread = np.where(used, (2 * variance**2 + counts) / weight**2, 0.0)
+    return np.where(used, np.sqrt(weight) / unit, np.inf), share, spread
+
+
+def check_light(view: View, default: PixelNoise | None = None) -> None:
+    """Refuse a view that shows no light, or pixels further below zero than noise takes them."""
+    noise = default if view.noise is None else view.noise
+    if isinstance(noise, PixelNoise):
+        dark, least = (np.sqrt(max(noise.dark_variance, some)) / noise.electrons for some in (0.0, _LEAST_ELECTRONS))
+    else:
+        dark = 0.0 if noise is None else np.asarray(noise, np.float64)
+        least = np.inf if noise is None else dark
+    used, image = view.used, view.image
+    refuse_if(not used.any(), "image: all of its pixels are left out: by its mask, or as saturated")
+    refuse_if(
+        image.sum(where=used, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * used)),
+        "image: it is black: nothing can be found by it",
+    )
+    negative = used & (image < -_NEGATIVE * least)
+    if negative.any():
+        row, column = np.argwhere(negative)[0]
+        raise InputError(
+            f"image: {negative.sum()} of its pixels are negative, beyond {_NEGATIVE:g} standard deviations of their "
+            f"noise, the first, {image[row, column]:g}, at ({row}, {column}): subtract the right black level, or mask "
+            "them"
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    r"""A capture, and the light that it shows.
+
+    A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `points.units.brightness` returns as B:
+    a capture in the unit of ``plenoptic_wave``. Behind a real main lens each point counts by the part of the pupil
+    that is open to it.
+
+    Parameters
+    ----------
+    image : array (rows, columns)
+        The capture.
+    points : array (n, 3)
+        Incoherent point sources in the camera frame, in millimetres.
+    weights : array (n,)
+        Of each, radiance times the solid angle, seen from the main lens's image side, that it stands for.
+    noise : PixelNoise, float or array (rows, columns), optional
+        That of counted electrons, as `noise_of` has it of a capture that was exposed, or the standard deviation of
+        each pixel. Default: that of the photons that `fit` is given.
+    pupil_weights, virtual : optional
+        As for `CaptureOperator`.
+    mask : bool array (rows, columns), optional
+        True where a pixel does not count, as in NumPy's masked arrays.
+    saturation : float, optional
+        Value at which pixels are saturated. Those do not count that are there or above, nor those of which a model
+        expects it within four standard deviations. What a pixel spills into its neighbours is not modelled: mask these.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value: weights are not negative, nor all zero.
+    """
+
+    image: NDArray[np.float32]
+    points: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    noise: Any = None
+    pupil_weights: Any = None
+    mask: Any = None
+    saturation: float | None = None
+    virtual: bool = False
+
+    def __post_init__(self) -> None:
+        image = as_array("image", self.image)
+        refuse_if(image.ndim != 2, f"image of shape {image.shape}: a camera is fitted to images of one channel")
+        require_pixels("image", image)
+        points = check_positions(self.points, virtual=self.virtual)
+        weights = np.asarray(as_array("weights", self.weights), np.float64)
+        refuse_if(
+            weights.shape != (len(points),) or not np.isfinite(weights).all(),
+            f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers",
+        )
+        negative = np.flatnonzero(weights < 0)
+        if len(negative):
+            first = negative[0]
+            raise InputError(
+                f"weights: {len(negative)} of them are negative, the first, {weights[first]:g}, at {first}: light is "
+                "at least 0"
+            )
+        refuse_if(not weights.any(), "weights: all of them are 0: there is no light")
+        noise = self.noise
+        if noise is not None and not isinstance(noise, PixelNoise):
+            noise = np.asarray(as_array("noise", noise), np.float64)
+            refuse_if(
+                noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all(),
+                f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel",
+            )
+        mask = None if self.mask is None else np.asarray(self.mask)
+        if mask is not None and (mask.dtype != bool or mask.shape != image.shape):
+            raise InputError(
+                f"mask of type {mask.dtype} and shape {mask.shape}: it must be of booleans, {image.shape}: True where "
+                "a pixel is left out"
+            )
+        if self.saturation is not None:
+            require_number("saturation", self.saturation, positive=True)
+        put(self, image=image, points=points, weights=weights, noise=noise, mask=mask)
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Pixels that count by the mask and by what they show, (rows, columns)."""
+        used = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
+        return used if self.saturation is None else used & (self.image < self.saturation)
+
+
+def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:
+    """Refuse an empty list, captures whose size differs from the camera's, and captures that show no light.
+
+    `default` is the noise of views that have none.
+    """
+    refuse_if(not views, "views: give at least one capture of known light")
+    for view in views:
+        refuse_if(
+            view.image.shape != camera.shape, f"image of shape {view.image.shape}: the camera records {camera.shape}"
+        )
+        check_light(view, default)
+
+
+@one_at_a_time
+def known_view(
+    image: Any,
+    scene: Any,
+    camera: PlenopticCamera,
+    *,
+    wavelength: float = 633.0,
+    points_per_lens: int = 64,
+    seed: int = 0,
+    noise: Any = None,
+    mask: Any = None,
+    saturation: float | None = None,
+) -> View:
+    """Return a view of a scene's capture, whose points are found as for the wave captures' method ``points``.
+
+    Parameters
+    ----------
+    image : array (rows, columns)
+        The capture.
+    scene : mitsuba.Scene
+        What it shows, matte and emitting surfaces, with the camera's position as that of the first sensor; of a variant
+        of one channel.
+    camera : PlenopticCamera
+        A camera near enough to the true one, from which rays start.
+    wavelength : float
+        In nanometres.
+    points_per_lens : int
+        Points for each microlens.
+    seed : int
+        Of their pattern.
+    noise, mask, saturation
+        As for `View`.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value, the scene shows no light, or it has a surface that is not matte.
+    """
+    camera = regular_array(camera)
+    seen = with_camera(scene, camera)
+    sensor = plenoptic_sensor(seen)
+    child = chosen_integrator(seen, "ray", {})
+    require_matte(seen, sensor, child, camera)
+    wavelength = require_wavelength(wavelength)
+    light = SceneLight(seen, sensor, child, wavelength if mi.is_spectral else None)
+    found = find_points([light], camera, require_count("points_per_lens", points_per_lens), seed=seed)
+    refuse_if(found.weights.shape[1] != 1, "scene: a camera is fitted to images of one channel; use a mono variant")
+    refuse_if(not len(found.positions), "scene: the camera sees nothing that shines")
+    weights = found.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), found.positions)
+    return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)

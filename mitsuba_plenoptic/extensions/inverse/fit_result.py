@@ -1,0 +1,192 @@
+"""The result of a fit, its uncertainty, and reasons to doubt it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from .fit_light import Pixels, View
+
+_FAR = 5.0
+"""Standard deviations of chi-square by which it may differ from 1."""
+
+_AT_BOUND, _OF_RANGE = 1e-2, 1e-6
+"""A parameter is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
+
+_BRIGHTER = 3.0
+"""Factor between the light of captures and model above which their units are doubted."""
+
+_SAME = 10
+"""Pixels of the same highest value above which saturation is suspected."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A joint change of all parameters that the captures determine to some deviation, independent of other directions.
+
+    Attributes
+    ----------
+    deviation : float
+        Standard deviation along it, in the units of `Fit.scales`.
+    parts : dict
+        By parameter, its part in the direction; their squares add to 1.
+    """
+
+    deviation: float
+    parts: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The result of a fit.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    values, deviations : dict
+        By name the fitted parameters and their standard deviations; the values of a parameter with several are
+        numbered from 1: ``mla_offset.1``.
+    covariance : float64 array (numbers, numbers)
+        Of the parameters, in their order in `values`, from the captures' derivatives: the inverse of Fisher's
+        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its
+        deviation alone.
+    scales : dict
+        The unit of each parameter in `directions`: a hundredth of it, a degree, a pitch, a wave.
+    directions : tuple of Direction
+        Directions from the worst determined on: parameters with large parts in a direction of a large deviation cannot
+        be separated.
+    at_bounds : dict
+        Parameters that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
+        deviations are one-sided: how far inside the bound the sum of the weighted squares is larger by 1, with the
+        others fitted anew. Those of the others hold them at the bound.
+    chi_square, chi_square_deviation : float
+        Sum of the weighted squared residuals over what is expected of it, and its standard deviation: 1 where the
+        model and the noise are right.
+    pixels : int
+        Pixels that counted: neither masked nor saturated.
+    steps : int
+        Cameras that have been tried.
+    """
+
+    camera: PlenopticCamera
+    values: dict[str, float]
+    deviations: dict[str, float]
+    covariance: NDArray[np.float64]
+    scales: dict[str, float]
+    directions: tuple[Direction, ...]
+    at_bounds: dict[str, str]
+    chi_square: float
+    chi_square_deviation: float
+    pixels: int
+    steps: int
+
+
+def summary(
+    camera: PlenopticCamera,
+    labels: list[str],
+    x: NDArray[np.float64],
+    unit: NDArray[np.float64],
+    limits: tuple[NDArray[np.float64], NDArray[np.float64]],
+    rows: NDArray[np.float64],
+    residuals: NDArray[np.float64],
+    pixels: Pixels,
+    steps: int,
+) -> Fit:
+    """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
+    for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
+        refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
+    slope = residuals @ rows
+    low, high = ((x - limits[0]) / unit, (limits[1] - x) / unit)
+    gap = np.where(slope > 0, low, high)
+    held = gap <= np.maximum(_AT_BOUND * _one_sided(rows, slope, range(len(x))), _OF_RANGE * (low + high))
+    free = np.flatnonzero(~held)
+    covariance, effective = np.zeros((len(x), len(x))), 0.0
+    directions = []
+    if len(free):
+        # The deviations of an estimate whose weights are not all those of the noise (a "sandwich").
+        left, singular, right = np.linalg.svd(rows[:, free], full_matrices=False)
+        left *= np.sqrt(pixels.share.reshape(-1, 1))
+        effective = float((left**2).sum())
+        spread = left / singular @ right
+        covariance[np.ix_(free, free)] = spread.T @ spread
+        _, deviations, vectors = np.linalg.svd(spread, full_matrices=False)
+        for deviation, vector in zip(deviations.tolist(), vectors, strict=True):
+            parts = np.zeros(len(x))
+            parts[free] = vector
+            directions.append(Direction(deviation, dict(zip(labels, parts.tolist(), strict=True))))
+    for index in np.flatnonzero(held):
+        with_it = np.append(free, index)
+        deviation = float(_one_sided(rows[:, with_it], slope[with_it], [len(free)])[0])
+        covariance[index, index] = deviation**2
+        directions.append(Direction(deviation, {label: float(label == labels[index]) for label in labels}))
+    covariance *= np.outer(unit, unit)
+
+    def by_label(given: NDArray[np.float64]) -> dict[str, float]:
+        return dict(zip(labels, given.tolist(), strict=True))
+
+    expected = float(pixels.share.sum()) - effective
+    refuse_if(
+        expected <= 0, f"photons: too few are expected in the pixels that count to fit {len(x)} parameters to them"
+    )
+    return Fit(
+        camera,
+        by_label(x),
+        by_label(np.sqrt(np.diag(covariance))),
+        covariance,
+        by_label(unit),
+        tuple(sorted(directions, key=lambda direction: -direction.deviation)),
+        {labels[index]: "lowest" if slope[index] > 0 else "highest" for index in np.flatnonzero(held)},
+        float(residuals @ residuals) / expected,
+        float(np.sqrt(pixels.spread.sum())) / expected,
+        int(np.isfinite(pixels.weight).sum()),
+        steps,
+    )
+
+
+def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
+    """Return how far parameters move from a bound, against the slope, until the sum of squares is larger by 1."""
+    information = np.linalg.pinv(rows.T @ rows)
+    steep = np.abs(slope[list(which)])
+    return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))
+
+
+def steps_along(found: Fit) -> NDArray[np.float64]:
+    """Return a step of its deviation along each direction, at most a unit of `Fit.scales`; (directions, parameters)."""
+    lengths = np.fmin([direction.deviation for direction in found.directions], 1.0)
+    parts = np.array([list(direction.parts.values()) for direction in found.directions])
+    return np.asarray(lengths[:, None] * parts * list(found.scales.values()))
+
+
+def doubts(found: Fit, views: Sequence[View], expected: NDArray[np.float64]) -> Iterator[str]:
+    """Yield reasons to doubt a fit, one sentence each."""
+    if found.at_bounds:
+        named = ", ".join(f"{name} = {found.values[name]:.6g} (its {side})" for name, side in found.at_bounds.items())
+        yield (
+            f"at a bound: {named}: the best camera may lie beyond it; its deviation is one-sided, and those of the "
+            "others hold it there"
+        )
+    # Written so that NaN is also doubted.
+    if abs(found.chi_square - 1) <= _FAR * found.chi_square_deviation:
+        return
+    hints = ""
+    lit, modelled = (
+        sum(float(image[view.used].sum()) for image, view in zip(images, views, strict=True))
+        for images in ([view.image for view in views], expected)
+    )
+    if not 1 / _BRIGHTER < lit / modelled < _BRIGHTER:
+        hints = f"; the captures are {lit / modelled:.3g} times as bright as the model: are both in the same unit?"
+    for view in views:
+        top = view.image[view.used].max()
+        same = int((view.image == top).sum())
+        if view.saturation is None and same > _SAME:
+            hints += f"; {same} pixels have the same highest value, {top:g}: if they are saturated, give saturation"
+    yield (
+        f"chi-square is {found.chi_square:.4g} +- {found.chi_square_deviation:.2g} a pixel, not 1: camera, light or "
+        f"noise are not those of the captures, and the deviations are not right{hints}"
+    )

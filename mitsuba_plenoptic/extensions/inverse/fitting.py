@@ -1,0 +1,22 @@
+"""Fitting to captures with the wave model or the ray model: a camera's parameters, or the planes of a scene."""
+
+from .approach import coarse_fit, lattice_from_white
+from .capture_fit import fit
+from .fit_light import PixelNoise, View, known_view, noise_of
+from .fit_result import Direction, Fit
+from .layer_fit import fit_layers
+from .layers import Layers
+
+__all__ = [
+    "Direction",
+    "Fit",
+    "Layers",
+    "PixelNoise",
+    "View",
+    "coarse_fit",
+    "fit",
+    "fit_layers",
+    "known_view",
+    "lattice_from_white",
+    "noise_of",
+]

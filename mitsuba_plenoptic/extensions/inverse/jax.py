@@ -1,0 +1,367 @@
+"""Captures and reconstructions as differentiable functions of JAX's arrays (extra ``jax``).
+
+Axes before those that a function names are a batch. Results have the type of the array given, which must be of floating
+point. The functions run on the processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``,
+and differentiated in reverse and in forward mode.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if
+from ...points.operator import CaptureOperator
+from ...runtime.backend import one_at_a_time
+from .array_functions import (
+    ONCE,
+    CameraCapture,
+    Latest,
+    LinearFunction,
+    Refocus,
+    SmoothFunction,
+    points,
+    refocusing,
+    working_array,
+)
+from .scene_functions import Rendering
+
+try:
+    import jax
+    from jax.extend.core import Primitive
+    from jax.interpreters import ad, batching, mlir
+except ImportError:
+    raise InputError("mitsuba_plenoptic.jax needs the package jax: pip install 'mitsuba-plenoptic[jax]'") from None
+
+__all__ = ["adjoint", "capture", "forward", "refocus", "render"]
+
+
+def forward(operator: CaptureOperator, weights: Any) -> Any:
+    """Capture points with weights: `CaptureOperator.forward`, differentiable any number of times.
+
+    A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
+    compute them in each direction.
+
+    Parameters
+    ----------
+    operator : CaptureOperator
+        The points before a camera.
+    weights : Array (..., n)
+        Weights of the points. With a spectrum (..., wavelengths, n).
+
+    Returns
+    -------
+    Array (..., rows, columns)
+        The images. With a spectrum (..., channels, rows, columns).
+
+    Raises
+    ------
+    InputError
+        If the weights have a wrong shape, or as `CaptureOperator.forward` does.
+    """
+    return _linear.bind(_required("weights", weights), function=points(operator))
+
+
+def adjoint(operator: CaptureOperator, images: Any) -> Any:
+    """Weigh images by the point spreads: `CaptureOperator.adjoint`, differentiable any number of times.
+
+    Parameters
+    ----------
+    operator : CaptureOperator
+        The points before a camera.
+    images : Array (..., rows, columns)
+        The images. With a spectrum (..., channels, rows, columns).
+
+    Returns
+    -------
+    Array (..., n)
+        Products with the spreads. With a spectrum (..., wavelengths, n).
+
+    Raises
+    ------
+    InputError
+        If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
+    """
+    return _linear.bind(_required("images", images), function=points(operator).T)
+
+
+def capture(
+    make: Callable[[PlenopticCamera], CaptureOperator],
+    camera: PlenopticCamera,
+    parameters: Mapping[str, Any],
+    weights: Any,
+) -> Any:
+    """Capture points by a camera with some parameters: differentiable by these and by the weights, once.
+
+    The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``.
+        Return a `StoredOperator` if the gradient by the weights is needed, which then computes no spread again.
+    camera : PlenopticCamera
+        The camera, of which `parameters` replace some.
+    parameters : mapping of str to Array
+        Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
+        given, except for the wavelength.
+    weights : Array
+        As for `forward`.
+
+    Returns
+    -------
+    Array
+        As from `forward`, of the type of the weights.
+
+    Raises
+    ------
+    InputError
+        If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
+    """
+    function = _latest(CameraCapture(make, camera, tuple(parameters)))
+    values = (_required(name, value) for name, value in parameters.items())
+    return _smooth.bind(_required("weights", weights), *values, function=function)
+
+
+def refocus(by: Refocus, captures: Any) -> Any:
+    """Refocus captures, differentiably: with the ray model any number of times, with others once.
+
+    The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
+    those of all captures of the latest batch.
+
+    Parameters
+    ----------
+    by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
+        The camera, distance and method.
+    captures : Array (..., rows, columns)
+        The recorded pixels.
+
+    Returns
+    -------
+    Array (..., rows, columns)
+        The images, with 0 in bins that `reconstruct` leaves unknown.
+
+    Raises
+    ------
+    InputError
+        If the captures have a wrong shape.
+    """
+    captures = _required("captures", captures)
+    function = refocusing(by)
+    if isinstance(function, LinearFunction):
+        return _linear.bind(captures, function=function)
+    return _smooth.bind(captures, function=_latest(function))
+
+
+def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
+    """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
+
+    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
+    The scene keeps the values; its derivatives give it those of their image again.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
+    values : mapping of str to Array
+        Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
+    integrator : mitsuba.Integrator, optional
+        Default: that of the scene.
+    spp : int
+        Samples per pixel. 0: those of the scene's sampler.
+    seed : int
+        Seed of the random numbers. Derivatives draw others.
+
+    Returns
+    -------
+    Array (rows, columns, channels)
+        The film's image, of the type of the first value, computed in single precision.
+
+    Raises
+    ------
+    InputError
+        If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
+    """
+    given = [_required(name, value) for name, value in values.items()]
+    shapes = {name: value.shape for name, value in zip(values, given, strict=True)}
+    return _smooth.bind(*given, function=_latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))
+
+
+def _required(name: str, value: Any) -> Any:
+    """Return a value as an array of floating point; others would round results."""
+    array = jax.numpy.asarray(value)
+    refuse_if(
+        not jax.numpy.issubdtype(array.dtype, jax.numpy.floating),
+        f"{name}: its type is {array.dtype}: it must be of floating point",
+    )
+    return array
+
+
+_VALUES = 16
+"""Functions made last that keep their values: captures that one loss may hold without computing any of them twice."""
+
+_latest_made: deque[Latest] = deque(maxlen=_VALUES)
+
+
+def _latest(function: SmoothFunction) -> Latest:
+    """Return a function that remembers its latest value, until many others are made."""
+    made = Latest(function, np.copy, np.array_equal, np.asarray)
+    # JAX's caches keep thousands of functions that were called once, which must be empty then.
+    if len(_latest_made) == _VALUES:
+        _latest_made[0].forget()
+    _latest_made.append(made)
+    return made
+
+
+# -- primitives of JAX -------------------------------------------------------------------------------
+# Each calls NumPy on the host. The transposes of linear maps and of changes make them differentiable in both modes.
+
+
+def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
+    """Return a function of NumPy's arrays from one of a list of them; `like` has the shapes and types of its results.
+
+    JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    """
+
+    @one_at_a_time
+    def called(*arrays: Any) -> Any:
+        made = function([working_array(np.asarray(each)) for each in arrays])
+        return jax.tree.map(lambda one, each: np.asarray(each, one.dtype).reshape(one.shape), like, made)
+
+    return called
+
+
+def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
+    """Return what stands for an array of the same type."""
+    return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
+
+
+def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], several: bool = False) -> Primitive:
+    """Return a primitive that applies a function; `like` returns what stands for its results."""
+    made = Primitive(f"plenoptic_{name}")
+    made.multiple_results = several
+
+    def evaluate(*given: Any, **options: Any) -> Any:
+        # Not as a callback, for which JAX compiles a program per function and keeps thousands with what they hold. The
+        # arrays are waited for first: what computes them may need its turn on the host.
+        arrays = [np.asarray(each) for each in given]
+        called = _on_host(partial(apply, **options), like(*given, **options))
+        return jax.tree.map(jax.numpy.asarray, called(*arrays))
+
+    def compiled(*given: Any, **options: Any) -> Any:
+        wanted = like(*given, **options)
+        return jax.pure_callback(_on_host(partial(apply, **options), wanted), wanted, *given)
+
+    def abstract(*given: Any, **options: Any) -> Any:
+        return jax.tree.map(lambda one: jax.core.ShapedArray(one.shape, one.dtype), like(*given, **options))
+
+    made.def_impl(evaluate)
+    made.def_abstract_eval(abstract)
+    mlir.register_lowering(made, mlir.lower_fun(compiled, multiple_results=several))
+    return made
+
+
+def _one_by_one(primitive: Primitive) -> None:
+    """Let a primitive be mapped by ``jax.vmap``, which applies it to one row after the other."""
+
+    def batched(given: Sequence[Any], axes: Sequence[Any], **options: Any) -> Any:
+        mapped = [k for k, axis in enumerate(axes) if axis is not None]
+
+        def row(parts: Sequence[Any]) -> Any:
+            all_given = list(given)
+            for k, part in zip(mapped, parts, strict=True):
+                all_given[k] = part
+            return primitive.bind(*all_given, **options)
+
+        made = jax.lax.map(row, [jax.numpy.moveaxis(given[k], axes[k], 0) for k in mapped])
+        return made, [0] * len(made) if primitive.multiple_results else 0
+
+    batching.primitive_batchers[primitive] = batched
+
+
+# A linear map.
+_linear = _primitive(
+    "linear",
+    lambda given, function: function.straight(*given),
+    lambda given, function: _like(given, function.shape(given.shape)),
+)
+
+
+def _linear_transpose(gradient: Any, _: Any, *, function: LinearFunction) -> list[Any]:
+    return [_linear.bind(gradient, function=function.T)]
+
+
+def _linear_batched(given: Sequence[Any], axes: Sequence[Any], *, function: LinearFunction) -> tuple[Any, int]:
+    return _linear.bind(jax.numpy.moveaxis(given[0], axes[0], 0), function=function), 0
+
+
+ad.deflinear2(_linear, _linear_transpose)
+batching.primitive_batchers[_linear] = _linear_batched
+
+# A function with derivatives.
+_smooth = _primitive(
+    "smooth",
+    lambda given, function: function.at(given).value,
+    lambda *given, function: _like(given[0], function.shape(given[0].shape)),
+)
+
+
+def _split(given: Sequence[Any], which: tuple[bool, ...]) -> tuple[Sequence[Any], list[Any]]:
+    """Return the arrays where derivatives are taken, and the changes of those that change, None for others."""
+    changes = iter(given[len(which) :])
+    return given[: len(which)], [next(changes) if one else None for one in which]
+
+
+def _changed(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> NDArray[Any]:
+    arrays, changes = _split(given, which)
+    return function.at(arrays).jvp(changes)
+
+
+# Its change with those of some of the arrays, in which it is linear.
+_change = _primitive(
+    "change", _changed, lambda *given, function, which: _like(given[0], function.shape(given[0].shape))
+)
+
+
+def _gradients(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> list[Any]:
+    found = function.at(given[:-1]).vjp(given[-1], which)
+    return [each for each in found if each is not None]
+
+
+# The gradients by these arrays.
+_gradient = _primitive(
+    "gradient",
+    _gradients,
+    lambda *given, function, which: [_like(each) for each, one in zip(given, which, strict=False) if one],
+    several=True,
+)
+
+
+def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: Latest) -> tuple[Any, Any]:
+    which = tuple(type(each) is not ad.Zero for each in changes)
+    known = [each for each, one in zip(changes, which, strict=True) if one]
+    value = _smooth.bind(*given, function=function)
+    return value, _change.bind(*given, *known, function=function, which=which)
+
+
+def _change_transpose(gradient: Any, *given: Any, function: Latest, which: tuple[bool, ...]) -> list[Any]:
+    arrays = given[: len(which)]
+    if type(gradient) is ad.Zero:
+        return [None] * len(given)
+    return [None] * len(arrays) + _gradient.bind(*arrays, gradient, function=function, which=which)
+
+
+def _once(*_: Any, **__: Any) -> Any:
+    raise InputError(ONCE)
+
+
+for _each in (_smooth, _change, _gradient):
+    _one_by_one(_each)
+ad.primitive_jvps.update({_smooth: _smooth_jvp, _change: _once, _gradient: _once})
+ad.primitive_transposes[_change] = _change_transpose

@@ -1,0 +1,343 @@
+"""Figures of merit of a camera with their gradients: sharpness, and the information on depth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
+from ...light.lens_kinds import regular_array
+from ...light.optical_system import OpticalSystem
+from ...light.sampling import check_positions
+from ...points.accuracy import chosen_accuracy
+from ...points.operator import CaptureOperator
+from ...refocus import RayRefocus
+
+DESIGN_ACCURACY = 0.02
+"""Default error allowed for the point spreads: designs differ by more."""
+
+Gradient = dict[str, NDArray[np.float64]]
+
+
+class Spreads:
+    """The point spreads of the points of a figure, each computed by itself."""
+
+    def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
+        # Where they may lie depends on the camera, and is checked with it.
+        self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
+        self._accuracy, self._method = chosen_accuracy(accuracy, method, DESIGN_ACCURACY), method
+        self._system: OpticalSystem | None = None
+
+    def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the spreads (n, rows, columns) of the points, or of others instead."""
+        # One by one: points so near each other must not share a spread.
+        return np.stack([operator.forward([1.0]) for operator in self._operators(camera, points)]).astype(np.float64)
+
+    def gradient(
+        self,
+        camera: PlenopticCamera,
+        images: NDArray[np.float64],
+        names: Iterable[str],
+        points: NDArray[np.float64] | None = None,
+    ) -> Gradient:
+        """Take the gradient by the spreads (n, rows, columns) back to parameters of the camera."""
+        total: Gradient = {}
+        for operator, image in zip(self._operators(camera, points), images, strict=True):
+            found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
+            total = {name: part + total.get(name, 0.0) for name, part in found.items()}
+        return total
+
+    def _operators(self, camera: PlenopticCamera, points: NDArray[np.float64] | None) -> Iterable[CaptureOperator]:
+        camera = regular_array(camera)
+        if self._system is None or self._system.camera != camera:
+            self._system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
+        # A step from a point far away may lead across infinity.
+        options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method, "virtual": points is not None}
+        for point in self.points if points is None else points:
+            yield CaptureOperator(camera, [point], wavelength=self.wavelength, system=self._system, **options)
+
+
+def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
+    """Refuse a camera that differs in a parameter that a figure holds."""
+    mine, its = camera.to_dict(), other.to_dict()
+    for name in held:
+        refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
+
+
+VARYING = ("mla_focal_length", "mla_fill", "wavefront")
+"""Parameters on which refocusing by rays does not depend."""
+
+
+class RefocusedContrast:
+    r"""Mean contrast of points that are refocused by rays: their modulation transfer over a range of depths.
+
+    .. math:: \frac{1}{n m} \sum_{r, \nu} \frac{|\sum_j b_{rj} \, e^{-2 \pi i \nu \cdot x_j}|}{\sum_j b_{rj}}
+
+    with the bins b of each point r, refocused to its own distance, and frequencies :math:`\nu` along x and along y.
+    Refocusing is that of one camera, and held.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera whose refocusing is used. Others may differ from it in ``mla_focal_length``, ``mla_fill`` and
+        ``wavefront``.
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    frequencies : sequence of float
+        In line pairs per bin of one lens, at most half of `oversample`.
+    wavelength : float
+        In nanometres.
+    oversample : int
+        Bins per lens along each axis.
+    accuracy, method
+        As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: Any,
+        frequencies: Sequence[float],
+        *,
+        wavelength: float = 633.0,
+        oversample: int = 4,
+        accuracy: float | None = None,
+        method: str = "patch",
+    ) -> None:
+        self._camera, self._spreads = camera, Spreads(points, wavelength, accuracy, method)
+        count = require_count("oversample", oversample)
+        given = [require_number("frequencies", frequency, positive=True) for frequency in frequencies]
+        refuse_if(
+            not given or max(given) > count / 2,
+            f"frequencies = {tuple(given)}: give some, at most {count / 2:g}, half of oversample",
+        )
+        self._refocus = [RayRefocus(camera, g, oversample=count) for g in self._spreads.points[:, 2].tolist()]
+        waves = []
+        for size in reversed(camera.bin_count):
+            waves.append(np.exp(-2j * np.pi * np.array(given)[:, None] * ((np.arange(size * count) + 0.5) / count)))
+        self._along_y, self._along_x = waves
+
+    def value(self, camera: PlenopticCamera) -> float:
+        """Return the mean contrast of a camera."""
+        return self._contrast(self._images(camera))[0]
+
+    def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
+        """Return the mean contrast, and its derivatives by parameters of the camera, by name.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera.
+        names : iterable of str
+            The parameters.
+
+        Raises
+        ------
+        InputError
+            If refocusing depends on a parameter.
+        """
+        names = tuple(names)
+        for name in names:
+            if name not in VARYING:
+                raise InputError(
+                    f"{name}: refocusing does not follow it; parameters that may vary: {', '.join(VARYING)}"
+                    f"{did_you_mean(name, VARYING)}"
+                )
+        value, slopes = self._contrast(self._images(camera))
+        return value, self._spreads.gradient(camera, slopes, names)
+
+    def refocused(self, camera: PlenopticCamera) -> list[NDArray[np.float32]]:
+        """Return the refocused image of each point."""
+        pairs = zip(self._refocus, self._images(camera), strict=True)
+        return [refocus.forward(image) for refocus, image in pairs]
+
+    def _images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
+        held = [name for name in camera.to_dict() if name not in VARYING]
+        require_held(self._camera, camera, held)
+        return self._spreads.images(camera)
+
+    def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Return the mean contrast, and its gradient by the spreads."""
+        total, gradients = 0.0, []
+        count = len(images) * (len(self._along_x) + len(self._along_y))
+        for refocus, image in zip(self._refocus, images, strict=True):
+            bins = refocus.forward(image.astype(np.float32)).astype(np.float64)
+            light, slope = bins.sum(), np.zeros_like(bins)
+            refuse_if(not light > 0, "points: one of them sends no light to the recorded pixels")
+            for amplitudes, waves, across in (
+                (self._along_x @ bins.sum(0), self._along_x, False),
+                (self._along_y @ bins.sum(1), self._along_y, True),
+            ):
+                for amplitude, wave in zip(amplitudes, waves, strict=True):
+                    size = abs(amplitude)
+                    total += size / light
+                    along = (amplitude.conjugate() * wave).real / max(size, 1e-300) / light
+                    slope += (along[:, None] if across else along) - size / light**2
+            gradients.append(refocus.adjoint(slope / count))
+        return total / count, np.stack(gradients)
+
+
+_WAVES = 0.01
+"""Waves by which a point is moved: the change of its path to the rim of the pupil, against that to the middle."""
+
+
+@dataclass(frozen=True)
+class _Move:
+    """Two positions of every point, (n, 3), and factors (n, 1, 1) from differences of spreads to derivatives."""
+
+    there: NDArray[np.float64]
+    back: NDArray[np.float64]
+    factor: NDArray[np.float64]
+
+
+class DepthInformation:
+    r"""How precisely noisy captures determine the depths of points whose other coordinates are unknown, too.
+
+    Of each point the position (X, Y, g) and the brightness w are unknown. With the expected counts of photons I and the
+    background B of each pixel Fisher's information is
+
+    .. math:: F_{ab} = \sum_p \frac{\partial_a I_p \, \partial_b I_p}{I_p + B}, \qquad
+              \sigma_g = \sqrt{(F^{-1})_{gg}},
+
+    the least standard deviation of an estimate of the depth without bias (Kay, "Fundamentals of statistical signal
+    processing: estimation theory", 1993, chapter 3). The figure is the mean of :math:`-\ln \sigma_g` over the points:
+    0.69 more halves all deviations. Derivatives by the position are central differences, sideways and along the chief
+    ray, there of the vergence 1/g, to both sides by a hundredth of a wave of path at the rim of the pupil.
+
+    Parameters
+    ----------
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    photons : float
+        Of each point that pass the pupil.
+    background : float
+        Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
+        everything.
+    wavelength, accuracy, method
+        As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong value.
+    """
+
+    def __init__(
+        self,
+        points: Any,
+        photons: float,
+        *,
+        background: float = 1.0,
+        wavelength: float = 633.0,
+        accuracy: float | None = None,
+        method: str = "patch",
+    ) -> None:
+        self._spreads = Spreads(points, wavelength, accuracy, method)
+        self._photons = require_number("photons", photons, positive=True)
+        self._background = require_number("background", background, positive=True)
+
+    def value(self, camera: PlenopticCamera) -> float:
+        """Return the mean of -ln of the deviations of a camera."""
+        return float(-np.log(self.deviations(camera)).mean())
+
+    def deviations(self, camera: PlenopticCamera) -> NDArray[np.float64]:
+        """Return the standard deviations of the depths of all points, in millimetres."""
+        middle, *slopes = self.expected(camera)
+        return np.array([np.sqrt(self._covariance(*parts)[2, 2]) for parts in zip(middle, *slopes, strict=True)])
+
+    def expected(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
+        """Return the photons that are expected, (n, rows, columns), and their derivatives by X, Y and g."""
+        photons = self._photons
+        slopes = []
+        for move in self._moves(camera):
+            there, back = (self._spreads.images(camera, points) for points in (move.there, move.back))
+            slopes.append(photons * move.factor * (there - back))
+        for slope, tilt in zip(slopes[:2], self._tilts(camera), strict=True):
+            slopes[2] = slopes[2] - tilt * slope
+        return [photons * self._spreads.images(camera), *slopes]
+
+    def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
+        """Return the figure, and its derivatives by parameters of the camera, by name."""
+        names, expected = tuple(names), self.expected(camera)
+        count = len(expected[0])
+        cotangents = [np.zeros_like(part) for part in expected]
+        value = 0.0
+        for index, parts in enumerate(zip(*expected, strict=True)):
+            covariance = self._covariance(*parts)
+            variance, column = covariance[2, 2], covariance[2]
+            value -= np.log(variance) / 2 / count
+            # d ln(1 / sigma) = c' dF c / 2 sigma^2, with c the depth's column of the covariance.
+            noise, columns = self._noise(parts[0]), _columns(*parts)
+            along = np.tensordot(column, columns, 1)
+            for back, part in zip(cotangents, [column[3], *column[:3]], strict=True):
+                back[index] = part * along / noise / variance / count
+            # The brightness w is relative: its derivative is the image itself.
+            cotangents[0][index] -= along**2 / noise**2 / 2 / variance / count
+        total: Gradient = {}
+        for points, images in self._moved(camera, cotangents):
+            found = self._spreads.gradient(camera, self._photons * images, names, points)
+            total = {name: part + total.get(name, 0.0) for name, part in found.items()}
+        return float(value), total
+
+    def _moved(
+        self, camera: PlenopticCamera, cotangents: list[NDArray[np.float64]]
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Yield where points are, and the gradients by their spreads."""
+        image, *along, depth = cotangents
+        yield self._spreads.points, image
+        tilts = self._tilts(camera)
+        given = [*(part - tilt * depth for part, tilt in zip(along, tilts, strict=True)), depth]
+        for move, part in zip(self._moves(camera), given, strict=True):
+            yield move.there, move.factor * part
+            yield move.back, -move.factor * part
+
+    def _tilts(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
+        """Return X and Y of the chief rays for each g, (n, 1, 1); behind an objective these run along the axis."""
+        x, y, g = self._spreads.points.T[..., None, None]
+        return [x / g, y / g] if camera.lens_data.converges else [0 * x, 0 * y]
+
+    def _moves(self, camera: PlenopticCamera) -> list[_Move]:
+        """Return the moves along X, along Y and along the chief ray, by the vergence, whose differences are slopes."""
+        points = self._spreads.points
+        g, path = points[:, 2], _WAVES * self._spreads.wavelength * 1e-6
+        objective = camera.objective
+        if objective is None:
+            sideways, step = path * np.abs(g) / camera.aperture_radius, 2 * path / camera.aperture_radius**2
+            near, far = 1 / (1 / g + step), 1 / (1 / g - step)
+            there, back = points * (near / g)[:, None], points * (far / g)[:, None]
+            rate = -1 / (2 * step * g**2)
+        else:
+            aperture = objective.numerical_aperture
+            sideways, step = np.full(len(g), path / aperture), 2 * path * objective.immersion / aperture**2
+            there, back = (points + np.array([0, 0, side * step]) for side in (1, -1))
+            rate = np.full(len(g), 1 / (2 * step))
+        moves = []
+        for axis in (0, 1):
+            along = sideways[:, None] * (np.arange(3) == axis)
+            moves.append(_Move(points + along, points - along, (1 / (2 * sideways))[:, None, None]))
+        return [*moves, _Move(there, back, rate[:, None, None])]
+
+    def _noise(self, expected: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the variances of the pixels."""
+        return np.maximum(expected, 0) + self._background
+
+    def _covariance(self, expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the least covariance of X, Y, g and the brightness of one point."""
+        rows = _columns(expected, *slopes) / np.sqrt(self._noise(expected))
+        flat = rows.reshape(len(rows), -1)
+        return np.asarray(np.linalg.inv(flat @ flat.T))
+
+
+def _columns(expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivatives by X, Y, g and the logarithm of the brightness."""
+    return np.stack([*slopes, expected])

@@ -1,0 +1,386 @@
+"""The parameters that a fit varies, and the captures of known light that are expected of a camera, by either model."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...camera.entry import Captures
+from ...camera.plenoptic_camera import require_known_to, require_no_glass, require_no_shape
+from ...camera.vector import CameraVector
+from ...errors import refuse_if, short_repr
+from ...lattice import Lattice, make_lattice
+from ...lenses.main_lens import MainLens
+from ...light.optical_system import OpticalSystem
+from ...light.sampling import check_memory, check_positions
+from ...optics import rays
+from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH, check_names, light_slopes
+from ...points.operator import CaptureOperator
+from ...points.pupil_weights import PupilWeights
+from ...points.units import brightness_at
+from ...runtime.backend import array_module, drjit_array, one_at_a_time
+from .fit_light import View
+
+
+def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVector:
+    """Return the vector of the fitted parameters; the piston of aberrations is left out.
+
+    A name is that of a parameter, or the label of one of its parts, as ``wavefront.5``. Names of parameters without a
+    derivative, or that do not apply to the camera, are refused.
+    """
+    given = (names,) if isinstance(names, str) else tuple(names)
+    wholes = {name: str(name).partition(".")[0] for name in given}
+    chosen = check_names(dict.fromkeys(wholes.values()))
+    refuse_if(WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others")
+    refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(DIFFERENTIABLE)}")
+    vector = CameraVector.by_names(camera, chosen)
+    for name, whole in wholes.items():
+        known = [each.label for each in vector.components if each.name == whole]
+        refuse_if(name not in (whole, *known), f"{short_repr(name)}: the camera has {', '.join(known)}")
+    return vector.keep(each.label for each in vector.components if each.name in wholes or each.label in wholes)
+
+
+class WaveModel:
+    """The captures of views that are expected of a camera by the wave model."""
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        views: list[View],
+        wavelength: float,
+        # Tolerance as in `CaptureOperator`.
+        accuracy: float,
+    ) -> None:
+        self._camera, self._views = camera, views
+        self._system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
+        self._weights = [brightness_at(self._system, view.points) * view.weights for view in views]
+        self._operators = [
+            CaptureOperator(
+                camera,
+                view.points,
+                wavelength=wavelength,
+                accuracy=accuracy,
+                pupil_weights=view.pupil_weights,
+                virtual=view.virtual,
+                system=self._system,
+            )
+            for view in views
+        ]
+
+    def images(self) -> NDArray[np.float64]:
+        """Return the expected pixels of all views, (views, rows, columns)."""
+        pairs = zip(self._operators, self._weights, strict=True)
+        return np.stack([operator.forward(weights) for operator, weights in pairs]).astype(np.float64)
+
+    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of `images`, an array (parameters, views, rows, columns)."""
+        names, directions = vector.names, vector.of(self._camera).directions()
+        rows = []
+        for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
+            slopes = light_slopes(self._system, names, view.points)
+            growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
+            grown = [
+                # If the weights of all points grow equally, the image is scaled; otherwise it is computed anew.
+                each[0] * image if (each == each[0]).all() else operator.forward(each * weights)
+                for each in growth
+            ]
+            rows.append(operator.jacobian(weights, directions) + np.stack(grown))
+        return np.stack(rows, 1).astype(np.float64)
+
+
+_PER_PIXEL, _ENOUGH = 4.0, 96.0
+"""Rays across a pixel, and across a micro-image that is so large that one ray a pixel shows its edge well enough."""
+
+_PER_LENS, _FEWEST = 12.0, 16.0
+"""Rays across a microlens and across the pupil at least."""
+
+_STEPS_OF_COUNTS = 2
+"""Steps, to each doubling, of how many rays lie across the pupil: few kernels are compiled."""
+
+_TOGETHER, _RAY_BYTES = 1 << 22, 100
+"""Rays that are followed at once, unless a point has more, and what each takes."""
+
+_REACH = 0.75
+"""Distance from a cell, in pitches, of the centres of all lenses that it touches."""
+
+_SHARPEST = 1e-3
+"""Least width, in pitches, over which borders of lenses fade: in focus all rays meet in one point."""
+
+
+class PointRays:
+    """The rays of points, whose counts are planned for one camera and used for all cameras near it."""
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        # Incoherent points (x, y, z) in the camera frame, in millimetres, an array (n, 3).
+        points: NDArray[np.float64],
+        # Wavelength in nanometres, on which rays through real main lenses depend.
+        wavelength: float,
+        # Relative power over the pupil.
+        pupil_weights: PupilWeights | None = None,
+    ) -> None:
+        _require_known(camera)
+        points = check_positions(points, camera, virtual=True)
+        self._points, self._pupil_weights = points, pupil_weights
+        lens = OpticalSystem(camera, wavelength).waves_of(points)
+        on_array, on_detector = (2 * float(lens.pupil_radius) * abs(scale) for scale in _scales(camera, lens, points))
+        pixels, lenses = on_detector / camera.pixel_size, on_array / min(camera.mla_pitches)
+        sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
+        steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, _PER_LENS * lenses)))
+        self._across = np.ceil(2 ** (steps / _STEPS_OF_COUNTS)).astype(int)
+        most = int(self._across.max(initial=0))
+        check_memory(_RAY_BYTES * float(most) ** 2, f"points by {most} x {most} rays")
+
+    @one_at_a_time
+    def image(self, system: OpticalSystem, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
+
+        Shapes: `weights` (n,).
+        """
+        camera, lens = system.camera, system.waves_of(self._points)
+        image = dr.zeros(array_module().Float64, math.prod(camera.shape))
+        for across in np.unique(self._across).tolist():
+            which = np.flatnonzero(self._across == across)
+            together = max(1, _TOGETHER // across**2)
+            for first in range(0, len(which), together):
+                some = which[first : first + together]
+                own = None if self._pupil_weights is None else self._pupil_weights.take(some)
+                _Bundles(camera, lens, self._points[some], across, own).add(image, weights[some])
+                dr.eval(image)
+        return np.asarray(image.numpy().reshape(camera.shape))
+
+
+def _require_known(camera: PlenopticCamera) -> None:
+    """Refuse a camera through which the rays of points cannot be traced."""
+    require_known_to(camera, Captures.POINTS, "points are followed")
+    require_no_shape(camera, "points are followed by rays")
+    require_no_glass(camera, "points are followed at one wavelength;")
+    camera.require_no_objective("points are followed by rays")
+    refuse_if(
+        not camera.lattice.fills,
+        f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
+        "through arrays without gaps only; use waves",
+    )
+
+
+def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+    """Return the displacements of rays on the array and on the detector per displacement on the pupil."""
+    b, z = float(lens.pupil_distance), camera.reduced_distance
+    on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
+    bends = [1 + z / b - z / f2 for f2 in camera.reduced_focal_lengths]
+    return on_array, np.max([abs(on_array * bend - z / b) for bend in bends], axis=0)
+
+
+@dataclass(frozen=True)
+class _Bundles:
+    """The rays of a few points."""
+
+    camera: PlenopticCamera
+    lens: MainLens
+    # The points (x, y, z), an array (n, 3).
+    points: NDArray[np.float64]
+    across: int
+    # Relative power over the pupil.
+    weights: PupilWeights | None
+
+    def add(self, image: Any, factors: NDArray[np.float64]) -> None:
+        """Add their light, weighted, to the pixels in a row."""
+        types, side = array_module(), self.across
+        Float64 = types.Float64
+        index = dr.arange(types.UInt32, len(self.points) * side * side)
+        which = index // (side * side)
+        within = index - which * (side * side)
+
+        def value(numbers: NDArray[np.float64]) -> Any:
+            return dr.gather(Float64, drjit_array(Float64, numbers), which)
+
+        # One pixel beyond the edge on either side.
+        radius = self._number(self.lens.pupil_radius)
+        step = radius * (2 / (side - 2))
+        pupil = tuple((Float64(part) + (0.5 - side / 2)) * step for part in (within % side, within // side))
+        light, point = self._lens.bind(self.points, which), tuple(value(part) for part in self.points.T)
+        power = light.amplitude(pupil, point) ** 2 * dr.clip(light.inside(pupil) / step + 0.5, 0, 1)
+        if self.weights is not None:
+            power *= Float64(self.weights.at(which, pupil[0], pupil[1], radius, step)[0])
+        whole = dr.block_sum(power, side * side)
+        power *= dr.gather(Float64, drjit_array(Float64, factors) / dr.select(whole > 0, whole, 1), which)
+        position = light.land(pupil, point)
+        scales = _scales(self.camera, self.lens, self.points)
+        on_array, on_detector = (value(abs(scale)) * step for scale in scales)
+        for (i, j), fraction in self._lenses(position, on_array):
+            landed, shrunk = self._detector_position(pupil, position, i, j)
+            self._detect(image, landed, on_detector * shrunk, power * fraction)
+
+    @staticmethod
+    def _number(value: Any) -> Any:
+        """Return an opaque value, so that the compiled kernels can be reused for other values."""
+        return dr.opaque(array_module().Float64, float(value))
+
+    @cached_property
+    def _lens(self) -> MainLens:
+        """Return the main lens, with opaque values if it is thin."""
+        return self.lens.opaque(self._number)
+
+    @cached_property
+    def _lattice(self) -> Lattice:
+        """Return the microlens array with opaque values."""
+        camera = self.camera
+        along, across = (self._number(pitch) for pitch in camera.mla_pitches)
+        offset = tuple(self._number(part) for part in camera.mla_offset)
+        return make_lattice(
+            camera.mla_lattice, (along, across), rotation=self._number(camera.mla_rotation), offset=offset
+        )
+
+    def _lenses(self, position: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
+        """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
+        lattice, plain = self._lattice, self.camera.lattice
+        cell = lattice.cell(*position)
+        u, v = lattice.to_frame(position[0] - lattice.offset[0], position[1] - lattice.offset[1])
+        u, v = u / lattice.pitches[0], v / lattice.row_distance
+        fade = dr.maximum(width / dr.minimum(*lattice.pitches), _SHARPEST)
+
+        def away(i: Any, j: Any) -> tuple[Any, Any]:
+            cu, cv = lattice.unit_centre(i, j)
+            return u - cu, (v - cv) * lattice.row_ratio
+
+        (x, y), found = away(*cell), []
+        for step in plain.neighbours(_REACH * max(plain.pitches)).tolist():
+            lens = cell[0] + step[0], cell[1] + step[1]
+            dx, dy = away(*lens)
+            across, up = np.subtract(lattice.unit_centre(*step), lattice.unit_centre(0, 0))
+            apart = max(math.hypot(across, up * lattice.row_ratio), 1e-9)
+            # Cells are what is nearest to their centres: this is twice the distance from the border of two.
+            beyond = (dx * dx + dy * dy - x * x - y * y) / apart
+            found.append((lens, dr.maximum(1 - beyond / fade, 0)))
+        whole = sum((fraction for _, fraction in found), 0.0)
+        return [(lens, fraction / whole) for lens, fraction in found]
+
+    def _detector_position(
+        self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any
+    ) -> tuple[tuple[Any, Any], Any]:
+        """Return where rays through lenses hit the detector, and how much closer there than by the reduced distance."""
+        camera, lattice = self.camera, self._lattice
+        lengths = [self._number(length) for length in camera.reduced_focal_lengths]
+        f2 = lengths[0]
+        for number, length in enumerate(lengths[1:], 1):
+            f2 = dr.select(abs(lattice.lens_type(i, j) - number) < 0.5, length, f2)
+        b, z = self._number(self.lens.pupil_distance), self._number(camera.detector_distance)
+        slope = (position[0] - pupil[0]) / b, (position[1] - pupil[1]) / b
+        cx, cy = lattice.centre(i, j)
+        turn = (position[0] - cx) / f2, (position[1] - cy) / f2
+        chief = (cx / b, cy / b) if camera.lens_model == "ideal" else None
+        n = camera.mla_medium if camera.mla_medium == 1 else self._number(camera.mla_medium)
+        x, y = rays.into_medium(slope, turn, chief, n)
+        shrunk = rays.evenness(slope, (x, y), chief, n) ** -0.25 if camera.mla_medium != 1 else 1.0
+        return (position[0] + z * x, position[1] + z * y), shrunk
+
+    def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
+        """Add squares around positions on the detector to the pixels that they cover."""
+        camera, UInt32 = self.camera, array_module().UInt32
+        rows, columns = camera.shape
+        size = self._number(camera.pixel_size)
+        half = dr.minimum(dr.maximum(width / size, 1e-3), 1) / 2
+        sides = []
+        for axis, q in enumerate(position):
+            pixel = q / size + (camera.resolution[axis] / 2 - camera.crop_offset[axis])
+            first = dr.floor(pixel - half)
+            # The fraction of the square beyond the border of the two pixels.
+            beyond = dr.clip((pixel + half - first - 1) / (2 * half), 0, 1)
+            sides.append([(first, 1 - beyond), (first + 1, beyond)])
+        for (column, across), (row, down) in itertools.product(*sides):
+            lit = power * across * down
+            seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (lit > 0)
+            dr.scatter_reduce(dr.ReduceOp.Add, image, lit, UInt32(row * columns + column), seen)
+
+
+_STEP = 1e-4
+"""Change of a parameter to either side for its derivative, in `scales`: less than bright captures resolve.
+
+Over longer ones dark pixels next to edges of the light seem to change with a parameter that does not light them.
+"""
+
+_LENGTHENED = 2
+"""How often the length over which slopes are averaged is corrected."""
+
+
+def check_numbers(vector: CameraVector) -> None:
+    """Refuse parameters on which the rays of points do not depend."""
+    refuse_if("mla_fill" in vector.names, "mla_fill: rays from points know no gaps between lenses; use the wave model")
+
+
+class RayModels:
+    """Cameras near one for which the counts of rays are planned."""
+
+    def __init__(self, camera: PlenopticCamera, views: Sequence[View], wavelength: float) -> None:
+        self._views, self._wavelength = views, wavelength
+        self._rays = [
+            PointRays(camera, view.points, wavelength, PupilWeights.of(view.pupil_weights, len(view.points)))
+            for view in views
+        ]
+
+    def at(self, camera: PlenopticCamera) -> RayModel:
+        """Return the model of one of these cameras."""
+        return RayModel(self, camera)
+
+    def images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
+        """Return the expected pixels of all views, (views, rows, columns)."""
+        system = OpticalSystem(camera, self._wavelength)
+        return np.stack(
+            [
+                rays.image(system, brightness_at(system, view.points) * view.weights)
+                for rays, view in zip(self._rays, self._views, strict=True)
+            ]
+        )
+
+
+class RayModel:
+    """The captures of views that are expected of a camera by the ray model; see `RayModels.at`."""
+
+    def __init__(self, models: RayModels, camera: PlenopticCamera) -> None:
+        self._models, self._camera = models, camera
+
+    def images(self) -> NDArray[np.float64]:
+        """Return the expected pixels of all views, (views, rows, columns)."""
+        return self._models.images(self._camera)
+
+    def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of `images`, an array (parameters, views, rows, columns), by central differences."""
+        own = vector.of(self._camera)
+        x, steps = own.values, _STEP * own.scales
+        rows = np.empty((len(x), *images.shape))
+        for index, step in enumerate(steps.tolist()):
+            sides = (x + side * step * (np.arange(len(x)) == index) for side in (1, -1))
+            more, less = (self._models.images(own.at(side)) for side in sides)
+            rows[index] = (more - less) / (2 * step)
+        return rows
+
+    def slopes(
+        self, vector: CameraVector, steps: NDArray[np.float64], distance: Callable[[NDArray[np.float64]], float]
+    ) -> NDArray[np.float64]:
+        """Return mean slopes (parameters, views, rows, columns) over the deviations of some directions.
+
+        Captures have kinks: where the light's edge comes to dark pixels, their slope is large on one side and 0 on the
+        other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are those
+        of the side on which captures change less, over the length at which their `distance` from these is 1.
+        """
+        own, images = vector.of(self._camera), self.images()
+        moved, rows = np.empty_like(steps), np.empty((len(steps), *images.shape))
+        for index, step in enumerate(steps):
+            sides = [(side * step, self._models.images(own.at(own.values + side * step))) for side in (1, -1)]
+            nearest, changed = min(sides, key=lambda side: distance(side[1]))
+            for _ in range(_LENGTHENED):
+                most = 1 / np.linalg.norm(nearest / own.scales)
+                nearest = nearest * min(1 / max(distance(changed), 1e-9), most)
+                changed = self._models.images(own.at(own.values + nearest))
+            moved[index], rows[index] = nearest, changed - images
+        return np.tensordot(np.linalg.inv(moved), rows, 1)

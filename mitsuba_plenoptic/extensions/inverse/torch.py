@@ -1,0 +1,338 @@
+"""Captures and reconstructions as differentiable functions of PyTorch's tensors (extra ``torch``).
+
+Axes before those that a function names are a batch. Results have the type, which must be of floating point, and the
+device of the tensor given. Tensors in the processor's memory share it with NumPy; others are copied to it and back,
+except by `render`, whose tensors go to the device of Dr.Jit by DLPack. All functions have derivatives in reverse and in
+forward mode, and can be used in the transforms of ``torch.func``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if, short_repr
+from ...points.operator import CaptureOperator
+from ...runtime.backend import drjit_array
+from .array_functions import (
+    ONCE,
+    CameraCapture,
+    Latest,
+    LinearFunction,
+    Refocus,
+    SmoothFunction,
+    points,
+    refocusing,
+    working_array,
+)
+from .scene_functions import Rendering
+
+try:
+    import torch
+except ImportError:
+    raise InputError(
+        "mitsuba_plenoptic.torch needs the package torch: pip install 'mitsuba-plenoptic[torch]'"
+    ) from None
+
+__all__ = ["adjoint", "capture", "forward", "refocus", "render"]
+
+
+def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
+    """Capture points with weights: `CaptureOperator.forward`, differentiable any number of times.
+
+    A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
+    compute them in each direction.
+
+    Parameters
+    ----------
+    operator : CaptureOperator
+        The points before a camera.
+    weights : Tensor (..., n)
+        Weights of the points. With a spectrum (..., wavelengths, n).
+
+    Returns
+    -------
+    Tensor (..., rows, columns)
+        The images. With a spectrum (..., channels, rows, columns).
+
+    Raises
+    ------
+    InputError
+        If the weights have a wrong shape, or as `CaptureOperator.forward` does.
+    """
+    return _Linear.apply(weights, points(operator))
+
+
+def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
+    """Weigh images by the point spreads: `CaptureOperator.adjoint`, differentiable any number of times.
+
+    Parameters
+    ----------
+    operator : CaptureOperator
+        The points before a camera.
+    images : Tensor (..., rows, columns)
+        The images. With a spectrum (..., channels, rows, columns).
+
+    Returns
+    -------
+    Tensor (..., n)
+        Products with the spreads. With a spectrum (..., wavelengths, n).
+
+    Raises
+    ------
+    InputError
+        If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
+    """
+    return _Linear.apply(images, points(operator).T)
+
+
+def capture(
+    make: Callable[[PlenopticCamera], CaptureOperator],
+    camera: PlenopticCamera,
+    parameters: Mapping[str, torch.Tensor],
+    weights: torch.Tensor,
+) -> torch.Tensor:
+    """Capture points by a camera with some parameters: differentiable by these and by the weights, once.
+
+    The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``.
+        Return a `StoredOperator` if the gradient by the weights is needed, which then computes no spread again.
+    camera : PlenopticCamera
+        The camera, of which `parameters` replace some.
+    parameters : mapping of str to Tensor
+        Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
+        given, except for the wavelength.
+    weights : Tensor
+        As for `forward`.
+
+    Returns
+    -------
+    Tensor
+        As from `forward`, of the type of the weights.
+
+    Raises
+    ------
+    InputError
+        If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
+    """
+    values = map(_required, parameters.values())
+    return _Smooth.apply(_latest(CameraCapture(make, camera, tuple(parameters))), _required(weights), *values)
+
+
+def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
+    """Refocus captures, differentiably: with the ray model any number of times, with others once.
+
+    The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
+    those of all captures of a batch.
+
+    Parameters
+    ----------
+    by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
+        The camera, distance and method.
+    captures : Tensor (..., rows, columns)
+        The recorded pixels.
+
+    Returns
+    -------
+    Tensor (..., rows, columns)
+        The images, with 0 in bins that `reconstruct` leaves unknown.
+
+    Raises
+    ------
+    InputError
+        If the captures have a wrong shape.
+    """
+    function = refocusing(by)
+    if isinstance(function, LinearFunction):
+        return _Linear.apply(captures, function)
+    return _Smooth.apply(_latest(function), _required(captures))
+
+
+def render(
+    scene: Any, values: Mapping[str, torch.Tensor], *, integrator: Any = None, spp: int = 0, seed: int = 0
+) -> torch.Tensor:
+    """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
+
+    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
+    The scene keeps the values; its derivatives give it those of their image again.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
+    values : mapping of str to Tensor
+        Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
+    integrator : mitsuba.Integrator, optional
+        Default: that of the scene.
+    spp : int
+        Samples per pixel. 0: those of the scene's sampler.
+    seed : int
+        Seed of the random numbers. Derivatives draw others.
+
+    Returns
+    -------
+    Tensor (rows, columns, channels)
+        The film's image, in single precision.
+
+    Raises
+    ------
+    InputError
+        If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
+    """
+    shapes = {name: tuple(_required(value).shape) for name, value in values.items()}
+    function = Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
+    remembering = Latest(function, torch.clone, torch.equal, _drjit)
+    return _Smooth.apply(remembering, *(value.float() for value in values.values()))
+
+
+class _Linear(torch.autograd.Function):
+    """A linear map between arrays, with its transpose."""
+
+    @staticmethod
+    def forward(given: torch.Tensor, function: LinearFunction) -> torch.Tensor:
+        return _tensor(function.straight(_array(given)), given)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        _, ctx.function = inputs
+
+    @staticmethod
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
+        return _Linear.apply(gradient, ctx.function.T), None
+
+    @staticmethod
+    def jvp(ctx: Any, change: torch.Tensor, _: None) -> torch.Tensor:
+        return _Linear.apply(change, ctx.function)
+
+    @staticmethod
+    def vmap(_: Any, axes: tuple[int, None], given: torch.Tensor, function: LinearFunction) -> tuple[torch.Tensor, int]:
+        return _Linear.apply(given.movedim(axes[0], 0), function), 0
+
+
+class _RowByRow(torch.autograd.Function):
+    """A function that ``torch.vmap`` applies to one row after the other."""
+
+    @classmethod
+    def vmap(cls, info: Any, axes: tuple[int | None, ...], *given: Any) -> tuple[Any, Any]:
+        pairs = list(zip(given, axes, strict=True))
+        rows = [
+            cls.apply(*(each if axis is None else each.select(axis, row) for each, axis in pairs))
+            for row in range(info.batch_size)
+        ]
+        if isinstance(rows[0], torch.Tensor):
+            return torch.stack(rows), 0
+        return tuple(map(torch.stack, zip(*rows, strict=True))), (0,) * len(rows[0])
+
+
+class _Smooth(_RowByRow):
+    """A function of arrays with derivatives, which are those at the arrays of the forward pass."""
+
+    @staticmethod
+    def forward(function: Latest, *given: torch.Tensor) -> torch.Tensor:
+        return _tensor(function.at(given).value, given[0])
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        ctx.function, *given = inputs
+        # PyTorch refuses derivatives at tensors that have been overwritten.
+        ctx.save_for_backward(*given)
+        ctx.save_for_forward(*given)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        needed = ctx.needs_input_grad[1:]
+        found = iter(_Gradients.apply(ctx.function, _where(needed), gradient, *ctx.saved_tensors))
+        return None, *(next(found) if one else None for one in needed)
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *changes: torch.Tensor | None) -> torch.Tensor:
+        known = [each for each in changes if each is not None]
+        which = _where([each is not None for each in changes])
+        return _Change.apply(ctx.function, which, *known, *ctx.saved_tensors)
+
+
+class _Once(_RowByRow):
+    """A derivative, which has none itself."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        """Keep nothing."""
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        raise InputError(ONCE)
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        raise InputError(ONCE)
+
+
+class _Change(_Once):
+    """The change of a function's value with those of some of the arrays."""
+
+    @staticmethod
+    def forward(function: Latest, which: frozenset[int], *tensors: torch.Tensor) -> torch.Tensor:
+        changes, given = iter(tensors[: len(which)]), tensors[len(which) :]
+        taken = [function.taken(next(changes)) if k in which else None for k in range(len(given))]
+        return _tensor(function.at(given).jvp(taken), given[0])
+
+
+class _Gradients(_Once):
+    """The gradients by some of the arrays."""
+
+    @staticmethod
+    def forward(
+        function: Latest, needed: frozenset[int], gradient: torch.Tensor, *given: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
+        found = function.at(given).vjp(function.taken(gradient), [k in needed for k in range(len(given))])
+        return tuple(_tensor(each, like) for each, like in zip(found, given, strict=True) if each is not None)
+
+
+def _where(which: Iterable[bool]) -> frozenset[int]:
+    """Return where something holds, as a set, into which PyTorch's transforms do not look."""
+    return frozenset(k for k, one in enumerate(which) if one)
+
+
+def _latest(function: SmoothFunction) -> Latest:
+    """Return a function that remembers its latest value."""
+    return Latest(function, torch.clone, torch.equal, _array)
+
+
+def _array(tensor: torch.Tensor) -> NDArray[Any]:
+    """Return the memory of a tensor, or a copy of it on the processor."""
+    given = _required(tensor).detach().cpu()
+    # NumPy has no types for bfloat16 and for a quarter of the precision.
+    known = given if given.dtype in (torch.float32, torch.float64) else given.float()
+    return working_array(known.resolve_neg().numpy())
+
+
+def _required(value: Any) -> torch.Tensor:
+    """Return a tensor with values in memory, of floating point, which others would round results to; else refuse."""
+    refuse_if(not isinstance(value, torch.Tensor), f"{short_repr(value)}: it must be a tensor of PyTorch")
+    refuse_if(
+        not value.is_floating_point() or value.layout != torch.strided or value.is_meta,
+        f"tensor of shape {tuple(value.shape)}, {value.dtype}, {value.layout}, device {value.device}: it must be a "
+        "dense tensor of floating point with values",
+    )
+    return value
+
+
+def _tensor(array: Any, like: torch.Tensor) -> torch.Tensor:
+    """Return an array as a tensor of the type and device of another."""
+    return (array.torch() if dr.is_tensor_v(array) else torch.from_numpy(np.asarray(array))).to(like)
+
+
+def _drjit(tensor: torch.Tensor) -> Any:
+    """Return a tensor as one of Dr.Jit, on a device by DLPack."""
+    tensor = tensor.detach()
+    return drjit_array(mi.TensorXf, tensor.numpy() if tensor.device.type == "cpu" else tensor.contiguous())

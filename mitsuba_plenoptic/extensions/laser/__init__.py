@@ -1,0 +1,8 @@
+"""Extension `laser`: captures of coherent and partially coherent light."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    modules={"laser": "laser"},
+    plugins={"laser_integrator": "integrator"},
+)

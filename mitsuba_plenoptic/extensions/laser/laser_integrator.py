@@ -1,0 +1,238 @@
+"""The integrator plugin ``plenoptic_laser``: captures of scenes with laser light."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_ideal
+from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength
+from ...light.cost import Cost
+from ...light.lens_kinds import regular_array
+from ...light.optical_system import OpticalSystem
+from ...optics import guards
+from ...optics.spectrum import Spectrum
+from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain, require_read
+from ...points.coherent import require_coherent
+from ...points.operator import CaptureOperator
+from ...points.scene_points import require_matte_surfaces
+from ...runtime.jobs import Job
+from .lit_points import LaserScene, LitPoints, named_lasers, without
+from .modes import mode_count
+from .realisations import coherent_capture
+
+NAME = "plenoptic_laser"
+
+POINTS_PER_SPOT = 16.0
+"""Default number of points in each resolved spot; the contrast of speckle is then smaller by 1.3 %."""
+
+SOURCE = ("source_diameter", "source_distance", "bandwidth", "roughness")
+"""Parameters of a source, from which the number of modes follows."""
+
+
+def make_class() -> type:
+    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+
+    class PlenopticLaserIntegrator(mi.SamplingIntegrator):
+        r"""Laser light: captures with speckle and fringes, together with all other light of the scene.
+
+        .. pluginparameters::
+
+         * - lasers
+           - |string|
+           - Ids of the emitters that are lasers, separated by commas: points, spots, projectors or directional emitters
+         * - wavelength
+           - |float|
+           - Vacuum wavelength of the lasers in nanometres. (Default: 633)
+         * - modes
+           - |int|
+           - Count of independent realisations whose intensities are averaged. (Default: 1, or by the source)
+         * - source_diameter, source_distance
+           - |float|
+           - Instead of ``modes``: diameter of an incoherent disc from which the light comes, and its distance from the
+             lit surfaces. (Default: a point)
+         * - bandwidth, roughness
+           - |float|
+           - Instead of ``modes``: full width of the spectrum at half its maximum in nanometres, and root mean square
+             height of the surfaces in millimetres. (Default: 0)
+         * - points_per_spot
+           - |float|
+           - Number of points in each resolved spot, a square of side :math:`\lambda b / D_1` on the microlens array.
+             (Default: 16)
+         * - (Nested plugin)
+           - :paramtype:`integrator`
+           - Captures all other light, by rays like ``path`` or by waves like ``plenoptic_wave``. (Default: ``path``)
+
+        All that the lasers light directly is mutually coherent within a realisation. Surfaces are rough, so that each
+        of their points has a random phase, from the seed; where several lasers light one point, their fields add
+        with the phases of their paths before, which makes fringes on the surface. The fields of all points propagate
+        together through the main lens, the microlenses and to the detector, without paraxial approximation, and the
+        intensity is integrated over the pixels. The mean over realisations has no speckle; the contrast of speckle on
+        fields is :math:`1 / \sqrt N` for N ``modes``. From the size and spectrum of a source N follows as in
+        `laser.mode_count`, for the mean distance of the lit points, rounded. The nested integrator captures the scene
+        without the lasers, and the two intensities add: ``spp`` is for this part alone.
+
+        Surfaces must be matte, and light of the lasers that is reflected more than once is left out. A point that an
+        object hides from a part of the pupil has the field of an open pupil, and a guard states the fraction of this
+        light. Gloss, mirrors, glass, masks, instances and media are refused by name, and so are area emitters as
+        lasers, real main lenses, microscopes, moving scenes, variants other than mono ones and noise estimates. There
+        are no gradients.
+
+        .. tabs::
+            .. code-tab:: xml
+
+                <integrator type="plenoptic_laser">
+                    <string name="lasers" value="spot"/>
+                    <float name="wavelength" value="532"/>
+                    <integer name="modes" value="2"/>
+                    <integrator type="path"/>
+                </integrator>
+
+            .. code-tab:: python
+
+                'type': 'plenoptic_laser',
+                'lasers': 'spot',
+                'wavelength': 532.0,
+                'modes': 2,
+                'child': {'type': 'path'}
+        """
+
+        plugin = NAME
+
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.lasers = _names(read_plain(props, "lasers", ""))
+            wavelength = read_plain(props, "wavelength", DEFAULT_WAVELENGTH)
+            self.wavelengths = (require_wavelength(wavelength, f"{NAME}: wavelength"),)
+            self.modes = None
+            if "modes" in props:
+                self.modes = require_count(f"{NAME}: modes", props["modes"])
+            self.source = {
+                name: require_number(f"{NAME}: {name}", read_plain(props, name, 0), positive=True)
+                for name in SOURCE
+                if name in props
+            }
+            refuse_if(
+                self.modes is not None and self.source, f"{NAME}: modes, {', '.join(self.source)}: give one of the two"
+            )
+            for name, needed in (("source_distance", "source_diameter"), ("roughness", "bandwidth")):
+                refuse_if(
+                    name in self.source and needed not in self.source,
+                    f"{NAME}: {name}: it has a meaning with a {needed} only",
+                )
+            points = read_plain(props, "points_per_spot", POINTS_PER_SPOT)
+            self.points_per_spot = require_number(f"{NAME}: points_per_spot", points, positive=True)
+            nested = [value for _, value in props.objects()]
+            refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
+            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
+            require_read(props, NAME)
+            variant = mi.variant() or ""
+            refuse_if(
+                "_mono" not in variant or mi.is_polarized,
+                f"{NAME}: variant {variant}: laser light has one wavelength; use llvm_ad_mono or cuda_ad_mono",
+            )
+
+        def render(
+            self,
+            scene: Any,
+            sensor: Any = 0,
+            seed: Any = 0,
+            spp: int = 0,
+            develop: bool = True,
+            evaluate: bool = True,
+        ) -> Any:
+            """Render the capture; `spp` is the count of samples per pixel of the nested integrator."""
+            if isinstance(sensor, int):
+                sensor = scene.sensors()[sensor]
+            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
+            film = self.record(scene, sensor, seed=seed, spp=spp or sensor.sampler().sample_count())
+            return film.develop() if develop else None
+
+        def record(
+            self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
+        ) -> Any:
+            """Compute the capture, and return the film that holds it; the job is that of the laser light."""
+            refuse_if(noise, f"{NAME}: noise: it is not estimated; compare seeds")
+            lasers = self._require(scene, sensor)
+            with guards.watch():
+                image = self._laser(scene, sensor, lasers, seed, job or Job())
+            rest = without(scene, lasers)
+            if rest.emitters():
+                image = image + np.array(self.child.render(rest, sensor, seed=seed, spp=spp), np.float32)[..., :1]
+            put(sensor.film(), image, 1)
+            return sensor.film()
+
+        def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
+            """Refuse an estimate."""
+            raise InputError(f"{NAME}: its cost is not estimated; time a smaller detector")
+
+        def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
+            """Return None: the light has one wavelength."""
+            return None
+
+        def parameters(self) -> dict[str, Any]:
+            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            return {
+                "lasers": ", ".join(self.lasers),
+                "wavelength": self.wavelengths[0],
+                **({} if self.modes is None else {"modes": self.modes}),
+                **self.source,
+                "points_per_spot": self.points_per_spot,
+            }
+
+        def to_string(self) -> str:
+            """Describe the integrator."""
+            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
+            return "\n".join(["PlenopticLaserIntegrator[", *lines, f"  child = {self.child}", "]"])
+
+        def _require(self, scene: Any, sensor: Any) -> list[Any]:
+            """Return the lasers; refuse scenes and cameras for which the model does not hold."""
+            with naming(NAME):
+                camera = regular_array(PlenopticCamera.from_sensor(sensor))
+                require_ideal(camera, in_full=True)
+                require_coherent(camera)
+            refuse_if(not sensor.film().rfilter().is_box_filter(), f'{NAME}: the film needs <rfilter type="box"/>')
+            refuse_if(
+                sensor.film().base_channels_count() != 1, f"{NAME}: the film has colours; use pixel_format luminance"
+            )
+            refuse_if(sensor.shutter_open_time() > 0, f"{NAME}: the shutter is open: it needs a scene at rest")
+            refuse_if(sensor.get_medium() is not None, f"{NAME}: the sensor is in a medium: it needs empty space")
+            require_matte_surfaces(scene, NAME)
+            return named_lasers(scene, self.lasers, NAME)
+
+        def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> NDArray[np.float32]:
+            """Return the light of the lasers, (rows, columns, 1)."""
+            camera = regular_array(PlenopticCamera.from_sensor(sensor))
+            (wavelength,) = self.wavelengths
+            system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
+            points = LaserScene(scene, sensor, lasers, system).points(self.points_per_spot, seed)
+            if not len(points.positions):
+                warnings.warn(f"{NAME}: the camera sees no surface that the lasers light", stacklevel=2)
+                return np.zeros((*camera.shape, 1), np.float32)
+            operator = CaptureOperator(camera, points.positions, wavelength=wavelength, method="full_field")
+            modes = self._modes_of(camera, points)
+            return coherent_capture(operator, points.weights, modes=modes, seed=seed, job=job)[..., None]
+
+        def _modes_of(self, camera: PlenopticCamera, points: LitPoints) -> int:
+            """Return the number of modes, of the source if one is given."""
+            if self.modes is not None or not self.source:
+                return self.modes or 1
+            distance = float(np.average(points.positions[:, 2], weights=points.weights))
+            with naming(NAME):
+                found = mode_count(camera, wavelength=self.wavelengths[0], distance=distance, **self.source)
+            return max(1, round(found))
+
+    return PlenopticLaserIntegrator
+
+
+def _names(value: Any) -> list[str]:
+    """Return the names in a text, separated by commas."""
+    refuse_if(not isinstance(value, str), f"{NAME}: lasers = {value}: it must be ids of emitters, separated by commas")
+    names = [name.strip() for name in value.split(",") if name.strip()]
+    refuse_if(not names, f"{NAME}: lasers: give the id of at least one emitter")
+    return names

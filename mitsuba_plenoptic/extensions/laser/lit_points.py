@@ -1,0 +1,272 @@
+r"""Points of a scene's rough surfaces that lasers light directly, for a coherent capture.
+
+Chief rays through a jittered grid of points of the microlens array, with some points in each resolved spot, find the
+surfaces; shadow rays find the lasers that they see. A point stands for the part of the surface whose chief rays cross
+the area A of one cell of the grid. With the radiance L that its surface reflects towards the camera its power is
+
+.. math:: w = L \, \frac{A}{b^2} \, \frac{A_{pupil} z^2}{A_{lens} A_{pixel}}
+
+in the units of captures. Lasers are mutually coherent: the fields of several that light one point add with the phases
+of their paths, so that the reflected light has the fringes of their interference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError, did_you_mean, refuse_if
+from ...light.entrance import LensWindow
+from ...light.optical_system import OpticalSystem
+from ...light.scene_light import random_numbers, world_ray
+from ...optics import guards
+from ...optics.waves import in_millimetres
+from ...points.units import radiance_weight
+from ...runtime.backend import drjit_array
+from ...runtime.limits import require_memory
+
+_COARSE = 64
+"""Chief rays along each axis that find the distances of the surfaces, and so the width of their blur."""
+
+_WIDER = 3.0
+"""Width of the square of these rays over that of the recorded lenses."""
+
+_SEARCH = 2**16
+"""Number of rays from each laser, and of rays through the whole pupil, that find surfaces beside the chief rays."""
+
+_ACROSS = 4
+"""Chief rays along each axis through a shape that is at most as many times as large as their distance."""
+
+_DEPTHS = 9
+"""Distances at which the blur is computed."""
+
+_RIM = 12
+"""Points on the edge of the pupil that must see the lit points."""
+
+_RINGS, _SPOKES = 8, 32
+"""Points of the pupil whose rays determine the width of the blur."""
+
+_LANES = 2**20
+"""Number of chief rays that are traced at once."""
+
+_POINT_BYTES = 64.0
+"""Memory of a lit point."""
+
+
+@dataclass(frozen=True)
+class LitPoints:
+    """Points that reflect laser light."""
+
+    # Positions in the camera frame, (n, 3).
+    positions: NDArray[np.float64]
+    # Power of each in the units of captures, (n,).
+    weights: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LaserScene:
+    """A scene with lasers, and the sensor that captures it."""
+
+    scene: Any
+    sensor: Any
+    lasers: Sequence[Any]
+    system: OpticalSystem
+
+    def points(self, per_spot: float, seed: int) -> LitPoints:
+        """Find points with a given number of them in a square of side lambda b / D on the array."""
+        lens, rng = self.system.lens, np.random.default_rng(seed)
+        window = LensWindow.of(self.system)
+        middle, half = (window.low + window.high) / 2, (window.high - window.low) / 2
+        coarse = np.stack(np.meshgrid(*[(np.arange(_COARSE) + 0.5) * 2 / _COARSE - 1] * 2), -1).reshape(-1, 2)
+        wide = middle + coarse * half * _WIDER
+        search = np.random.default_rng([seed, 1])
+        # What is small, or so far out of focus that only its blur reaches the detector, may be beside these rays.
+        towards = np.concatenate([wide, self._laser_images(search), self._pupil_images(middle, half, search)])
+        found, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
+        if not len(found):
+            found = self._seen(wide)
+        if not len(found):
+            return LitPoints(np.empty((0, 3)), np.empty(0))
+        blur = self._blur(found)
+        reaches = (np.abs(lens.images(found) - middle) <= half + blur[:, None]).all(1)
+        if not reaches.any():
+            return LitPoints(np.empty((0, 3)), np.empty(0))
+        half = half + blur[reaches].max()
+        spot = in_millimetres(self.system.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
+        count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
+        total = math.prod(count.tolist())
+        require_memory(_POINT_BYTES * total, f"points_per_spot = {per_spot:g}: {total} rays to points")
+        cell = 2 * half / count
+        parts = []
+        for first in range(0, total, _LANES):
+            index = np.arange(first, min(first + _LANES, total))
+            place = np.stack([index % count[0], index // count[0]], 1) + rng.random((len(index), 2))
+            parts.append(self._lit(middle - half + place * cell, int(rng.integers(2**32))))
+        positions, power, hidden = (np.concatenate(each) for each in zip(*parts, strict=True))
+        if power.sum() > 0:
+            guards.check(guards.HIDDEN, float(power @ hidden / power.sum()))
+        return LitPoints(positions, power * radiance_weight(self.system.camera, lens, float(cell.prod())))
+
+    def _lit(
+        self, place: NDArray[np.float64], seed: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim that does not see each.
+
+        `place` are points (n, 2) of the array.
+        """
+        hit, lens = self._hit(place), self.system.lens
+        radiance = self._radiance(hit, seed)
+        lit = np.flatnonzero(radiance > 0)
+        if not len(lit):
+            return np.empty((0, 3)), np.empty(0), np.empty(0)
+        hit = dr.gather(type(hit), hit, drjit_array(mi.UInt32, lit))
+        positions = self._in_camera(hit)
+        angle = 2 * math.pi * np.arange(_RIM) / _RIM
+        hidden = np.zeros(len(lit))
+        for x, y in lens.reach * np.stack([np.cos(angle), np.sin(angle)], 1):
+            target = self.sensor.world_transform() @ mi.Point3f(float(x), float(y), 0)
+            hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
+        return positions, radiance[lit], hidden
+
+    def _seen(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where chief rays through points (n, 2) of the array meet surfaces, lit or not."""
+        hit = self._hit(place)
+        return self._in_camera(hit)[hit.is_valid().numpy()]
+
+    def _hit(self, place: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
+        """Return Mitsuba's intersections of chief rays, or of rays through points (2, n) of the pupil."""
+        q = tuple(drjit_array(mi.Float, place[:, axis]) for axis in (0, 1))
+        zero = dr.zeros(mi.Float, len(place))
+        through = (zero, zero) if pupil is None else tuple(drjit_array(mi.Float, axis) for axis in pupil)
+        point, slope, _ = self.system.lens.ray(through, q)
+        return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
+
+    def _in_camera(self, hit: Any) -> NDArray[np.float64]:
+        """Return the positions (n, 3) of intersections in the camera frame."""
+        return np.asarray((self.sensor.world_transform().inverse() @ hit.p).numpy().T, np.float64)
+
+    def _images(self, hit: Any) -> NDArray[np.float64]:
+        """Return the positions (n, 2) on the array of the chief rays of intersections before the main lens."""
+        positions = self._in_camera(hit)[hit.is_valid().numpy()]
+        return self.system.lens.images(positions[positions[:, 2] > 0])
+
+    def _laser_images(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return the chief rays of points that rays from the lasers meet."""
+        parts = []
+        for laser in self.lasers:
+            a, b, c, d = (drjit_array(mi.Float, numbers) for numbers in rng.random((4, _SEARCH)))
+            ray, _ = laser.sample_ray(self.sensor.shutter_open(), mi.Float(0.5), mi.Point2f(a, b), mi.Point2f(c, d))
+            parts.append(self._images(self.scene.ray_intersect(mi.Ray3f(ray))))
+        return np.concatenate(parts)
+
+    def _pupil_images(
+        self, middle: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return the chief rays of points that rays from the recorded lenses through the whole pupil meet."""
+        position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
+        radius, angle = self.system.lens.reach * np.sqrt(rng.random(_SEARCH)), 2 * math.pi * rng.random(_SEARCH)
+        return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
+
+    def _small_shapes(self, step: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return chief rays through the images of shapes of a few `step`, for each shape."""
+        to_camera, found = self.sensor.world_transform().inverse(), []
+        grid = np.stack(np.meshgrid(*[(np.arange(_ACROSS) + 0.5) / _ACROSS] * 2), -1).reshape(-1, 2)
+        for shape in self.scene.shapes():
+            box = shape.bbox()
+            sides = np.array([box.corner(corner) for corner in range(8)], np.float32).T
+            world = mi.Point3f(*(drjit_array(mi.Float, side) for side in sides))
+            corners = (to_camera @ world).numpy().T.astype(float)
+            if corners[:, 2].min() > 0:
+                images = self.system.lens.images(corners)
+                low, high = images.min(0), images.max(0)
+                if (high - low < _ACROSS * step).all():
+                    found.append(low + (high - low) * grid)
+        return found
+
+    def _blur(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far from their chief rays the rays of points (n, 3) arrive on the array, by focus and wavefront.
+
+        The displacement is linear in the inverse distance, so that its greatest length is below straight lines between
+        the lengths at some distances.
+        """
+        # A thin lens: `require_coherent` refuses others.
+        lens: Any = self.system.lens
+        radius = lens.pupil_radius * (np.arange(_RINGS) + 1) / _RINGS
+        angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
+        pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
+        inverse = 1 / points[:, 2]
+        steps = np.linspace(inverse.min(), inverse.max(), _DEPTHS)
+        axial = ((0.0, 0.0, 1 / step) for step in steps)
+        moved = (np.array(lens.land(pupil, point)).T - lens.land((0.0, 0.0), point) for point in axial)
+        return np.interp(inverse, steps, [np.hypot(*each.T).max() for each in moved])
+
+    def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
+        """Return the squared modulus of the sum of the lasers' fields, each with the phase of its path."""
+        sampler = random_numbers(seed, dr.width(hit.t))
+        context, bsdf, total = mi.BSDFContext(), hit.bsdf(), np.zeros(dr.width(hit.t), np.complex128)
+        place = hit.p.numpy().T.astype(np.float64)
+        for laser in self.lasers:
+            sample, arriving = laser.sample_direction(hit, sampler.next_2d(), hit.is_valid())
+            active = hit.is_valid() & (sample.pdf > 0) & ~self.scene.ray_test(hit.spawn_ray_to(sample.p))
+            refuse_if(
+                dr.any(mi.unpolarized_spectrum(arriving)[0] < 0),
+                f"lasers = {laser.id()}: its light is negative; intensities and irradiances must be at least 0",
+            )
+            reflected = bsdf.eval(context, hit, hit.to_local(sample.d), active) * arriving
+            light = dr.select(active, mi.unpolarized_spectrum(reflected)[0], 0).numpy().astype(np.float64)
+            refuse_if(not np.isfinite(light).all(), "scene: the laser light of some points is NaN or infinite")
+            refuse_if(
+                light.min(initial=0) < 0,
+                f"lasers = {laser.id()}: a surface that it lights has a negative reflectance; it must be at least 0",
+            )
+            total += np.sqrt(light) * np.exp(2j * math.pi * self._path(laser, sample, place))
+        return np.asarray(np.abs(total) ** 2)
+
+    def _path(self, laser: Any, sample: Any, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the path in waves from a laser to points (n, 3) of the world, less whole waves."""
+        if mi.has_flag(laser.flags(), mi.EmitterFlags.DeltaDirection):
+            towards = np.broadcast_to(sample.d.numpy().T.astype(np.float64), place.shape)
+            path = -(place * towards).sum(1)
+        else:
+            path = np.linalg.norm(place - sample.p.numpy().T.astype(np.float64), axis=1)
+        return np.asarray(np.fmod(path / in_millimetres(self.system.wavelength), 1))
+
+
+def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
+    """Return the emitters with these ids; refuse those that are not lasers."""
+    known = {emitter.id(): emitter for emitter in scene.emitters()}
+    found = []
+    for name in names:
+        refuse_if(names.count(name) > 1, f"{what}: lasers = {name}: it is given more than once")
+        if name not in known:
+            raise InputError(
+                f"{what}: lasers = {name}: the scene has no emitter of this id ({', '.join(sorted(known))})"
+                f"{did_you_mean(name, known)}"
+            )
+        flags = known[name].flags()
+        delta = mi.has_flag(flags, mi.EmitterFlags.DeltaPosition) or mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
+        # Mitsuba cannot sample the directional ones among the surfaces that radiate.
+        extended = mi.has_flag(flags, mi.EmitterFlags.Surface)
+        refuse_if(
+            extended or not delta,
+            f"{what}: lasers = {name}: an emitter of type {known[name].class_name()} is extended; a laser is a point, "
+            "spot, projector or directional emitter",
+        )
+        found.append(known[name])
+    return found
+
+
+def without(scene: Any, lasers: Sequence[Any]) -> Any:
+    """Return a scene of the same objects without some emitters."""
+    dark = {laser.id() for laser in lasers}
+    lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
+    rest = [lamp for lamp in lamps if lamp.id() not in dark]
+    objects = {f"object_{index}": item for index, item in enumerate((*scene.shapes(), *rest))}
+    return mi.load_dict({"type": "scene", **objects}, optimize=False)

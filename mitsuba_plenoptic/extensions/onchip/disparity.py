@@ -1,0 +1,170 @@
+r"""Disparity of the pictures of two halves of the pupil: the closed form for half discs, and a block matcher.
+
+A point out of focus lights a disc of radius R on the array, each half of the pupil one half of it. The centroid of a
+half disc lies :math:`4 R / (3 \pi)` from the straight side, so that those of both halves are :math:`8 R / (3 \pi)`
+apart.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.ndimage import uniform_filter
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
+from ...prescription.lens_data import image_distance
+from ...views.coordinates import require_light_field
+from ...views.viewpoints import AXES
+
+_FLAT = 1e-6
+"""Least variance in a window, over the square of the largest value, for which there is something to match."""
+
+
+@suggest_keywords
+def half_disparity(camera: PlenopticCamera, distance: float) -> float:
+    r"""Distance of the centroids of a point's light in the pictures of two half pupils, by rays and in closed form.
+
+    It is :math:`-8 R / (3 \pi)` for a blur of radius R, in lenses from the left picture to the right one: negative for
+    what is nearer than the plane in focus, as `mitsuba_plenoptic.views.disparity` is. It holds on the axis, where
+    the pupil is round, if each photodiode sees one half of it.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance from the main lens in millimetres; may be infinite.
+
+    Raises
+    ------
+    InputError
+        If the main lens is an objective, or the distance is within the focal length.
+    """
+    camera.require_lens("the disparity of half pupils")
+    distance = require_number("distance", distance, finite=False)
+    image_distance(camera.focal_length, distance)
+    return -8 / (3 * math.pi) * float(blur_radius(camera, distance))
+
+
+@suggest_keywords
+def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray:
+    """Return the distances of the centroids of halves in a bank of point spreads, by either model of light.
+
+    Parameters
+    ----------
+    bank : xarray.DataArray
+        What `psf_bank` returned.
+    axis : {"horizontal", "vertical"}
+        Whether the halves are left and right, or top and bottom.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions depth and field, in lenses, with the sign of `half_disparity`.
+
+    Raises
+    ------
+    InputError
+        If there are not two pictures along the axis.
+    """
+    require_choice("axis", axis, AXES)
+    pupil, along = ("u", "s") if axis == "horizontal" else ("v", "t")
+    if bank.sizes[pupil] != 2:
+        raise InputError(f"bank: {bank.sizes[pupil]} pictures along {pupil}: a pair has two")
+    others = [dim for dim in ("v", "u", "t", "s") if dim != pupil]
+    centroids = (bank * bank[along]).sum(others) / bank.sum(others)
+    return (centroids.isel({pupil: 1}) - centroids.isel({pupil: 0})).rename("disparity").assign_attrs(units="lenses")
+
+
+def blur_radius(camera: PlenopticCamera, distance: Any) -> Any:
+    """Return radii in lenses of the images of points at distances: positive before the plane in focus, else negative.
+
+    They are those of the cone from the exit pupil to the image.
+    """
+    with np.errstate(divide="ignore"):
+        image = 1 / (1 / camera.focal_length - 1 / np.asarray(distance, np.float64))
+    behind = image - camera.mla_distance
+    return camera.pupil_radius / camera.mla_pitch * behind / (camera.pupil_distance + behind)
+
+
+@suggest_keywords
+def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int = 15, search: int = 16) -> xr.DataArray:
+    """Find, for each lens, the disparity from the first picture of a pair to the second, by matching blocks.
+
+    The normalised correlation of a window with those displaced by whole lenses is highest at the disparity, which a
+    parabola through the highest value and its neighbours gives to fractions of a lens. The blurs of both pictures are
+    mirror images of each other, not the same, so that the result differs from `half_disparity` by a scale that depends
+    on texture and window: calibrate it with captures at known distances.
+
+    Parameters
+    ----------
+    halves : xarray.DataArray
+        Pictures of `dual_pixel`. Of four photodiodes, those along the other axis are added, and of three colours all.
+    axis : {"horizontal", "vertical"}
+        Whether the pair is left and right, or top and bottom.
+    window : int
+        Width of the window in lenses, an odd number.
+    search : int
+        Largest disparity that is tried, in lenses.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions t, s; NaN where the window has no texture, or the correlation is highest at the end of the search.
+
+    Raises
+    ------
+    InputError
+        If there are not two pictures along the axis, or a value is out of range.
+    """
+    require_light_field(halves)
+    require_choice("axis", axis, AXES)
+    pupil, other, along = ("u", "v", 1) if axis == "horizontal" else ("v", "u", 0)
+    if halves.sizes[pupil] != 2:
+        raise InputError(f"halves: {halves.sizes[pupil]} pictures along {pupil}: a pair has two")
+    refuse_if(require_count("window", window, minimum=3) % 2 == 0, f"window = {window}: it must be odd")
+    search = require_count("search", search, maximum=max(1, halves.sizes["st"[1 - along]] - 2))
+    pair = halves.sum([dim for dim in (other, "c") if dim in halves.dims]).transpose(pupil, "t", "s")
+    first, second = np.asarray(pair.values, np.float64)
+    scores = np.stack([_correlation(first, second, step, along, window) for step in range(-search, search + 1)])
+    best = scores.argmax(axis=0)
+    inner = np.clip(best, 1, 2 * search - 1)
+    below, middle, above = (np.take_along_axis(scores, (inner + step)[None], 0)[0] for step in (-1, 0, 1))
+    known = (best == inner) & np.isfinite(below) & np.isfinite(above)
+    below, above = (np.where(known, values, 0) for values in (below, above))
+    # Within the search the highest value is above its neighbours, or equal to one of them.
+    bend = np.subtract(below + above, 2 * middle, out=np.zeros_like(middle), where=known)
+    known &= bend < 0
+    offset = np.divide(below - above, 2 * bend, out=np.zeros_like(bend), where=known)
+    return xr.DataArray(
+        np.where(known, inner + offset - search, np.nan),
+        dims=("t", "s"),
+        coords={dim: halves[dim] for dim in ("t", "s")},
+        name="disparity",
+        attrs={"units": "lenses"},
+    )
+
+
+def _correlation(first: np.ndarray, second: np.ndarray, step: int, axis: int, window: int) -> np.ndarray:
+    """Return the correlation of windows of one picture with those `step` lenses along an axis in the other."""
+    moved = np.roll(second, -step, axis)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.asarray(uniform_filter(values, window, mode="nearest"))
+
+    a, b = mean(first), mean(moved)
+    spread = (mean(first**2) - a * a), (mean(moved**2) - b * b)
+    least = _FLAT * max(float(np.abs(first).max()), float(np.abs(second).max())) ** 2
+    textured = (spread[0] > least) & (spread[1] > least)
+    product = np.where(textured, spread[0] * spread[1], 1)
+    score = np.where(textured, (mean(first * moved) - a * b) / np.sqrt(product), -np.inf)
+    # Windows around lenses that were moved in from the other side compare what does not belong together.
+    size = score.shape[axis]
+    index = np.arange(size) + step
+    outside = (index < 0) | (index >= size)
+    score[(slice(None), outside) if axis == 1 else (outside, slice(None))] = -np.inf
+    return score

@@ -1,0 +1,57 @@
+"""The command ``dual``: pictures of the photodiodes of dual and quad pixels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...cli.choices import LAYOUTS
+from ...cli.inputs import CaptureFile, Exposure, Figure, Percentile, Scale, drawing_of, output_option
+from ...errors import require_choice
+
+
+def dual(
+    capture: CaptureFile,
+    output: Annotated[
+        Path,
+        output_option(
+            "FILE",
+            "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
+            ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
+        ),
+    ],
+    layout: Annotated[
+        str,
+        typer.Option(metavar="|".join(LAYOUTS), help="Photodiodes of a lens: beside each other, above, or four."),
+    ] = "2x1",
+    exposure: Exposure = None,
+    percentile: Percentile = None,
+    scale: Scale = None,
+    figure: Figure = False,
+) -> None:
+    """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
+
+    The microlenses of the camera cover 2 x 2 pixels each, as those of the
+    presets full_frame_dual, phone_quad and phone_quad_bayer do. What is nearer
+    than the plane in focus lies further to the right in the left picture.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic dual raw.exr -o halves.exr
+
+      mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
+    """
+    from ...io.captures import read_capture
+    from ...io.files import require_apart
+    from ...report.output_files import require_picture_path, write_photodiodes
+    from .halves import dual_pixel, photodiode_names
+
+    require_apart(require_picture_path(output), capture)
+    drawing = drawing_of(exposure, percentile, scale, figure, output)
+    along, across = require_choice("layout", layout, LAYOUTS).split("x")
+    halves = dual_pixel(read_capture(capture), (int(along), int(across)))
+    write_photodiodes(output, halves, photodiode_names(halves), drawing)
+    views, lenses = (f"{halves.sizes[x]} x {halves.sizes[y]}" for x, y in (("u", "v"), ("s", "t")))
+    typer.echo(f"{output}: {views} pictures of {lenses} lenses")

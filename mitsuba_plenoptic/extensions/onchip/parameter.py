@@ -1,0 +1,44 @@
+"""The entry of `photodiode_response` in the table of a camera's parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from ...camera.entry import Captures, Form, Parameter
+from ...errors import refuse_if
+from .photodiode_response import PhotodiodeResponse, known_response, require_pixel_pairs
+
+if TYPE_CHECKING:
+    from ...camera.geometry import CameraGeometry
+
+PhotodiodeParameter: TypeAlias = Parameter[
+    PhotodiodeResponse | str | Path | dict[str, Any] | None, PhotodiodeResponse | None
+]
+
+
+def require_fit(camera: CameraGeometry) -> None:
+    """Refuse a camera whose lenses do not cover 2 x 2 pixels, or whose medium would count twice."""
+    require_pixel_pairs(camera)
+    refuse_if(
+        camera.mla_absorption > 0,
+        f"mla_absorption = {camera.mla_absorption:g}: photodiode_response contains the medium; leave one out",
+    )
+
+
+PHOTODIODE_RESPONSE: PhotodiodeParameter = Parameter(
+    default=None,
+    check=known_response,
+    fit=require_fit,
+    words=(
+        "Response of the photodiodes under lenses of 2 x 2 pixels by the direction of light before the lens, from "
+        "measurements or electromagnetic simulations: a JSON file, its text or in Python its dictionary, see "
+        "`PhotodiodeResponse`. It takes the place of the microlenses' refraction: `mla_focal_length` and "
+        "`detector_distance` only set the unit, so that 1 within the square of the pupil that a pixel sees through "
+        "an ideal lens gives the ideal capture."
+    ),
+    form=Form.RESPONSE,
+    otherwise="that of the microlenses",
+    shortest=lambda response: response and response.to_plain(),
+    known_to=Captures.RAYS,
+)

@@ -1,0 +1,148 @@
+"""Photodiodes under microlenses of 2 x 2 pixels: which cameras have them, and tables of their response by direction."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import (
+    NO_RECORD,
+    InputError,
+    put,
+    refuse_if,
+    refusing,
+    require_known,
+    require_numbers,
+    require_wavelength,
+    short_repr,
+)
+from ...io.files import read_text
+
+if TYPE_CHECKING:
+    from ...camera.geometry import CameraGeometry
+
+ACROSS = 2
+"""Pixels across a lens."""
+
+_EXACT = 0.01
+"""Largest relative deviation of the pitch from two pixels: that of a pitch which follows the chief rays."""
+
+_LARGEST_FILE = 2**26
+
+_STEEPEST = 89.0
+"""Largest angle in a table, in degrees."""
+
+
+def require_pixel_pairs(camera: CameraGeometry) -> None:
+    """Refuse a camera whose recorded pixels are not whole lenses of 2 x 2 pixels."""
+    refuse_if(
+        not camera.lattice.axis_aligned,
+        f"mla_lattice = {camera.mla_lattice}, mla_rotation = {camera.mla_rotation:g}: lenses over photodiodes must be "
+        "upright squares",
+    )
+    for pitch in camera.mla_pitches:
+        refuse_if(
+            not abs(pitch / (ACROSS * camera.pixel_size) - 1) <= _EXACT,
+            f"mla_pitch = {pitch:g}: a lens over photodiodes must cover {ACROSS} x {ACROSS} pixels, "
+            f"{ACROSS * camera.pixel_size:g}",
+        )
+    for axis, offset in enumerate(camera.mla_offset):
+        border = camera.resolution[axis] / 2 + offset / camera.pixel_size - camera.crop_offset[axis]
+        refuse_if(
+            not abs(border / ACROSS - round(border / ACROSS)) <= _EXACT or camera.crop_size[axis] % ACROSS,
+            f"resolution = {camera.resolution}, crop_offset = {camera.crop_offset}, crop_size = {camera.crop_size}, "
+            f"mla_offset = {camera.mla_offset}: the recorded pixels must begin and end between two lenses",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PhotodiodeResponse:
+    """Response of the photodiodes under a lens by the direction of light before it; bilinear between the angles.
+
+    Parameters
+    ----------
+    angles_x, angles_y : sequence of float
+        Angles in degrees, rising, two or more along each axis: the arc tangents of the slopes of the line from the
+        lens towards the pupil, in air. Positive angles are towards +x (left as seen from behind the camera) and
+        +y (up). The responses at the ends hold beyond them.
+    responses : array (rows, columns[, wavelengths], angles_y, angles_x)
+        Response, 0 or more, of each photodiode of a lens: 1 or 2 rows and columns, as they lie in a capture. With one
+        row a photodiode has two pixels, which record a half each.
+    wavelengths : sequence of float, optional
+        Wavelengths in nanometres, rising. Between them responses are interpolated, and those at the ends hold beyond.
+
+    Raises
+    ------
+    InputError
+        If angles or wavelengths do not rise or are out of range, or the responses have another shape or are negative.
+    """
+
+    angles_x: tuple[float, ...]
+    angles_y: tuple[float, ...]
+    responses: NDArray[np.float64]
+    wavelengths: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("angles_x", "angles_y"):
+            given = getattr(self, name)
+            angles = require_numbers(name, given, count=len(given), minimum=-_STEEPEST, maximum=_STEEPEST)
+            refuse_if(len(angles) < 2, f"{name} = {short_repr(given)}: there must be two or more")
+            put(self, **{name: _rising(name, angles)})
+        wavelengths = tuple(require_wavelength(each, "wavelengths") for each in self.wavelengths)
+        put(self, wavelengths=_rising("wavelengths", wavelengths))
+        with refusing("responses: they must be an array of numbers:", TypeError, ValueError):
+            table = np.array(self.responses, np.float64)
+        expected = (*((len(wavelengths),) if wavelengths else ()), len(self.angles_y), len(self.angles_x))
+        refuse_if(
+            table.ndim != 2 + len(expected) or table.shape[2:] != expected or not {*table.shape[:2]} <= {1, 2},
+            f"responses of shape {table.shape}: it must be 1 or 2 rows and columns, then {expected}",
+        )
+        refuse_if(not np.isfinite(table).all() or (table < 0).any(), "responses: they must be finite and not negative")
+        put(self, responses=table)
+
+    @cached_property
+    def of_pixels(self) -> NDArray[np.float64]:
+        """The responses of the 2 x 2 pixels, (2, 2, wavelengths, angles_y, angles_x)."""
+        rows, columns = (ACROSS // count for count in self.responses.shape[:2])
+        table = self.responses if self.wavelengths else self.responses[:, :, None]
+        return np.repeat(np.repeat(table, rows, 0), columns, 1) / (rows * columns)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return numbers and lists, for JSON files."""
+        plain = {"angles_x": list(self.angles_x), "angles_y": list(self.angles_y), "responses": self.responses.tolist()}
+        return plain | ({"wavelengths": list(self.wavelengths)} if self.wavelengths else {})
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PhotodiodeResponse) and self.to_plain() == other.to_plain()
+
+    def __hash__(self) -> int:
+        return hash((self.angles_x, self.angles_y, self.wavelengths, self.responses.tobytes()))
+
+
+def known_response(name: str, value: Any) -> PhotodiodeResponse | None:
+    """Return a response of photodiodes from any of its forms; None means that of the microlenses."""
+    if value is None or isinstance(value, PhotodiodeResponse):
+        return value
+    if isinstance(value, (str, Path)):
+        text = str(value)
+        text = text if text.lstrip().startswith("{") else read_text(value, _LARGEST_FILE)
+        with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
+            value = json.loads(text)
+    if not isinstance(value, dict):
+        raise InputError(f"{name} = {short_repr(value)}: it must be a JSON file or a dictionary")
+    require_known(f"{name}: ", value, ("angles_x", "angles_y", "responses", "wavelengths"))
+    for key in ("angles_x", "angles_y", "responses"):
+        refuse_if(key not in value, f"{name}: {key} is missing")
+    return PhotodiodeResponse(**value)
+
+
+def _rising(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
+    refuse_if(any(a >= b for a, b in itertools.pairwise(values)), f"{name} = {short_repr(values)}: they must rise")
+    return values

@@ -1,0 +1,269 @@
+r"""Responses of photodiodes under lenses of a few wavelengths to pairs of directions, and to rays.
+
+Let :math:`U_s(p)` be the field at the detector of a plane wave with the transverse direction cosines s. It passes the
+lenses, which are periodic, and then a medium of index n by its orders without the paraxial approximation:
+
+.. math:: U_s(p) = e^{i k s \cdot p} \sum_m c_m e^{2 \pi i m \cdot p / D_2 + i z k_z(s, m)}, \qquad
+          k_z^2 = n^2 k^2 - |k s + 2 \pi m / D_2|^2 .
+
+A photodiode j responds to pairs of directions by :math:`R_j(s, s') = \int_j U_s U_{s'}^* d^2p`. Before the pupil,
+incoherent light has the radiance L(s, x) along rays, so that the photodiode records
+
+.. math:: \int\!\!\int L(s, x)\, W_j(s, x)\, d^2s\, d^2x, \qquad W_j(s, x) = \frac{1}{\lambda^2} \int
+          O_s(\sigma)\, R_j(s + \sigma/2, s - \sigma/2)\, e^{-i k \sigma \cdot x}\, d^2\sigma,
+
+where :math:`O_s` is 1 if the pupil passes both directions. The function W is real and signed, and its integral over x
+is :math:`R_j(s, s)`. This module computes the :math:`U_s`, and `response_tables` tabulates W.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if, short_repr
+from ...light.lens_kinds import chief_ray_shift
+from ...light.optical_system import OpticalSystem, RayPupil
+from ...optics.waves import in_millimetres
+from ...runtime.backend import drjit_array
+from ...runtime.limits import single_threaded_blas
+
+NEAR = 5
+"""Lenses across the window of the near table."""
+
+_STEPS = (14.0, 20.0)
+"""Least steps of direction cosines from the middle to the edge of the pupil, at usual and fine accuracy."""
+
+_POINTS = 16
+"""Gauss-Legendre nodes of a photodiode along each axis."""
+
+_NEGLIGIBLE = 1e-5
+"""Energy of a mode of a photodiode, relative to its strongest, below which the mode is left out."""
+
+_FINE = 1024
+"""Samples of a lens along an axis for its orders."""
+
+_STEP = 0.03
+"""Largest difference of direction cosines between zones of the detector."""
+
+_ALONG = 9
+"""Lenses along each axis whose positions over their pixels are compared."""
+
+
+def pixels_per_lens(camera: PlenopticCamera) -> int:
+    """Return the count of pixels across a lens; refuse cameras that responses do not describe."""
+    for name, refused, rule in (
+        ("mla_lattice", camera.mla_lattice != "square", '"square"'),
+        ("mla_rotation", camera.mla_rotation != 0, "0"),
+        ("mla_pitch", camera.mla_pitches[0] != camera.mla_pitches[1], "a single pitch"),
+        ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
+        ("mla_tilt", any(camera.mla_tilt), "0"),
+        ("mla_jitter", any(camera.mla_jitter), "0"),
+        ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
+        ("main_lens", camera.objective is not None, "no objective"),
+        ("resolution", any(size % 2 for size in camera.resolution), "even"),
+    ):
+        if refused:
+            value = short_repr(getattr(camera, name))
+            raise InputError(f"{name} = {value}: for waves behind lenses of a few wavelengths it must be {rule}")
+    count = round(camera.mla_pitch / camera.pixel_size)
+    farthest = max(float(np.abs(_offsets(camera, count, axis)).max()) for axis in (0, 1))
+    refuse_if(
+        count < 1 or farthest > camera.mla_pitch / 2,
+        f"mla_pitch = {camera.mla_pitch:g}: lenses of {camera.mla_pitch / camera.pixel_size:.4g} pixels shift by "
+        f"{farthest:.3g} mm from their pixels; for waves behind lenses of a few wavelengths a lens must stay within "
+        "half a pitch of its own pixels",
+    )
+    return count
+
+
+def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int]:
+    """Return the first lattice index of the lenses with recorded pixels along an axis, and the index after the last."""
+    first = camera.crop_offset[axis] - camera.resolution[axis] // 2
+    return first // count, -(-(first + camera.shape[1 - axis]) // count)
+
+
+def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float64]:
+    """Return the positions of the first and the last lens's pixels relative to the regular position of the lens."""
+    index = np.array(lens_range(camera, count, axis)) - [0, 1]
+    return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
+
+
+def lens_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return the positions of lenses, aligned to chief rays, by their lattice indices."""
+    centre = camera.lattice.centre(x, y)
+    right, up = chief_ray_shift(camera, *centre)
+    return centre[0] + right, centre[1] + up
+
+
+def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
+    """Return the positions of the middles of lenses' pixels relative to the lenses, by lattice indices."""
+    width = count * camera.pixel_size
+    return [(index + 0.5) * width - c for index, c in zip((x, y), lens_centre(camera, x, y), strict=True)]
+
+
+@dataclass(frozen=True)
+class Zones:
+    """Positions of the detector at which responses are tabulated, an even grid over the recorded lenses."""
+
+    # Lattice indices of the lenses at the zones, along x and y.
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, count: int) -> Zones:
+        """Return the zones of a camera with `count` pixels across a lens."""
+        made = []
+        ranges = [lens_range(camera, count, axis) for axis in (0, 1)]
+        aside = displacement(
+            camera, count, *np.meshgrid(*(np.linspace(first, last - 1, _ALONG) for first, last in ranges))
+        )
+        for axis, (first, last) in enumerate(ranges):
+            moved = np.ptp(aside[axis]) * camera.mla_medium / camera.detector_distance
+            turned = (last - 1 - first) * camera.mla_pitch / camera.pupil_distance
+            steps = math.ceil(max(moved, turned) / _STEP - 0.2)
+            middle = (first + last - 1) / 2
+            made.append(np.linspace(first, last - 1, steps + 1) if steps > 0 else np.array([middle]))
+        return cls(*made)
+
+    def __len__(self) -> int:
+        return len(self.x) * len(self.y)
+
+
+@dataclass(frozen=True)
+class PlaneWaveResponses:
+    """The light of plane waves in the photodiodes of one lens, one per pixel under it, at one wavelength."""
+
+    camera: PlenopticCamera
+    # In nanometres.
+    wavelength: float
+    _: KW_ONLY
+    # Whether direction cosines have smaller steps.
+    fine: bool = False
+
+    by_points = False
+
+    @cached_property
+    def system(self) -> OpticalSystem:
+        """The camera, bound to the wavelength; light up to the array follows the camera's own model of the lens."""
+        return OpticalSystem(self.camera, self.wavelength)
+
+    @cached_property
+    def count(self) -> int:
+        """Count of pixels across a lens."""
+        return pixels_per_lens(self.camera)
+
+    @cached_property
+    def zones(self) -> Zones:
+        """The zones of the detector."""
+        return Zones.of(self.camera, self.count)
+
+    @property
+    def reach(self) -> float:
+        """Largest difference of the direction cosines of the pupil's light from that of its centre."""
+        return float(self.system.lens.reach) / math.hypot(self.camera.pupil_distance, self.system.lens.reach)
+
+    @property
+    def width(self) -> float:
+        """Width of the diffraction at the pupil on the array in lenses, lambda N / D2."""
+        return in_millimetres(self.wavelength) / (2 * self.reach * self.camera.mla_pitch)
+
+    @property
+    def stride(self) -> int:
+        """Steps of the direction cosines between the directions of neighbouring pairs of the near table."""
+        return max(1, round(_STEPS[self.fine] * self.width / NEAR))
+
+    @property
+    def step(self) -> float:
+        """Step of the table's direction cosines."""
+        return in_millimetres(self.wavelength) / (2 * NEAR * self.stride * self.camera.mla_pitch)
+
+    @property
+    def across(self) -> int:
+        """Nodes of the table from its middle to its edge in direction cosines."""
+        return math.ceil(self.reach / self.step) + 1
+
+    def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
+        """Return the light of plane waves in the photodiodes of a lens (photodiodes, n, n), rows along y.
+
+        The direction cosines lie `step` apart around that of the chief ray; light of density 1 is its area in mm^2.
+        """
+        every = [self.modes(x, y, diode) for diode in range(self.count**2)]
+        return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])
+
+    @cached_property
+    def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
+        """Orders of the lenses along an axis, and the amplitudes (orders along y, orders along x)."""
+        camera, wavelength = self.camera, in_millimetres(self.wavelength)
+        most = math.ceil(camera.mla_medium * camera.mla_pitch / wavelength) + 2
+        order = np.arange(-most, most + 1)
+        x = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * camera.mla_pitch
+        waves = np.exp(-2j * math.pi * np.outer(order, x) / camera.mla_pitch)
+        waves *= (np.abs(x) <= camera.mla_fill * camera.mla_pitch / 2) / _FINE
+        if camera.mla_shape is None:
+            lens = np.exp(-1j * math.pi * camera.mla_medium * x**2 / (wavelength * camera.mla_focal_length))
+            along = waves @ lens
+            return order, np.outer(along, along)
+        phase = camera.mla_shape.waves(x, x[:, None], self.wavelength)
+        return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
+
+    def _place(self, x: float, y: float) -> list[float]:
+        """Return the position of a lens."""
+        return [float(c) for c in lens_centre(self.camera, x, y)]
+
+    def chief(self, x: float, y: float) -> list[float]:
+        """Return the direction cosines of the light from the pupil's centre at a lens."""
+        slope = [-float(self.system.lens.slope_to(0.0, place)) for place in self._place(x, y)]
+        return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
+
+    def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which pairs of direction cosines `along` the axes, from the chief ray's, pass the pupil to a lens."""
+        chief, place = self.chief(x, y), self._place(x, y)
+        sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
+        cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
+        lens = self.system.lens
+        slopes = (-sx / cosine, -sy / cosine)
+        pupil = tuple(drjit_array(mi.Float, lens.pupil_point(c, t)) for c, t in zip(place, slopes, strict=True))
+        inner = RayPupil(self.system).inner(pupil, tuple(mi.Float(c) for c in place))
+        square = sum(part.numpy().astype(float) ** 2 for part in inner)
+        return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
+
+    @single_threaded_blas()
+    def modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:
+        """Return functions of the direction cosines (modes, n, n) whose products sum to the response to pairs."""
+        camera, k = self.camera, 2 * math.pi / in_millimetres(self.wavelength)
+        pixel, z, index = camera.pixel_size, camera.detector_distance, camera.mla_medium
+        order, amplitude = self._orders
+        # Of the complex wave number in the medium; its imaginary part, which absorbs, is small.
+        square = (index * k) ** 2 + 1j * index * k * camera.mla_absorption
+        far = self.across + 3
+        # Index x, y of a lens give its pixels' displacement.
+        shift = displacement(camera, self.count, x, y)
+        nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
+        row, column = divmod(diode, self.count)
+        py, px = (
+            ((nodes + 1) / 2 + number - self.count / 2) * pixel + s
+            for number, s in ((row, shift[1]), (column, shift[0]))
+        )
+        sx, sy = (chief + np.arange(-far, far + 1) * self.step for chief in self.chief(x, y))
+        waves_x, waves_y = (np.exp(2j * math.pi * np.outer(order, p) / camera.mla_pitch) for p in (px, py))
+        kx, ky = (k * s[:, None] + 2 * math.pi * order / camera.mla_pitch for s in (sx, sy))
+        fields = np.empty((len(sy), len(sx), _POINTS**2), np.complex64)
+        for number, each in enumerate(ky):
+            kz = np.sqrt(square - each[:, None] ** 2 - kx[:, None, :] ** 2)
+            part = (amplitude * np.exp(1j * z * kz)) @ waves_x  # (x, order along y, point along x)
+            field = np.matmul(waves_y.T, part)
+            field *= np.exp(1j * k * (sy[number] * py[None, :, None] + sx[:, None, None] * px))
+            fields[number] = field.reshape(len(sx), -1)
+        fields *= np.sqrt(np.outer(weights, weights).ravel() * pixel**2 / 4).astype(np.float32)
+        flat = fields.reshape(-1, _POINTS**2)
+        energy, vectors = np.linalg.eigh(flat.conj().T @ flat)
+        modes = flat @ vectors[:, energy > _NEGLIGIBLE * energy[-1]]
+        return np.ascontiguousarray(modes.T.reshape(-1, len(sy), len(sx)))

@@ -1,0 +1,200 @@
+"""Rays that are drawn for captures by the responses of photodiodes, and the tables of these responses in Dr.Jit."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...lenses.main_lens import Pair
+from ...light.optical_system import RayPupil
+from ...light.signed_draws import chances_of
+from ...runtime.backend import drjit_array
+from .plane_waves import NEAR, lens_centre
+from .response_tables import PhotodiodeResponses, TableWindow
+
+_TURNS = tuple(int(step * 2**32) for step in 1.1673039782614187 ** -np.arange(1.0, 5.0))
+"""Steps, in units of 2^-32, of an additive sequence that fills four dimensions evenly."""
+
+
+class Aimed(NamedTuple):
+    """Rays that are drawn for lenses."""
+
+    pupil: Pair
+    # Points on the array in the camera frame.
+    place: Pair
+    open: Any
+    # Indices of the samples of the near and far tables of each wavelength, in the first cell of their windows.
+    near: list[Any]
+    far: list[Any]
+    # Nodes of the wavelength for which lenses of the far window are drawn, counted over zones.
+    node: Any
+
+
+class Tables:
+    """The tables of all wavelengths on the device of the active variant."""
+
+    def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
+        self.camera, self.plans, self.count = camera, plans, plans[0].count
+        self._packets = -(-(self.count**2) // 4)
+        self._index = [drjit_array(mi.Int, plan.table.nodes) for plan in plans]
+        self._near, self._far = (
+            [self._packed(table) for table in part] for part in zip(*(p.table[1:3] for p in plans), strict=True)
+        )
+        self._means = [[drjit_array(mi.Float, column) for column in plan.table.means.T] for plan in plans]
+        # Lenses of the far window are drawn for the wavelength with the widest one.
+        self._widest = widest = max(range(len(plans)), key=lambda number: plans[number].far.lenses)
+        self._drawn = drjit_array(mi.UInt32, _quantiles(plans[widest]))
+
+    @property
+    def margin(self) -> int:
+        """Lenses around a lens whose rays it receives."""
+        return self.plans[self._widest].far.lenses // 2
+
+    def _packed(self, table: NDArray[np.float16]) -> Any:
+        """Return a table (zones, nodes, y, x, photodiodes) in packets of four, and a node without response."""
+        flat = table.reshape(-1, *table.shape[2:])
+        flat = np.pad(flat, [(0, 1), (0, 0), (0, 0), (0, 4 * self._packets - self.count**2)])
+        return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
+
+    def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
+        """Return rays of lenses with the given lattice indices; those of both halves are independent."""
+        system = self.plans[0].system
+        # Integers keep the sequence exact for any count of samples.
+        words = [mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] for axis in range(4)]
+        random = [mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)]
+        chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
+        pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
+        centre = lens_centre(self.camera, *index)
+        slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
+        chief = [-system.lens.slope_to(0.0, c) for c in centre]
+        cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
+        inner = RayPupil(system).inner(tuple(pupil), centre)
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
+        zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
+        near: list[Any] = []
+        far: list[Any] = []
+        for number_of, (plan, table) in enumerate(zip(self.plans, self._index, strict=True)):
+            n = 2 * plan.across + 1
+            column, row = (
+                mi.Int(dr.floor((t * cosine - c * middle) / plan.step + plan.across + chance))
+                for t, c, chance in zip(slope, chief, chances[0][2:], strict=True)
+            )
+            within = (dr.minimum(column, row) >= 0) & (dr.maximum(column, row) < n)
+            node = dr.gather(mi.Int, table, mi.UInt(row * n + column), within)
+            is_open &= within & (node >= 0)
+            nodes = plan.table.near.shape[1]
+            node = dr.select(is_open, mi.UInt(node) + zone * nodes, len(plan.zones) * nodes)
+            drawn = node if number_of == self._widest else drawn
+            for window, chance, indices in ((plan.near, chances[1][:2], near), (plan.far, chances[1][2:], far)):
+                x, y = (
+                    mi.UInt(dr.floor(r * window.samples + part)) for r, part in zip(random[2:], chance, strict=True)
+                )
+                indices.append((node * window.across + y) * window.across + x)
+        place = tuple(c + (r - 0.5) * self.camera.mla_pitch for c, r in zip(centre, random[2:], strict=True))
+        return Aimed(tuple(pupil), place, is_open, near, far, drawn)
+
+    def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:
+        """Draw cells of the far window for nodes; return also reciprocal probabilities."""
+        plan = self.plans[self._widest]
+        window, quantiles = plan.far, _quantiles_of(plan.far)
+        entry = dr.gather(
+            mi.UInt32, self._drawn, node * quantiles + mi.UInt32(dr.minimum(random * quantiles, quantiles - 1))
+        )
+        cell = entry >> 16
+        row = cell // window.lenses
+        place = tuple(mi.Int(part) + window.first for part in (cell - row * window.lenses, row))
+        return place, quantiles / mi.Float(entry & 0xFFFF)
+
+    def near_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
+        """Return the responses of the photodiodes of a lens to rays from a lens of the near window."""
+        return self._values(self._near[number], self.plans[number].near, first, cell, True)
+
+    def far_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
+        """Return the responses of the photodiodes of a lens to rays from a lens of the far window."""
+        window = self.plans[number].far
+        low, high = dr.minimum(*cell) - window.first, dr.maximum(*cell) - window.first
+        return self._values(self._far[number], window, first, cell, (low >= 0) & (high < window.lenses))
+
+    def _values(self, table: Any, window: TableWindow, first: Any, cell: Pair, active: Any) -> list[Any]:
+        x, y = (mi.UInt32((each - window.first) * window.samples) for each in cell)
+        index, result = first + y * window.across + x, []
+        for packet in range(self._packets):
+            words = dr.gather(mi.Vector2u, table, index * self._packets + packet, active)
+            result += [_from_half(part) for word in words for part in (word << 16, word)]
+        return result[: self.count**2]
+
+    def zone_means(self, number: int, index: Pair) -> list[Any]:
+        """Return the mean responses of the photodiodes of lenses, interpolated between zones."""
+        corners = []
+        for chance in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+            parts = [self._along(axis, each) for axis, each in enumerate(index)]
+            share = mi.Float(1)
+            for part, end in zip(parts, chance, strict=True):
+                aside = part - dr.floor(part)
+                share *= aside if end else 1 - aside
+            corners.append((self._zone(index, chance), share))
+        return [
+            sum((dr.gather(mi.Float, mean, zone) * share for zone, share in corners), mi.Float(0))
+            for mean in self._means[number]
+        ]
+
+    def _along(self, axis: int, index: Any) -> Any:
+        """Return positions among the zones along an axis."""
+        zones = self.plans[0].zones.y if axis else self.plans[0].zones.x
+        if len(zones) == 1:
+            return mi.Float(0)
+        scale = (len(zones) - 1) / (zones[-1] - zones[0])
+        return dr.clip((mi.Float(index) - float(zones[0])) * float(scale), 0, len(zones) - 1)
+
+    def _zone(self, index: Pair, chance: Pair) -> Any:
+        """Return one of the zones around lenses, at random."""
+        zones = self.plans[0].zones
+        x, y = (
+            mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
+            for axis, (each, part, count) in enumerate(zip(index, chance, (len(zones.x), len(zones.y)), strict=True))
+        )
+        return y * len(zones.x) + x
+
+
+def _quantiles_of(window: TableWindow) -> int:
+    """Return the count of quantiles from which cells of a window are drawn, more than it has cells."""
+    return 1 << math.ceil(math.log2(2 * window.lenses**2))
+
+
+@functools.lru_cache(maxsize=2)
+def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
+    """Return quantiles of the distribution over the cells of the far window of each node (nodes of all zones + 1, n).
+
+    The density of a cell is about the magnitude of its responses. Each quantile is the index of a cell, and in its
+    lower 16 bits the count of the quantiles of this cell.
+    """
+    window, count = plan.far, _quantiles_of(plan.far)
+    lenses, low = window.lenses, -window.first - NEAR // 2
+    nodes = plan.table.far.reshape(-1, *plan.table.far.shape[2:])
+    result = np.full((len(nodes) + 1, count), 1, np.uint32)
+    for node, values in enumerate(nodes):
+        square = np.square(values[:-1, :-1], dtype=np.float32).mean(-1)
+        density = np.sqrt(square.reshape(lenses, window.samples, lenses, window.samples).mean((1, 3)))
+        density[low : low + NEAR, low : low + NEAR] = 0
+        # Each cell has one quantile at least.
+        share = density.ravel() / max(float(density.sum()), 1e-30)
+        upto = np.round(np.cumsum(share) * (count - lenses**2))
+        counts = 1 + np.diff(upto, prepend=0).astype(np.uint32)
+        counts[-1] += count - counts.sum()
+        result[node] = np.repeat((np.arange(lenses**2, dtype=np.uint32) << 16) | counts, counts)
+    return result
+
+
+def _from_half(word: Any) -> Any:
+    """Return the half-precision numbers in the upper 16 bits of words."""
+    bits = ((word & 0x7FFF0000) >> 3) | (word & 0x80000000)
+    # The exponents of half precision are biased by 15, and those of single precision by 127.
+    return dr.reinterpret_array(mi.Float, bits) * 2.0**112

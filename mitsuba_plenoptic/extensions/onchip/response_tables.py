@@ -1,0 +1,369 @@
+"""Tables of the responses W of photodiodes to rays, over directions s and points x of the array: see `photodiodes`.
+
+W extends as far over the array as the pupil diffracts light. Near the lens it is tabulated finely. Light farther away
+is diffracted by the rim of the pupil, mostly that of rays near the rim. In a blurred image it is the fringes and the
+light beyond the blur. A far table with two samples per lens contains it, and all light beyond its window folded back.
+Both tables have the same directions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+import scipy.sparse
+import scipy.sparse.linalg
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from ...errors import refuse_if
+from ...runtime.limits import single_threaded_blas, unit_hint
+from .plane_waves import NEAR, PlaneWaveResponses, displacement
+
+_OVERSAMPLING = 1.4
+"""Samples across a window over those that its highest frequency requires."""
+
+_FAR_SAMPLES = 2
+"""Samples of the far table per lens."""
+
+_FAR, _FAR_WIDTHS = (25, 44), 28.0
+"""Least and greatest width of the far window in lenses, and its width in diffraction widths between these."""
+
+_SUBSAMPLES = 4
+"""Least count of samples of the pupil per step of the table."""
+
+_RIDGE = 1e-3
+"""Relative weight by which table nodes that the pupil hardly covers are held."""
+
+_MOST_MEMORY = 2**30
+"""Bytes of the tables of a camera."""
+
+_ALL, _REVERSED = slice(None), slice(None, None, -1)
+
+_ALIKE = 1e-6
+"""Relative difference that mirror images may have."""
+
+
+class TableWindow(NamedTuple):
+    """A window of x, in cells of a lens each, whose samples divide each cell evenly."""
+
+    lenses: int
+    # Samples per lens, which is an even number.
+    samples: int
+
+    @property
+    def first(self) -> int:
+        """Index of the first cell, relative to the lens."""
+        return -(self.lenses // 2)
+
+    @property
+    def across(self) -> int:
+        """Samples across the window, with those on both of its edges."""
+        return self.lenses * self.samples + 1
+
+    @property
+    def place(self) -> NDArray[np.float64]:
+        """Positions of the samples in lenses."""
+        return self.first - 0.5 + np.arange(self.across) / self.samples
+
+    @property
+    def mirrored(self) -> NDArray[np.int64]:
+        """Indices of the samples at the opposite positions; a window of an even count of lenses is periodic."""
+        index = np.arange(self.across)
+        return self.across - 1 - index if self.lenses % 2 else (self.samples - index) % (self.across - 1)
+
+
+class ResponseTable(NamedTuple):
+    """Tables of W of all zones."""
+
+    # Index of each node of the square grid of direction cosines (n, n), rows along y, -1 where it is not used.
+    nodes: NDArray[np.int32]
+    # Values (zones, nodes, y, x, photodiodes) within the near and the far window. Those of the far window also continue
+    # below the near one, where they are not used.
+    near: NDArray[np.float16]
+    far: NDArray[np.float16]
+    # Means of the integral of W over the pupil (zones, photodiodes).
+    means: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PhotodiodeResponses(PlaneWaveResponses):
+    """The responses of the photodiodes of one lens to rays, at one wavelength in all zones."""
+
+    @property
+    def _near_pairs(self) -> int:
+        """Pairs in the near table from equal directions to the largest difference."""
+        return math.floor(self.reach / (self.step * self.stride)) + 1
+
+    @property
+    def near(self) -> TableWindow:
+        """The near window."""
+        return TableWindow(NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * self._near_pairs + 1) / (2 * NEAR)))
+
+    @property
+    def _finer(self) -> int:
+        """Differences of pairs in the far table per difference of nodes."""
+        lenses = min(max(_FAR_WIDTHS * self.width, _FAR[0]), _FAR[1])
+        return max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
+
+    @property
+    def far(self) -> TableWindow:
+        """The far window."""
+        return TableWindow(NEAR * self.stride * self._finer, _FAR_SAMPLES)
+
+    @property
+    def _far_pairs(self) -> int:
+        """Pairs in the far table from equal directions to the largest difference that its samples resolve."""
+        resolved = math.floor((self.far.across / _OVERSAMPLING - 1) / 2)
+        return min(resolved, math.floor(self.reach * self._finer / self.step) + 1)
+
+    @property
+    def nbytes(self) -> float:
+        """Approximate bytes of the tables."""
+        samples = self.near.across**2 + self.far.across**2
+        return 2.0 * len(self.zones) * math.pi * self.across**2 * samples * self.count**2
+
+    def require_memory(self, wavelengths: int) -> None:
+        """Refuse tables that are too large."""
+        memory = wavelengths * self.nbytes
+        refuse_if(
+            memory > _MOST_MEMORY,
+            f"mla_pitch = {self.camera.mla_pitch:g}: tables of {memory / 2**30:.2g} GiB for {len(self.zones)} zones of "
+            f"the detector and {wavelengths} wavelengths: at most 1 GiB; record a smaller window (crop_size)"
+            + unit_hint(memory, _MOST_MEMORY),
+        )
+
+    @cached_property
+    def table(self) -> ResponseTable:
+        """The tables of W. Their unit of x is a lens."""
+        zones = [(x, y) for y in self.zones.y for x in self.zones.x]
+        pupils = [_Pupil.of(self, x, y, self._finer) for x, y in zones]
+        used = np.any([pupil.mass > 0 for pupil in pupils], axis=0)
+        index = np.where(used, np.cumsum(used).reshape(used.shape) - 1, -1).astype(np.int32)
+        sizes = [
+            (len(zones), int(used.sum()), each.across, each.across, self.count**2) for each in (self.near, self.far)
+        ]
+        near, far = (np.empty(size, np.float16) for size in sizes)
+        means = np.empty((len(zones), self.count**2), np.float32)
+        fold, own = _fold(self.near, self.far)
+        blurred = _blurred(self.near, self.far, self._far_pairs)
+        for number, ((x, y), pupil) in enumerate(zip(zones, pupils, strict=True)):
+            image = self._mirror_image(number, pupils)
+            if image is not None:
+                other, flips = image
+                nodes = index[flips][used]
+                for part, window in ((near, self.near), (far, self.far)):
+                    part[number] = self._mirrored(part[other][nodes], window, flips)
+                diodes = np.arange(self.count**2).reshape(self.count, self.count)[flips].ravel()
+                means[number] = means[other][diodes]
+                continue
+            each = pupil.step * self.stride, pupil.step // self._finer
+            overlaps = [
+                pupil.overlap(np.arange(-pairs, pairs + 1) * lag)[used]
+                for pairs, lag in zip((self._near_pairs, self._far_pairs), each, strict=True)
+            ]
+            for diode in range(self.count**2):
+                modes = self.modes(x, y, diode)
+                close = self._response(modes, 1, self.stride, self.near, overlaps[0], used)
+                wide = self._response(modes, self._finer, 1, self.far, overlaps[1], used)
+                whole = close[:, 1:, 1:].sum((1, 2)) / self.near.samples**2
+                # The far samples do not resolve the light within the near window, so that some of it appears beyond.
+                core = close - fold @ wide @ fold.T + own @ wide @ own.T
+                wide -= blurred @ core @ blurred.T
+                # The light from beyond the near window is folded into it.
+                close -= fold @ wide @ fold.T - own @ wide @ own.T
+                near[number, ..., diode], far[number, ..., diode] = close, wide
+                means[number, diode] = whole @ pupil.light[used] / pupil.light.sum()
+        return ResponseTable(index, near, far, means)
+
+    def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
+        """Return an earlier zone of which a zone is the mirror image, and the slices that mirror rows and columns."""
+        columns = len(self.zones.x)
+        row, column = divmod(number, columns)
+        _, amplitude = self._orders
+        for flips in itertools.product((_ALL, _REVERSED), repeat=2):
+            other = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
+            signs = [-1 if flip == _REVERSED else 1 for flip in reversed(flips)]
+            if (
+                other < number
+                and np.array_equal(pupils[other].is_open[flips], pupils[number].is_open)
+                and np.allclose(amplitude[flips], amplitude, rtol=0, atol=_ALIKE)
+                and np.allclose(self._displacement(other) * signs, self._displacement(number), rtol=0, atol=_ALIKE)
+            ):
+                return other, flips
+        return None
+
+    def _displacement(self, number: int) -> NDArray[np.float64]:
+        """Return how far the pixels of a zone's lens are from it, x and y, in lenses."""
+        row, column = divmod(number, len(self.zones.x))
+        place = self.zones.x[column], self.zones.y[row]
+        return np.array(displacement(self.camera, self.count, *place)) / self.camera.mla_pitch
+
+    def _mirrored(
+        self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
+    ) -> NDArray[np.float16]:
+        """Mirror values (nodes, y, x, photodiodes) in a window."""
+        for axis, flip in enumerate(flips, 1):
+            if flip == _REVERSED:
+                values = np.take(values, window.mirrored, axis)
+        diodes = values.reshape(*values.shape[:3], self.count, self.count)
+        return diodes[..., flips[0], flips[1]].reshape(values.shape)
+
+    def _response(
+        self,
+        modes: NDArray[np.complex64],
+        finer: int,
+        stride: int,
+        window: TableWindow,
+        overlap: NDArray[np.float32],
+        used: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """Return W of a photodiode at the used nodes: (nodes, y, x).
+
+        The directions of neighbouring pairs differ by `stride` of the steps of the modes, divided by `finer`.
+        """
+        pairs, inner = overlap.shape[1] // 2, self.across + 1
+        known = modes.shape[1] // 2
+        half = inner * finer + pairs * stride
+        between = np.arange(-known * finer, known * finer + 1) / finer
+        spline = make_interp_spline(np.arange(-known, known + 1), np.eye(2 * known + 1))(between).astype(np.float32)
+        modes = spline @ modes @ spline.T if finer > 1 else modes
+        # Directions farther outside the pupil are not needed.
+        beyond = max(0, half - known * finer)
+        modes, middle = np.pad(modes, ((0, 0), (beyond, beyond), (beyond, beyond))), known * finer + beyond
+        lags = np.arange(-pairs, pairs + 1)
+        products = np.zeros((2 * inner + 1, 2 * inner + 1, len(lags), len(lags)), np.complex64)
+        conjugate = modes.conj()
+        # Nodes at which both directions of a pair can pass the pupil.
+        halves = np.minimum(inner, inner + 1 - np.abs(lags) * stride // finer)
+        for a, b in itertools.product(range(len(lags)), repeat=2):
+            if (a, b) < (pairs, pairs):
+                continue
+            at = tuple(slice(inner - halves[lag], inner + halves[lag] + 1) for lag in (a, b))
+            ends = [
+                [
+                    slice(middle - halves[lag] * finer + shift, middle + halves[lag] * finer + shift + 1, finer)
+                    for lag, shift in ((a, side * lags[a] * stride), (b, side * lags[b] * stride))
+                ]
+                for side in (1, -1)
+            ]
+            value = np.einsum("ryx,ryx->yx", modes[:, ends[0][0], ends[0][1]], conjugate[:, ends[1][0], ends[1][1]])
+            products[at[0], at[1], a, b] = value
+            products[at[0], at[1], -1 - a, -1 - b] = value.conj()
+        # Sharpened against the damping by linear interpolation in s, and below by that in x.
+        products = products[1:-1] - (products[2:] - 2 * products[1:-1] + products[:-2]) / 12
+        products = products[:, 1:-1] - (products[:, 2:] - 2 * products[:, 1:-1] + products[:, :-2]) / 12
+        size = window.across - 1
+        gain = (np.sinc(lags / size) ** -2).astype(np.float32)
+        chosen = (
+            products[used] * overlap * (gain[:, None] * gain / np.float32((window.lenses * self.camera.mla_pitch) ** 2))
+        )
+        wide = np.zeros((len(chosen), size, size), np.complex64)
+        wide[:, (lags % size)[:, None], lags % size] = chosen
+        values = scipy.fft.fft2(wide).real
+        place = np.round(window.place * window.samples).astype(int) % size
+        return np.ascontiguousarray(values[:, place[:, None], place])
+
+
+@dataclass(frozen=True)
+class _Pupil:
+    """The pupil as seen from a lens, sampled in direction cosines."""
+
+    is_open: NDArray[np.bool_]
+    # Samples per step of the nodes.
+    step: int
+    # Rows and columns of the open samples, and their values of the functions that are linear between nodes.
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    hats: scipy.sparse.csr_matrix
+    # Part of the direction cosines of the pupil around each node (n, n).
+    mass: NDArray[np.float64]
+    # Part of the area of the pupil, over which rays are even, around each node (n, n).
+    light: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
+        """Sample the pupil as seen from a lens; the samples per step are a multiple of a given number."""
+        n, step = 2 * plan.across + 1, multiple * math.ceil(_SUBSAMPLES / multiple)
+        far = (2 * plan.across + plan.stride) * step
+        along = (np.arange(-far, far) + 0.5) / step
+        is_open = plan.is_open(x, y, along * plan.step)
+        low = far - plan.across * step
+        rows, columns = np.nonzero(is_open[low : 2 * far - low, low : 2 * far - low])
+        rows, columns = rows + low, columns + low
+        sides = [np.floor(along[each]).astype(int) for each in (rows, columns)]
+        parts = [along[each] - side for each, side in zip((rows, columns), sides, strict=True)]
+        count = np.arange(len(rows))
+        hats = scipy.sparse.csr_matrix((len(rows), n * n))
+        for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            node = (sides[0] + dy + plan.across) * n + sides[1] + dx + plan.across
+            value = np.abs(1 - dy - parts[0]) * np.abs(1 - dx - parts[1])
+            hats += scipy.sparse.csr_matrix((value, (count, node)), hats.shape)
+        chief = plan.chief(x, y)
+        square = sum((c + plan.step * along[each]) ** 2 for c, each in zip(chief, (columns, rows), strict=True))
+        # Areas of the pupil per area of direction cosines.
+        even = (1 - square) ** -2
+        mass, light = ((hats.T @ part).reshape(n, n) for part in (np.ones(len(rows)), even))
+        return cls(is_open, step, rows, columns, hats, mass, light)
+
+    @cached_property
+    def _solve(self) -> scipy.sparse.linalg.SuperLU:
+        """The factors of the matrix of the least-squares projection on the functions of the open nodes."""
+        mass = self.mass.ravel()
+        # The ridge holds coefficients to their local means; nodes that are not open have none.
+        return scipy.sparse.linalg.splu(
+            (self.hats.T @ self.hats + scipy.sparse.diags(np.where(mass > 0, _RIDGE * mass, 1.0))).tocsc()
+        )
+
+    @single_threaded_blas()
+    def overlap(self, lags: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return coefficients of O for each node and pair (n, n, lags, lags); lags are half differences in samples.
+
+        The coefficients are the projection of O on functions that are linear between nodes.
+        """
+        n, each = len(self.mass), np.arange(len(self.rows))
+        result = np.zeros((n * n, len(lags), len(lags)), np.float32)
+        for number, lag in enumerate(lags):
+            up, down = (self.is_open[self.rows + side * lag] for side in (1, -1))
+            both = [up[each, self.columns + across] & down[each, self.columns - across] for across in lags]
+            moments = self.hats.T @ np.stack(both, 1).astype(np.float32)
+            # The factor conserves energy against the ridge.
+            result[:, number] = self._solve.solve(np.asarray(moments)) * (1 + _RIDGE)
+        return result.reshape(n, n, len(lags), len(lags))
+
+
+def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return matrices from samples of the far window to those of the near one (near.across, far.across).
+
+    The first folds the far window into the near one, and the second interpolates within the near one.
+    """
+    size = far.across - 1
+
+    def interpolated(place: NDArray[np.float64]) -> NDArray[np.float64]:
+        at = ((place - far.place[0]) * far.samples) % size
+        low = np.floor(at).astype(int)
+        result = np.zeros((len(place), far.across))
+        result[np.arange(len(place)), low] = 1 - at + low
+        result[np.arange(len(place)), low + 1] += at - low
+        return result
+
+    own = interpolated(near.place)
+    periods = range(0, far.lenses, near.lenses)
+    every = np.sum([interpolated(near.place + period) for period in periods], axis=0)
+    return every.astype(np.float32), own.astype(np.float32)
+
+
+def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:
+    """Return the matrix from samples within the near window to those of the far one at its resolution."""
+    lag = np.arange(-pairs, pairs + 1)
+    gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2
+    far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(each.place, lag)) for each in (far, near))
+    weights = np.full(near.across, 1 / near.samples)
+    weights[[0, -1]] /= 2
+    return np.asarray((far_waves * (gain / far.lenses) @ near_waves.conj().T).real * weights, np.float32)

@@ -1,0 +1,407 @@
+"""Wave captures of scenes by the responses of photodiodes under lenses of a few wavelengths.
+
+From the cell of each lens rays are drawn to the pupil, evenly over both. A ray contributes to the photodiodes of all
+lenses around, with the signed response W of each (`onchip.response_tables`): the sum over the lenses of the near window
+is complete, and lenses of the far window are drawn at random. So each photodiode sums over the rays of many lenses, and
+rays are traced once. As in `signed_rays`, the mean radiance of independent rays around the lens is subtracted, and its
+light, whose response is known, is added as a whole.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...lenses.main_lens import Pair
+from ...light.noise import Mended
+from ...light.optical_system import RayPupil
+from ...light.phase_space import FINE
+from ...light.scene_light import SceneLight, require_finite
+from ...light.signed_capture import SignedCapture
+from ...light.signed_colours import Node, SignedColours, mixed
+from ...runtime.backend import drjit_array
+from ...runtime.batches import Box, Part, PartialSum
+from ...runtime.fft import busy_drjit
+from .plane_waves import NEAR, lens_range
+from .response_draws import Tables
+from .response_tables import PhotodiodeResponses
+
+_LANES = 2**23
+"""Approximate count of rays that are traced at once."""
+
+_RAY_BYTES = 120
+"""Approximate bytes of a ray."""
+
+_LEAST_RAYS = 8
+"""Rays of a lens that are traced at once at the least, if it has as many."""
+
+_BITS = 36
+"""Bits after the point of integers that add up light, in units of the brightest ray; 27 remain before it."""
+
+_DRAWN = 8
+"""Lenses of the far window that each ray of a lens draws."""
+
+_PROBES, _TIMED = 2**8, 2**6
+"""Count of lenses whose light identifies a capture, and the sides in lenses of a block that is timed."""
+
+
+class Rays(NamedTuple):
+    """The light of the rays of lenses."""
+
+    # Light for each image of a channel at a wavelength.
+    lights: list[Any]
+    # Indices as in `Aimed`; rays that do not pass the pupil have those of a node without response.
+    near: list[Any]
+    far: list[Any]
+    node: Any
+    # Sums of the light, and counts of the rays that passed, of the two halves of the rays of each lens.
+    sums: list[Any]
+    counts: Any
+
+
+class LensCells(NamedTuple):
+    """A rectangle of lenses."""
+
+    # Lattice indices of the first lens.
+    left: int
+    top: int
+    columns: int
+    rows: int
+
+    def within(self, margin: int) -> LensCells:
+        """Return the rectangle with a margin around it."""
+        return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
+
+    def lenses(self) -> tuple[Pair, Any]:
+        """Return the lattice indices of the lenses, row by row, and a number of each that no other lens has."""
+        lens = dr.arange(mi.UInt32, self.rows * self.columns)
+        row = lens // dr.opaque(mi.UInt32, self.columns)
+        x = mi.Int(lens - row * self.columns) + dr.opaque(mi.Int, self.left)
+        y = mi.Int(row) + dr.opaque(mi.Int, self.top)
+        return (x, y), (mi.UInt32(y + 2**15) << 16) | mi.UInt32(x + 2**15)
+
+
+@dataclass(frozen=True)
+class LensRows:
+    """The pixels of a block of rows of lenses, which are finished."""
+
+    box: Box
+    sums: NDArray[np.float32]
+
+    @property
+    def samples(self) -> int:
+        """Count of pixels."""
+        return self.sums.size
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that returns the pixels."""
+        return partial(Part, self.box, self.sums)
+
+
+class ResponseSum:
+    """A capture by the responses of photodiodes, computed by rows of lenses; a `runtime.jobs.LongSum`."""
+
+    arrays: Any = np
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        # Radiance along rays.
+        light: Callable[..., list[Any]],
+        # The wavelengths of the tables, and the channels that record each; their plans are `PhotodiodeResponses`.
+        nodes: Sequence[Node],
+        *,
+        # Rays per pixel as in a ray capture, of which only those that pass the pupil are drawn.
+        spp: int,
+        seed: int,
+    ) -> None:
+        self._camera, self._light, self._nodes, self._seed = camera, light, nodes, seed
+        self._tables = Tables(camera, [node.plan for node in nodes])
+        self._across = across = self._tables.count
+        self._pupils: dict[float, tuple[RayPupil, list[int]]] = {}
+        for number, node in enumerate(nodes):
+            pupil = RayPupil(node.plan.system)
+            self._pupils.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
+        # The images: the wavelength and the channel of each.
+        self._images = [
+            (n, channel) for _, numbers in self._pupils.values() for n in numbers for channel in nodes[n].channels
+        ]
+        self.channels = max(channel for _, channel in self._images) + 1
+        rows, columns = camera.shape
+        self.box = Box(0, 0, columns, rows)
+        self._columns, self._rows = (lens_range(camera, across, axis) for axis in (0, 1))
+        plan = nodes[0].plan
+        lens = plan.system.lens
+        # A pixel is the mean over its area and the lens's aperture of the radiance of all rays by way of the pupil.
+        scale = camera.detector_distance / (camera.mla_medium * plan.camera.pupil_distance)
+        self._scale = (scale / (camera.pixel_size * camera.mla_fill)) ** 2 * math.pi * float(lens.reach) ** 2
+        # Of the rays of a ray capture, those that pass the pupil. Two halves of them correct each other.
+        rays = max(1, spp * across**2 * self._scale * (camera.pixel_size / camera.mla_pitch) ** 2 / 2)
+        lenses, margin = self._columns[1] - self._columns[0], self._tables.margin
+        row = lenses + 2 * margin
+        at_once = max(_LEAST_RAYS, _LANES // (row * (self._rows[1] - self._rows[0] + 2 * margin))) / 2
+        self._rounds = max(1, round(rays / at_once))
+        self._rays = 2 * max(1, round(rays / self._rounds))
+        height = max(2 * margin, _LANES // (row * self._rays) - 2 * margin)
+        self._blocks = list(range(*self._rows, height))
+        self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
+
+    def batches(self, first: int) -> Iterator[LensRows]:
+        """Trace the rays of the blocks from index `first`, and yield their pixels."""
+        size, columns = self._across, self._columns[1] - self._columns[0]
+        for number in range(first, len(self._blocks)):
+            top, rows = self._blocks[number], int(self.items[number]) // columns
+            seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
+            with busy_drjit():
+                sums = self._captured(LensCells(self._columns[0], top, columns, rows), seeds)
+            pixels = np.stack([np.stack([value.numpy() for value in diodes], -1) for diodes in sums])
+            pixels = pixels.reshape(-1, rows, columns, size, size).swapaxes(2, 3)
+            camera = self._camera
+            left, up = (
+                low * size + count // 2 - crop
+                for low, count, crop in zip((self._columns[0], top), camera.resolution, camera.crop_offset, strict=True)
+            )
+            box = Box(left, up, int(columns * size), int(rows * size))
+            yield LensRows(box, np.ascontiguousarray(pixels.reshape(-1, rows * size, columns * size), np.float32))
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Return the sum of all blocks."""
+        return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
+
+    def probe(self) -> NDArray[np.float32]:
+        """Return the light of the rays of some lenses, which identifies a scene and its camera."""
+        columns, every = self._columns[1] - self._columns[0], int(self.items.sum())
+        lens = np.linspace(0, every - 1, min(_PROBES, every)).astype(int)
+        index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
+        rays = self._traced(tuple(drjit_array(mi.Int, part) for part in index), drjit_array(mi.UInt32, lens), 0)
+        return np.stack([light.numpy() for light in rays.sums])
+
+    def cost(self) -> tuple[float, float]:
+        """Estimate from some of the lenses the time in seconds and the bytes that the sum takes."""
+        seconds = []
+        (left, right), (top, bottom) = self._columns, self._rows
+        columns, rows = min(_TIMED, right - left), min(_TIMED, bottom - top)
+        grid = LensCells((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
+        for seed in range(3):
+            start = time.perf_counter()
+            with busy_drjit():
+                dr.eval(self._captured(grid, [seed]))
+                dr.sync_thread()
+            around = grid.within(self._tables.margin)
+            seconds.append((time.perf_counter() - start) / (around.columns * around.rows))
+        tables = sum(2 * node.plan.nbytes for node in self._nodes)
+        # The first run compiles the kernels, and is left out.
+        return min(seconds[1:]) * self._rounds * float(self.items.sum()), tables + _RAY_BYTES * _LANES
+
+    def _traced(self, index: Pair, lens: Any, seed: int) -> Rays:
+        """Trace the rays of lenses with the given lattice indices and numbers."""
+        rays = self._rays
+        dr.eval(index, lens)
+        lane = dr.arange(mi.UInt32, dr.width(lens) * rays)
+        count = dr.opaque(mi.UInt32, rays)
+        own = lane // count
+        # The two halves of the rays of a lens follow each other.
+        turn = lane - own * count
+        half = dr.select(turn >= count // 2, mi.UInt32(1), 0)
+        each = tuple(dr.gather(mi.Int, part, own) for part in index)
+        word = dr.gather(mi.UInt32, lens, own)
+        key = dr.opaque(mi.UInt32, seed & ~31)
+        aimed = self._tables.draw(each, word, half, turn - half * (count // 2), key)
+        lights, counted = [], mi.Float(0)
+        for pupil, numbers in self._pupils.values():
+            start, slope = pupil.trace(aimed.place, aimed.pupil, 0.0)
+            seen = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
+            radiance = self._light(start, slope, seen, seed)
+            counted = dr.select(seen, mi.Float(1), 0)
+            require_finite(radiance, counted)
+            for number in numbers:
+                used, weights = self._nodes[number].mixture()
+                lights += [dr.select(seen, mixed(row, [radiance[i] for i in used]), 0) for row in weights]
+        dr.eval(lights, counted, aimed.near, aimed.far, aimed.node)
+        sums, counts = [dr.block_sum(light, rays // 2) for light in lights], dr.block_sum(counted, rays // 2)
+        dr.eval(sums, counts)
+        return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
+
+    def _captured(self, grid: LensCells, seeds: Sequence[int]) -> list[list[Any]]:
+        """Return the values of the photodiodes of each lens for each channel, means of a capture for each seed."""
+        result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
+        for seed in seeds:
+            around = grid.within(self._tables.margin)
+            rays = self._traced(*around.lenses(), seed)
+            for (_, channel), values in zip(self._images, self._gathered(grid, rays, seed), strict=True):
+                parts = zip(result[channel], values, strict=True)
+                result[channel] = [old + value * (self._scale / len(seeds)) for old, value in parts]
+            dr.eval(result)
+        return result
+
+    def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list[Any]]:
+        """Return the values of the photodiodes of each lens for each image, from the rays of all lenses around."""
+        tables, count, size = self._tables, self._rays, self._across**2
+        around = grid.within(tables.margin)
+        lens, (index, _) = dr.arange(mi.UInt32, grid.rows * grid.columns), grid.lenses()
+        line = dr.opaque(mi.UInt32, around.columns)
+
+        def at(lens: Any, cell: Pair) -> Any:
+            """Return the indices of lenses in the surrounding grid, displaced by cells."""
+            row = lens // dr.opaque(mi.UInt32, grid.columns)
+            x, y = lens - row * grid.columns + tables.margin, row + tables.margin
+            return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
+
+        # Means of the light of the lens and its eight neighbours, in each half of the rays.
+        cells: list[Pair] = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        counts, sums = (
+            [
+                [
+                    sum((dr.gather(mi.Float, part, at(lens, cell) * 2 + half) for cell in cells), mi.Float(0))
+                    for half in (0, 1)
+                ]
+                for part in parts
+            ]
+            for parts in ([rays.counts], rays.sums)
+        )
+        means = [
+            [dr.select(number > 0, light / number, 0) for light, number in zip(each, counts[0], strict=True)]
+            for each in sums
+        ]
+        dr.eval(means, counts)
+        near = self._near_sums(grid, rays, means, at)
+        far = self._far_sums(grid, rays, means, seed)
+        part = (counts[0][0] + counts[0][1]) / (len(cells) * count)
+        result = []
+        for image, (number, _) in enumerate(self._images):
+            mean = (means[image][0] + means[image][1]) / 2 * part
+            known = tables.zone_means(number, index)
+            own = slice(image * size, (image + 1) * size)
+            parts = zip(near[own], far[own], known, strict=True)
+            result.append([(close + wide) / count + mean * whole for close, wide, whole in parts])
+        dr.eval(result)
+        return result
+
+    def _near_sums(
+        self, grid: LensCells, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
+    ) -> list[Any]:
+        """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
+        tables, size = self._tables, self._across**2
+        count = dr.opaque(mi.UInt32, self._rays)
+        lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
+        own = lane // count
+        turn = lane - own * count
+        held = [dr.select(turn >= count // 2, *(dr.gather(mi.Float, half, own) for half in each)) for each in means]
+
+        def add(k: Any, *totals: Any) -> tuple[Any, ...]:
+            row = mi.Int(k) // NEAR
+            cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
+            other = at(own, cell) * count + turn
+            change = [dr.gather(mi.Float, light, other) - mean for light, mean in zip(rays.lights, held, strict=True)]
+            first = [dr.gather(mi.UInt32, index, other) for index in rays.near]
+            made = self._products(change, lambda number: tables.near_values(number, first[number], cell))
+            return k + 1, *(total + part for total, part in zip(totals, made, strict=True))
+
+        state = (mi.UInt32(0), *[mi.Float(0)] * (size * len(self._images)))
+        _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
+        return [dr.block_sum(total, self._rays) for total in totals]
+
+    def _far_sums(self, grid: LensCells, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+        """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
+        tables, size, margin = self._tables, self._across**2, self._tables.margin
+        around = grid.within(margin)
+        count, columns = dr.opaque(mi.UInt32, self._rays), dr.opaque(mi.UInt32, around.columns)
+        width, height = dr.opaque(mi.Int, grid.columns), dr.opaque(mi.Int, grid.rows)
+        lane = dr.arange(mi.UInt32, around.rows * around.columns * self._rays)
+        lens = lane // count
+        later = lane - lens * count >= count // 2
+        row = lens // columns
+        x, y = mi.Int(lens - row * columns) - margin, mi.Int(row) - margin
+        key = dr.opaque(mi.UInt32, seed)
+        # Sums of integers do not depend on the order in which threads add them.
+        whole, double = dr.int64_array_t(mi.Float), dr.float64_array_t(mi.Float)
+        brightest = float(max(dr.max(dr.abs(light))[0] for light in rays.lights))
+        unit = dr.opaque(double, 2.0 ** (math.frexp(brightest)[1] - _BITS))
+        totals = [dr.zeros(whole, grid.rows * grid.columns) for _ in range(size * len(self._images))]
+
+        def add(k: Any) -> tuple[Any]:
+            random = mi.sample_tea_float32(lane, key + k)
+            cell, weight = tables.drawn(rays.node, (mi.Float(k) + random) * (1 / _DRAWN))
+            target = x - cell[0], y - cell[1]
+            active = (dr.minimum(*target) >= 0) & (target[0] < width) & (target[1] < height)
+            active &= dr.maximum(*(dr.abs(part) for part in cell)) > NEAR // 2
+            index = mi.UInt32(target[1] * width + target[0])
+            change = [
+                (light - dr.select(later, *(dr.gather(mi.Float, half, index, active) for half in each))) * weight
+                for light, each in zip(rays.lights, means, strict=True)
+            ]
+            made = self._products(change, lambda number: tables.far_values(number, rays.far[number], cell))
+            for total, part in zip(totals, made, strict=True):
+                dr.scatter_add(total, whole(double(part * (1 / _DRAWN)) / unit), index, active)
+            return (k + 1,)
+
+        dr.while_loop((mi.UInt32(0),), lambda k: k < _DRAWN, add, label="far photodiodes")
+        dr.eval(totals)
+        return [mi.Float(double(total) * unit) for total in totals]
+
+    def _products(self, change: list[Any], values_of: Callable[[int], list[Any]]) -> list[Any]:
+        """Return the light of rays for each image times the responses of the photodiodes at its wavelength."""
+        responses = {number: values_of(number) for number in {number for number, _ in self._images}}
+        return [
+            value * light
+            for light, (number, _) in zip(change, self._images, strict=True)
+            for value in responses[number]
+        ]
+
+
+@functools.lru_cache(maxsize=4)
+def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhotodiodeResponses:
+    """Return the responses of a camera, which are cached for further captures."""
+    return PhotodiodeResponses(camera, wavelength, fine=fine)
+
+
+@dataclass(frozen=True)
+class ResponseCapture(SignedCapture):
+    """A capture by the responses of photodiodes: the camera, the light, the channels' responses and the accuracy."""
+
+    has_gradients = False
+
+    @cached_property
+    def nodes(self) -> list[Node]:
+        """Return the nodes, the wavelengths of the tables."""
+        found = self.colours.shared(self.camera, self.accuracy)
+        nodes = [
+            Node(_plan(self.camera.at_wavelength(place), place, self.accuracy < FINE), channels, weights)
+            for place, channels, weights in found
+        ]
+        nodes[0].plan.require_memory(len(nodes))
+        return nodes
+
+    def _sum(
+        self, kind: Callable[..., Any], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+    ) -> Callable[[], Any]:
+        """Return a function that constructs one sum, which is of one kind only."""
+        return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
+
+    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+        """Return no channels: the noise of few rays exceeds the light around, so that pixels remain as they are."""
+        return {}
+
+
+def response_capture(
+    camera: PlenopticCamera, light: SceneLight, colours: SignedColours, accuracy: float
+) -> ResponseCapture:
+    """Return the wave capture of a scene behind lenses of a few wavelengths."""
+    refuse_if(
+        mi.is_spectral,
+        f"plenoptic_wave: variant {mi.variant()}: responses of photodiodes under lenses of "
+        "a few wavelengths are computed in mono and rgb variants only",
+    )
+    return ResponseCapture(camera, light, colours, accuracy)

@@ -1,0 +1,179 @@
+"""Banks of point spreads: the light of points at given depths and fields in the picture of each photodiode."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import (
+    InputError,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_number,
+    require_wavelength,
+    short_repr,
+    suggest_keywords,
+)
+from ...io.captures import MODELS
+from ...lenses.common import main_lens
+from ...light.crosstalk import mix_pixels
+from ...light.lens_kinds import chief_ray_shift
+from ...light.optical_system import OpticalSystem
+from ...light.sampling import footprint
+from ...points.point_spread import point_spread_function
+from ..inverse.point_rays import PointRays
+from .halves import photodiodes, require_layout
+from .photodiode_response import ACROSS, require_pixel_pairs
+
+_MARGIN = 4
+"""Lenses around the largest blur in a bank's default size."""
+
+
+_DARK_RING = 1.619
+"""Radius of the third dark ring of an Airy pattern, in wavelengths times distance over the pupil's radius.
+
+Within are 94 % of the light.
+"""
+
+
+@suggest_keywords
+def psf_bank(
+    camera: PlenopticCamera,
+    depths: Sequence[float],
+    fields: Any = ((0.0, 0.0),),
+    *,
+    layout: tuple[int, int] = (2, 1),
+    model: str = "ray",
+    wavelength: float = 550.0,
+    method: str = "patch",
+    size: int | None = None,
+) -> xr.DataArray:
+    """Compute the point spreads of each photodiode over depth and field.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A camera of 2 x 2 pixels a lens.
+    depths : sequence of float
+        Object distances from the main lens in millimetres.
+    fields : array (n, 2)
+        Positions x and y on the detector in millimetres. Each is moved to the middle of the nearest lens's pixels, and
+        points are where the chief ray through this lens comes from. Default: the lens next to the axis.
+    layout : {(2, 1), (1, 2), (2, 2)}
+        Photodiodes of a lens along x and along y.
+    model : {"ray", "wave"}
+        Model of the light in the camera.
+    wavelength : float
+        Wavelength in nanometres.
+    method : {"patch", "full_field"}
+        For waves: as for `point_spread_function`.
+    size : int, optional
+        Lenses across a spread, an odd number, of which the middle one receives the chief ray. Default: the largest
+        blur with the aberrations of `lens_model`, for waves three dark rings of diffraction, and some lenses around.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions depth, field, v, u, t, s; float32. A spread sums over v, u, t and s to the fraction of the light
+        through the pupil that falls within its lenses. `bank_disparity` returns the distances of halves, and
+        ``torch.from_numpy(bank.values)`` makes the bank a tensor.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, or the camera has a parameter that captures of points do not support.
+    """
+    along, across = require_layout(layout)
+    require_pixel_pairs(camera)
+    camera.require_no_objective("banks of point spreads are computed")
+    require_choice("model", model, MODELS)
+    wavelength = require_wavelength(wavelength)
+    distances = [require_number("depths", depth, positive=True) for depth in depths]
+    positions = np.asarray(fields, np.float64)
+    if not distances or positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
+        raise InputError(
+            f"depths = {short_repr(depths)}, fields = {short_repr(fields)}: they must be distances and pairs"
+        )
+    if size is None:
+        reach = _reach(camera, distances, positions, wavelength)
+        if model == "wave":
+            reach += _DARK_RING * wavelength * 1e-6 * camera.mla_distance / camera.aperture_radius
+        count = 2 * math.ceil(reach / camera.mla_pitch - 1e-9) + _MARGIN + 1
+    else:
+        count = require_count("size", size)
+    refuse_if(count % 2 == 0, f"size = {count}: it must be odd")
+    bank = np.empty((len(distances), len(positions), across, along, count, count), np.float32)
+    used = np.empty_like(positions)
+    for number, position in enumerate(positions):
+        local, used[number], chief = _around(camera, position, count)
+        system = OpticalSystem(local, wavelength)
+        for index, point in enumerate(_points(local, chief, distances)):
+            image: NDArray[Any]
+            if model == "wave":
+                image = point_spread_function(local, point, wavelength=wavelength, method=method)
+            else:
+                image = PointRays(local, point[None], wavelength).image(system, np.ones(1))
+            bank[index, number] = photodiodes(mix_pixels(image, camera.pixel_crosstalk), along, across)
+    steps = np.arange(count) - count // 2
+    coordinates: dict[str, Any] = {
+        "depth": ("depth", distances, {"units": "mm"}),
+        "x": ("field", used[:, 0], {"units": "mm", "long_name": "x on the detector"}),
+        "y": ("field", used[:, 1], {"units": "mm", "long_name": "y on the detector"}),
+        "t": ("t", steps, {"units": "lenses"}),
+        "s": ("s", steps, {"units": "lenses"}),
+    }
+    return xr.DataArray(bank, dims=("depth", "field", "v", "u", "t", "s"), coords=coordinates, name="point spread")
+
+
+def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> NDArray[np.float64]:
+    """Return the points (n, 3) at some distances whose chief rays meet the array at a place."""
+    start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
+    place = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
+    return np.stack([*place, np.array(distances)], -1)
+
+
+def _reach(
+    camera: PlenopticCamera, distances: Sequence[float], positions: NDArray[np.float64], wavelength: float
+) -> float:
+    """Return how far on the array rays of points go aside from the chief rays at some positions."""
+    camera = camera.replace(mla_cra=())
+    lens, farthest = OpticalSystem(camera, wavelength).lens, 0.0
+    for x, y in positions * camera.mla_distance / (camera.mla_distance + camera.reduced_distance):
+        landing = footprint(lens, _points(camera, (x, y), distances))
+        farthest = max(farthest, float((abs(landing.centre - (x, y)) + landing.half_width).max()))
+    return farthest
+
+
+def _around(
+    camera: PlenopticCamera, position: NDArray[np.float64], count: int
+) -> tuple[PlenopticCamera, NDArray[np.float64], tuple[float, float]]:
+    """Return the camera that records the lenses around a position, the middle of its lens's pixels, and of this lens.
+
+    Lenses that are aligned to chief rays are shifted all alike there.
+    """
+    width = ACROSS * camera.pixel_size
+    offset = np.array(camera.mla_offset)
+    index = np.floor((position - offset) / width)
+    middle = (index + 0.5) * width + offset
+    shift = np.array(chief_ray_shift(camera, *middle))
+    corner = np.array(camera.resolution) / 2 + (index - count // 2) * ACROSS + np.rint(offset / camera.pixel_size)
+    refuse_if(
+        (corner < 0).any() or (corner + ACROSS * count > camera.resolution).any(),
+        f"fields = ({position[0]:g}, {position[1]:g}): {count} x {count} lenses around it leave the detector",
+    )
+    local = camera.replace(
+        mla_cra=(),
+        mla_offset=tuple((offset + shift).tolist()),
+        pixel_crosstalk=0.0,
+        crop_offset=tuple(corner.astype(int).tolist()),
+        crop_size=(ACROSS * count, ACROSS * count),
+    )
+    x, y = local.lattice.centre(*index.tolist())
+    return local, middle, (float(x), float(y))

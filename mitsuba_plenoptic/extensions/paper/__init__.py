@@ -1,0 +1,5 @@
+"""Extension `paper`: the study of the paper, its figures, times and conclusions computed again."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(commands={"reproduce": "reproduce_command"})

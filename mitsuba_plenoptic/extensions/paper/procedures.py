@@ -1,0 +1,184 @@
+"""The paper's figures 1 and 3, the setup and both ways back, drawn from the camera's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse, FancyArrowPatch
+
+from ...camera import PlenopticCamera
+from ...optics import rays
+from ...prescription.lens_data import image_distance
+from ...report.framing import Canvas
+
+_INK, _FAINT, _LIGHT = "#1b1f24", "#667080", "#d08700"
+_RAYS = 7
+"""Rays through the pupil, or pixels of a micro-image, that are drawn."""
+
+_BEHIND = 0.08
+"""Distance between array and detector as drawn, over that between main lens and array; it is too short to be seen."""
+
+
+def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
+    """Follow rays from an object point (X, g) to the array.
+
+    Returns
+    -------
+    array (rays, 3, 2)
+        For each pupil coordinate (z, x) at the object, the main lens and the microlens array; z is 0 at the main lens
+        and positive towards the detector.
+    """
+    X, g = point
+    m = rays.mla_point(X, pupil, g, camera.mla_distance, camera.focal_length)
+    along = np.broadcast_to([-g, 0.0, camera.mla_distance], (len(pupil), 3))
+    return np.stack([along, np.stack([np.full_like(pupil, X), pupil, m], axis=-1)], axis=-1)
+
+
+def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance: float) -> np.ndarray:
+    """Follow the rays of pixels through the centre of a lens back to an object plane.
+
+    Returns
+    -------
+    array (pixels, 4, 2)
+        For each pixel (z, x) at the detector, the centre of the lens, the main lens and the object plane.
+    """
+    b, z = camera.mla_distance, camera.detector_distance
+    P, place = rays.follow_back(pixels, lens, lens, distance, camera)
+    along = np.broadcast_to([b + z, b, 0.0, -distance], (len(pixels), 4))
+    across = [pixels, np.full_like(pixels, lens), P, -place * distance / b]
+    return np.stack([along, np.stack(across, axis=-1)], axis=-1)
+
+
+def micro_image(camera: PlenopticCamera, lens: float, count: int = _RAYS) -> np.ndarray:
+    """Return detector points across the micro-image of a lens that see the whole pupil."""
+    b, z = camera.mla_distance, camera.detector_distance
+    middle = rays.chief_detector_point(lens, b, z)
+    return middle + np.linspace(-1, 1, count) * camera.aperture_radius * z / b
+
+
+def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) -> None:
+    """Draw the paper's figure 1: the setup, with rays from a point of each object to the array."""
+    far, b = max(objects.values()), camera.mla_distance
+    figure = Canvas(10.5, 4.7)
+    axes = _plot(figure, 0.2, 0.5, 10.1, 4.1, (-1.12 * far, 1.25 * b), 2.0 * camera.aperture_radius)
+    axes.set_title("Setup; heights are enlarged", size=10, color=_INK, loc="left", pad=6)
+    pupil = np.linspace(-1, 1, _RAYS) * camera.aperture_radius
+    for number, (name, distance) in enumerate(objects.items()):
+        height = 0.4 * camera.aperture_radius * (1 - number)
+        for path_ in light_path(camera, (height, distance), pupil):
+            axes.plot(*path_.T, color=f"C{number}", linewidth=0.7, alpha=0.8)
+        top = (1 + 0.3 * number) * camera.aperture_radius
+        axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=_FAINT, linewidth=1)
+        image = image_distance(camera.focal_length, distance)
+        axes.annotate(
+            f"{name}, g = {distance:g} mm\nimage at {image:.4g} mm", (-distance, top), (0, 4),
+            textcoords="offset points", ha="center", va="bottom", size=7, color=f"C{number}",
+        )  # fmt: skip
+    _main_lens(axes, camera)
+    _array(axes, camera)
+    _dimension(axes, 0, b, -1.25 * camera.aperture_radius, f"b = {b:g} mm")
+    figure.save_both(path)
+
+
+def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
+    """Draw the paper's figure 3: the way back to an object plane by rays, and by waves."""
+    figure = Canvas(10.5, 5.6)
+    axes = _plot(
+        figure, 0.2, 0.5, 10.1, 3.2, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius
+    )
+    axes.set_title(f"(a)  By rays: each pixel through the centre of its lens, to {distance:g} mm", size=10, loc="left")
+    for number, lens in enumerate((-3.0, 0.0, 3.0)):
+        centre = lens * camera.mla_pitch
+        for path_ in back_path(camera, centre, micro_image(camera, centre), distance):
+            axes.plot(*_stretched(path_, camera).T, color=f"C{number}", linewidth=0.7)
+    axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=_FAINT, linewidth=1)
+    _main_lens(axes, camera)
+    _array(axes, camera)
+    _waves(figure, camera, distance)
+    figure.save_both(path)
+
+
+def _waves(figure: Canvas, camera: PlenopticCamera, distance: float) -> None:
+    """Draw the steps of the wave reconstruction, from the detector on the right to the object on the left."""
+    axes = figure.axes(0.2, 4.15, 10.1, 1.3)
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    axes.set_title("(b)  By waves: one field for all lenses, or one for each subset, whose intensities are added",
+                   size=10, loc="left")  # fmt: skip
+    steps = (
+        ("detector", r"$\sqrt{I}\;e^{-i\pi|p-c|^2/\lambda z}$", f"z = {camera.detector_distance:g} mm"),
+        ("microlenses", r"$e^{-i\pi|m-c|^2/\lambda f_2}$", f"$f_2$ = {camera.mla_focal_length:g} mm"),
+        ("main lens", r"$e^{-i\pi P^2/\lambda f_1}$, pupil", f"$f_1$ = {camera.focal_length:g} mm"),
+        ("object plane", r"$|U|^2$, summed over bins", f"g = {distance:g} mm"),
+    )
+    between = (
+        f"free space z = {camera.detector_distance:g} mm",
+        f"b = {camera.mla_distance:g} mm",
+        f"g = {distance:g} mm",
+    )
+    places = np.linspace(0.9, 0.1, len(steps))
+    for place, (name, formula, value) in zip(places, steps, strict=True):
+        box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": _FAINT}
+        axes.text(place, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=_INK, bbox=box)
+    for first, second, text in zip(places, places[1:], between, strict=False):
+        axes.add_patch(FancyArrowPatch((first - 0.085, 0.6), (second + 0.085, 0.6), arrowstyle="->", mutation_scale=12,
+                                       color=_LIGHT))  # fmt: skip
+        axes.text((first + second) / 2, 0.1, f"angular spectrum,\n{text}", ha="center", size=7.5, color=_LIGHT)
+
+
+def _plot(
+    figure: Canvas, left: float, top: float, width: float, height: float, along: tuple[float, float], across: float
+) -> Axes:
+    axes = figure.axes(left, top, width, height)
+    axes.set_xlim(*along)
+    axes.set_ylim(-across, across)
+    axes.axhline(0, color=_FAINT, linewidth=0.5, linestyle="dashdot")
+    return axes
+
+
+def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Move the detector away from the array, so that the space between can be seen."""
+    moved = points.copy()
+    behind = moved[:, 0] > camera.mla_distance
+    moved[behind, 0] = _detector(camera)
+    # Enlarged about the lens, so that rays go straight on.
+    lens, pixel = points[1], points[0]
+    moved[behind, 1] = lens[1] + (pixel[1] - lens[1]) * (_detector(camera) - lens[0]) / camera.detector_distance
+    return moved
+
+
+def _detector(camera: PlenopticCamera) -> float:
+    return camera.mla_distance * (1 + _BEHIND)
+
+
+def _main_lens(axes: Axes, camera: PlenopticCamera) -> None:
+    radius = camera.aperture_radius
+    width = 0.06 * camera.mla_distance
+    axes.add_patch(Ellipse((0, 0), width, 2 * radius, facecolor="#dbe9f6", edgecolor=_INK, linewidth=0.8))
+    text = f"main lens\n$f_1$ = {camera.focal_length:g} mm\n$D_1$ = {2 * radius:g} mm"
+    axes.annotate(text, (0, radius), (0, 4), textcoords="offset points", ha="center", va="bottom", size=7, color=_INK)
+
+
+def _array(axes: Axes, camera: PlenopticCamera) -> None:
+    b, half = camera.mla_distance, camera.detector_width / 2
+    axes.plot([b, b], [-half, half], color=_INK, linewidth=2.5)
+    axes.plot([_detector(camera)] * 2, [-half, half], color=_INK, linewidth=1)
+    columns, rows = camera.bin_count
+    text = (
+        f"{columns} x {rows} microlenses,\n$D_2$ = {camera.mla_pitch:g} mm, $f_2$ = {camera.mla_focal_length:g} mm;\n"
+        f"detector {camera.detector_distance:g} mm behind,\n{camera.resolution[0]} x {camera.resolution[1]} pixels of "
+        f"{1000 * camera.pixel_size:.3g} µm"
+    )
+    axes.annotate(
+        text, (_detector(camera), half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=_INK
+    )
+
+
+def _dimension(axes: Axes, first: float, last: float, height: float, text: str) -> None:
+    axes.annotate(
+        "", (last, height), (first, height), arrowprops={"arrowstyle": "<->", "color": _FAINT, "linewidth": 0.8}
+    )
+    axes.text((first + last) / 2, height, text, ha="center", va="bottom", size=8, color=_FAINT)

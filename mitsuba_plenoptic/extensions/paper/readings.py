@@ -1,0 +1,63 @@
+"""Interference where the paper can be read in several ways: the four subsets, and the microlens's phase."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...errors import InputError
+from ...refocus import reconstruct
+from ...refocus.partitions import blocks, coloured, refocused, sublattice
+from ...report.experiment import Experiment
+from ...report.metrics import interference, shape_window
+from ...report.stage_store import StageStore
+
+
+def measure_readings(experiment: Experiment, store: StageStore, near: str, far: str) -> list[dict[str, Any]]:
+    """Measure the nearest and the farthest shape, by ids, each refocused to where the other one is.
+
+    Each row has the interference with four subsets, the quarters of the array or the best sublattice; the count of
+    subsets in which no images of lit lenses overlap; the interference without the second microlens phase (`literal`);
+    and how far the coherent image, and what is left of it without interference, are from that by rays.
+    """
+    distances = experiment.settings.distances
+    blurred = [(near, distances[-1]), (far, distances[0])]
+    found = store.facts(
+        "readings",
+        {"capture": experiment.wave_key, "blurred": blurred},
+        lambda progress: {"rows": _rows(experiment, blurred)},
+    )
+    return list(found["rows"])
+
+
+def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict[str, Any]]:
+    """Measure some shapes, each at its distance; what can be is refocused to all distances at once."""
+    capture, camera = experiment.wave, experiment.camera
+
+    def images(distances: list[float], **options: Any) -> dict[float, Any]:
+        return {result.distance: result.image for result in reconstruct(capture, distances, **options)}
+
+    distances = [distance for _, distance in blurred]
+    quarters = refocused(capture, distances, blocks(camera, 2))
+    coherent = images(distances, method="coherent", relay=False)
+    partial = images(distances, method="partial", interleave=2, relay=False)
+    literal = images(distances, method="partial", interleave="auto", relay=False)
+    rows = []
+    for shape, distance in blurred:
+        window = shape_window(camera, *experiment.boxes[shape])
+        if window is None:
+            raise InputError(f"{shape}: it is not in the camera's view")
+        labels = sublattice(camera, distance, 4, experiment.settings.wavelength)
+        best = refocused(capture, [distance], labels)[distance]
+        known = {name: experiment.images[name, distance] for name in ("ray", "coherent", "limit")}
+        compared = {
+            "quarters": (quarters[distance], known["limit"]),
+            "sublattice": (best, known["limit"]),
+            "literal_coherent": (coherent[distance], literal[distance]),
+            "literal_partial": (partial[distance], literal[distance]),
+            "coherent_from_rays": (known["coherent"], known["ray"]),
+            "limit_from_rays": (known["limit"], known["ray"]),
+        }
+        values = {name: round(interference(*pair, window), 5) for name, pair in compared.items()}
+        colours = int(coloured(capture, distance).max()) + 1
+        rows.append({"shape": shape, "distance": distance, "colours": colours, **values})
+    return rows

@@ -1,0 +1,233 @@
+"""The paper once more: its figures, its timing, and its conclusions, with a report."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import design
+from ...errors import InputError, require_choice
+from ...io.captures import read_capture
+from ...refocus import reconstruct
+from ...report.comparison import draw_comparison, measure
+from ...report.experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
+from ...report.framing import ON_DETECTOR, Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, zoom_at
+from ...report.images import Brightness, shrink
+from ...report.page import Report, write_report
+from ...report.stage_store import StageOptions
+from ...runtime.backend import set_variant
+from .claims import check_claims, timing_table
+from .paper_limits import check_limits, plain_seconds
+from .procedures import figure_1, figure_3
+from .readings import measure_readings
+
+_LETTERS = {"eight": "the 8 (210 mm)", "f": "the F (240 mm)", "hash": "the # (280 mm)"}
+
+_PLATES = {
+    "fig1.png": "The paper's figure 1: the setup. Rays of a point of each object to the microlens array.",
+    "fig2.png": "The paper's figure 2: the object and its image on the detector, by waves; below, 8 x 8 lenses of each "
+    "letter.",
+    "fig3.png": "The paper's figure 3: the way back to the object plane by rays (a) and by waves (b).",
+    "fig4.png": "The paper's figure 4: reconstructions by rays (a), coherent (b) and partially coherent (c) at 280 mm, "
+    "and partially coherent at 210 mm (d).",
+}
+
+_PAPER = Settings(
+    scene="letters",
+    distances=(210.0, 240.0, 280.0),
+    # The paper's lenses are parabolic phases, in both models of light.
+    parameters={"lens_model": "parabolic"},
+    slider=(200.0, 210.0, 220.0, 230.0, 240.0, 250.0, 260.0, 270.0, 280.0, 290.0, 300.0),
+    spp=64,
+    points=64,
+    truth_spp=4096,
+)
+
+# The quick one has the paper's lenses and pixels on a detector of half the width, and letters of half the size.
+PRESETS = {
+    "quick": replace(
+        _PAPER,
+        parameters={**_PAPER.parameters, "resolution": "2048", "detector_width": "4.096", "letter_scale": "0.5"},
+        points=32,
+    ),
+    "paper": _PAPER,
+}
+
+
+def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
+    """Make the paper's figures, its timing comparison and its conclusions, with a report.
+
+    The wave capture is made from signed rays, and once more point by point, as in the paper; the report states their
+    difference.
+    """
+    settings = PRESETS[require_choice("preset", preset, PRESETS)]
+    store = open_store(output, stages)
+    experiment = run_experiment(settings, store)
+    near, _, far = _LETTERS
+    measured = measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
+    last = settings.distances[-1]
+    seconds = store.facts(
+        "seconds_on_one_core",
+        {"capture": experiment.wave_key, "distance": last},
+        lambda _: seconds_on_one_core(experiment.wave_file, last),
+    )
+    plain = store.facts(
+        "seconds_of_plain_loop",
+        {"camera": experiment.camera.to_json(), "distance": last},
+        lambda _: {"seconds": round(plain_seconds(experiment.camera, last), 1)},
+    )
+    claims = check_claims(experiment, measured, seconds, near, far)
+    claims += check_limits(experiment.camera, settings.wavelength, plain["seconds"], seconds["ray"])
+    zooms = _letter_zooms(experiment, _LETTERS)
+    objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
+    figure_1(output / "fig1.png", experiment.camera, objects)
+    figure_3(output / "fig3.png", experiment.camera, last)
+    figure_2(output / "fig2.png", experiment, _LETTERS)
+    panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
+    figure_4(output / "fig4.png", experiment, panels)
+    columns, rows = experiment.camera.bin_count
+    confirmed = sum(claim.verdict == "confirmed" for claim in claims)
+    report = Report(
+        title="A plenoptic camera by rays and by waves",
+        lead=f"Three letters at 210, 240 and 280 mm, recorded through {columns} x {rows} microlenses at "
+        f'{settings.wavelength:g} nm and refocused from one capture, after the paper "Wave-Optical '
+        f'Reconstruction of Plenoptic Camera Images". Of its {len(claims)} conclusions {confirmed} are '
+        f"confirmed with the preset {preset}.",
+        experiment=experiment,
+        measured=measured,
+        zooms=zooms,
+        plates=_PLATES | draw_comparison(output, experiment, measured, zooms),
+        command=f"mitsuba-plenoptic reproduce --preset {preset}",
+        claims=claims,
+        timing=timing_table(experiment, seconds),
+    )
+    return write_report(output, report)
+
+
+# The methods of the paper's comparison.
+TIMED = ("ray", "coherent", "partial")
+_REPEATS = 3
+
+
+def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
+    """Time the reconstruction of a capture's file at a distance on one processor core: seconds by method.
+
+    What counts is processor time, which does not grow with what else the machine does, and of several runs the
+    shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
+    """
+
+    def hold() -> None:
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+    answer = subprocess.run(
+        [sys.executable, "-m", __name__, str(capture), f"{distance!r}"],
+        env={**os.environ, "DRJIT_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        preexec_fn=hold if os.name == "posix" else None,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if answer.returncode:
+        raise InputError(f"timing of {capture}: {answer.stderr.strip().splitlines()[-1]}")
+    return dict(json.loads(answer.stdout))
+
+
+def _main() -> None:
+    set_variant(None)
+    capture, distance = read_capture(sys.argv[1]), float(sys.argv[2])
+    found = {}
+    for method in METHODS:
+        if method.name in TIMED:
+            runs = []
+            for _ in range(_REPEATS):
+                start = time.process_time()
+                reconstruct(capture, distance, **method.options)
+                runs.append(time.process_time() - start)
+            found[method.name] = round(min(runs), 3)
+    print(json.dumps(found))
+
+
+def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
+    """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
+    middles = {title: np.add(*experiment.boxes[name]) / 2 for name, title in letters.items()}
+    return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
+
+
+def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
+    """Draw the paper's figure 2: the object and, by waves, the detector image, with micro-images close up.
+
+    These are of three shapes, given with titles by their ids.
+    """
+    camera, wave = experiment.camera, experiment.wave.image
+    window = lit_window([experiment.pinhole, *experiment.truths.values()])
+    zooms = _letter_zooms(experiment, letters)
+    edge, gap, close = 0.25, 0.2, 3.3
+    half = (3 * close + gap) / 2
+    figure = Canvas(2 * half + gap + 2 * edge, 0.5 + half * window.aspect + 0.55 + close + 0.5)
+
+    axes = figure.axes(edge, 0.5, half, half * window.aspect)
+    seen = window.of(experiment.pinhole)
+    show(axes, seen, "Object, seen from the centre of the main lens")
+    in_view = (window.right - window.left) * design.field_width(camera, camera.focus_distance)
+    scale_bar(axes, in_view, f"at {camera.focus_distance:g} mm")
+    for name in letters:
+        low, high = experiment.boxes[name]
+        z = (low[2] + high[2]) / 2
+        foot = (np.array([(low[0] + high[0]) / 2, low[1]]) / z) * camera.mla_distance
+        across = 0.5 - foot[0] / camera.detector_width
+        down = 0.5 - foot[1] / camera.detector_height
+        axes.text(
+            (across - window.left) / (window.right - window.left) * seen.shape[1],
+            (down - window.top) / (window.bottom - window.top) * seen.shape[0] + 0.025 * seen.shape[1],
+            f"{z:g} mm",
+            color="white",
+            ha="center",
+            va="top",
+            size=8,
+        )
+
+    axes = figure.axes(edge + half + gap, 0.5, half, half * window.aspect)
+    peak = float(np.quantile(wave[wave > 0.01 * wave.max()], 0.95))
+    seen = window.of(wave)
+    small = shrink(seen, 1400)
+    # Averaging pixels dims the micro-images, which do not fill their cells.
+    show(axes, small, "Detector image, by waves", peak=0.7 * peak)
+    scale_bar(axes, seen.shape[1] * camera.pixel_size, ON_DETECTOR)
+    corner = round(window.top * wave.shape[0]), round(window.left * wave.shape[1])
+    for index, zoom in enumerate(zooms):
+        mark(axes, zoom, corner, seen.shape[1] / small.shape[1], "abc"[index])
+        cut = wave[zoom.rows, zoom.columns]
+        below = figure.axes(edge + index * (close + gap), 0.5 + half * window.aspect + 0.55, close, close)
+        show(below, cut, f"({'abc'[index]})  Micro-images of {zoom.title}", peak=peak)
+        scale_bar(below, cut.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
+    figure.save_both(path)
+
+
+def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, float]]) -> None:
+    """Draw the paper's figure 4: four reconstructions, by method and distance."""
+    window = lit_window(list(experiment.truths.values()))
+    images = [experiment.images[panel] for panel in panels]
+    peak = Brightness().white([window.of(image) for image in images])
+    edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
+    tall = wide * window.aspect
+    figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)
+    for index, ((name, distance), image) in enumerate(zip(panels, images, strict=True)):
+        down, across = divmod(index, 2)
+        axes = figure.axes(edge + across * (wide + gap), title + down * (title + tall), wide, tall)
+        show(axes, window.of(image), f"({'abcd'[index]})  {TITLES[name]}, {distance:g} mm", peak=peak, size=11)
+        object_bar(axes, experiment.camera, distance, window)
+    figure.save_both(path)
+
+
+if __name__ == "__main__":
+    _main()

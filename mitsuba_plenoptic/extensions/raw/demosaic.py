@@ -1,0 +1,165 @@
+r"""From a mosaic of colour filters to three channels, micro-image by micro-image.
+
+What is missing of a colour is estimated from the pixels around that have it, as ratio to what they would record of
+white:
+
+.. math:: \hat{I}_c(p) = W(p) \, \frac{\sum_q k(p - q) \, m_c(q) \, I(q)}{\sum_q k(p - q) \, m_c(q) \, W(q)}
+
+with the filters :math:`m_c` and the white image W: normalised convolution, whose certainty is the white image
+(Knutsson and Westin 1993). Only pixels q of the lens of p count: a neighbour's light comes from elsewhere, and what is
+dark between micro-images has no colour. Recorded pixels are unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
+from ...io.captures import EXPOSED, RECORDED, Capture, recording_of, require_suitable_white
+from ...light.detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
+from ...views.lens_grid import lens_numbers
+from ...views.white_image import scaled_white, white_image
+
+METHODS = ("micro-images", "plain")
+
+_REACH = 2
+"""Pixels around that are asked; next to the border of a micro-image the nearest of a colour may be that far away."""
+
+_WIDTH = 0.7
+"""Of the bell of weights, in pixels: neighbours two pixels away count only where there are no nearer ones."""
+
+_LIT = 1e-3
+"""Part of the weight of the brightest pixel of white below which a colour is not known."""
+
+
+@suggest_keywords
+def demosaic(
+    capture: Capture,
+    *,
+    mosaic: str | None = None,
+    white: Capture | None = None,
+    method: str = "micro-images",
+) -> Capture:
+    """Estimate all three colours of every pixel of a capture that was recorded through a mosaic of filters.
+
+    Parameters
+    ----------
+    capture : Capture
+        As `expose` makes it with a mosaic, or a raw picture of a real camera.
+    mosaic : {"RGGB", "GRBG", "GBRG", "BGGR"}, optional
+        The filters of the first two pixels of the detector's first row and of its second. Default: what the capture
+        says.
+    white : Capture, optional
+        What the same camera records of something white, of one channel or of three. Default: computed by rays from the
+        camera, which real main lenses do not allow.
+    method : {"micro-images", "plain"}
+        ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
+        bilinear interpolation, as for photographs, to compare with.
+
+    Returns
+    -------
+    Capture
+        With three channels, and the wavelengths that they had before the exposure.
+
+    Raises
+    ------
+    InputError
+        If the capture has three channels already, no mosaic is known, the white image does not fit, or it is given
+        for ``plain``.
+    """
+    require_choice("method", method, METHODS)
+    if capture.image.ndim != 2:
+        raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
+    known = mosaic_of(capture)
+    refuse_if(
+        mosaic is None and known is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
+    )
+    refuse_if(
+        known is not None and known.startswith(QUAD),
+        f"mosaic = {known}: each lens has one colour; dual_pixel gives pictures that are Bayer mosaics",
+    )
+    mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
+    camera, own = capture.camera, filters(capture.camera, mosaic)
+    if method == "plain":
+        refuse_if(white is not None, "white: method plain does not take it; it is for micro-images")
+        certainty = np.ones((*camera.shape, 3), np.float32)
+        lenses = np.zeros(camera.shape, np.int64)
+    else:
+        camera.require_resolved()
+        certainty, lenses = _certainty(capture, white), lens_numbers(camera)
+    image = _interpolate(capture.image, own, certainty, lenses, 1 if method == "plain" else _REACH)
+    metadata = dict(capture.metadata)
+    wavelength: Any = capture.wavelength
+    if known is not None:
+        recording = {**recording_of(capture), "mosaic": None, "demosaiced": mosaic}
+        given = recording.pop("wavelength", None)
+        metadata[EXPOSED if EXPOSED in metadata else RECORDED] = recording
+        wavelength = tuple(given) if isinstance(given, (list, tuple)) else given
+    return replace(capture, image=image, wavelength=wavelength, noise=None, metadata=metadata)
+
+
+def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
+    """Return a mosaic of something white with each of its pixels divided by the mean of those of its filter."""
+    own, image = filters(white.camera, mosaic), white.image
+    means = np.bincount(own.ravel(), image.ravel(), minlength=3) / np.bincount(own.ravel(), minlength=3)
+    refuse_if(not means.min() > 0, "white: the pixels of a filter are black")
+    return np.asarray(image / means[own], np.float32)
+
+
+def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
+    """Return the white image, (rows, columns, 3)."""
+    if white is None:
+        return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
+    require_demosaiced(white)
+    refuse_if(
+        white.image.shape[:2] != capture.image.shape,
+        f"white of shape {white.image.shape}: it must have the pixels of the capture",
+    )
+    require_suitable_white(white, [capture.camera])
+    image = np.atleast_3d(white.image)
+    if capture.camera.lens_data.is_thin:
+        image = scaled_white(image, white_image(capture.camera), capture.camera)
+    return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
+
+
+def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:
+    """Yield steps along columns and rows to the pixels around, and their weights."""
+    for down in range(-reach, reach + 1):
+        for across in range(-reach, reach + 1):
+            if reach == 1:
+                yield across, down, (2.0 - abs(across)) * (2.0 - abs(down))
+            else:
+                yield across, down, float(np.exp(-(across**2 + down**2) / (2 * _WIDTH**2)))
+
+
+def _interpolate(
+    image: NDArray[np.float32],
+    own: NDArray[np.int64],
+    certainty: NDArray[np.float32],
+    lenses: NDArray[np.int64],
+    reach: int,
+) -> NDArray[np.float32]:
+    """Return all three channels (rows, columns, 3)."""
+    rows, columns = image.shape
+    light, weight = np.zeros((2, rows, columns, 3), np.float32)
+    for across, down, kernel in _shifts(reach):
+        here = _window(rows, -down), _window(columns, -across)
+        there = _window(rows, down), _window(columns, across)
+        same = kernel * (lenses[here] == lenses[there])
+        for channel in range(3):
+            seen = same * (own[there] == channel)
+            light[(*here, channel)] += seen * image[there]
+            weight[(*here, channel)] += seen * certainty[(*there, channel)]
+    known = weight > _LIT * certainty.max(initial=0)
+    result = np.where(known, certainty * light / np.where(known, weight, 1), 0)
+    return np.asarray(np.where(own[..., None] == np.arange(3), image[..., None], result), np.float32)
+
+
+def _window(size: int, step: int) -> slice:
+    """Return the slice of an axis whose samples stay on it when they are shifted by -step."""
+    return slice(max(0, step), size + min(0, step))

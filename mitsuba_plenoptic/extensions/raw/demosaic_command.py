@@ -1,0 +1,106 @@
+"""``mitsuba-plenoptic demosaic``: three colours of every pixel of a raw picture."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...cli.choices import MOSAICS
+from ...cli.inputs import (
+    CameraFile,
+    CaptureFile,
+    Linear,
+    named_camera,
+    numeric,
+    output_option,
+    read_recorded,
+    require_linear,
+)
+from ...errors import refuse_if
+
+_log = logging.getLogger(__name__)
+
+
+def demosaic(
+    capture: CaptureFile,
+    output: Annotated[Path, output_option("FILE.exr", "File to write.")],
+    mosaic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(MOSAICS),
+            show_default="as the capture states",
+            help="Colour filters of the first pixels of two rows.",
+        ),
+    ] = None,
+    white: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE|FOLDER",
+            show_default="computed from the camera",
+            help="A capture or picture of a white scene by the same camera, without a mosaic; for a raw picture of a "
+            "Lytro camera its white picture, or a folder of them, of which the nearest in zoom and focus is taken.",
+        ),
+    ] = None,
+    camera: CameraFile = None,
+    linear: Linear = False,
+    black_level: Annotated[
+        float, numeric("Number without light in a raw picture of 16 bits; needs --camera and --linear.")
+    ] = 0,
+) -> None:
+    """Estimate all three colours of every pixel, micro-image by micro-image.
+
+    Nothing is taken from a neighbouring lens's micro-image or from the dark
+    between them. A raw picture (.png or .tiff) that 'expose' wrote holds all
+    that is needed, and so do those of Lytro cameras (.lfp or .lfr); one of
+    another real camera needs its [bold]--camera[/bold]. White pictures of a
+    Lytro camera also correct pitches, rotation and offset of its lenses.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic demosaic bayer.exr -o colours.exr
+
+      mitsuba-plenoptic demosaic bayer.tiff -o colours.exr
+
+      mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
+
+      mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
+    """
+    from ...io.captures import write_capture
+    from ...io.files import require_apart, require_writable
+    from ...light.detector import mosaic_of
+    from .lytro_file import nearest_white
+
+    require_writable(output, ".exr")
+    require_apart(output, capture, white)
+    # Brings libraries that take a while to load.
+    from .demosaic import balanced
+    from .demosaic import demosaic as interpolate
+
+    require_linear(linear, capture, white)
+    known = named_camera(camera)
+    refuse_if(
+        black_level and not (linear and known),
+        f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",
+    )
+    recorded, reference = read_recorded(capture, known, linear, black_level), None
+    if white is not None:
+        if white.is_dir():
+            white = nearest_white(white, recorded)
+            typer.echo(f"{white}: the white picture of the nearest zoom and focus")
+        reference = read_recorded(white, known, linear)
+        if (tile := mosaic_of(reference)) is not None:
+            camera_seen = recorded.camera
+            if known is None:
+                # Brings libraries that take a while to load.
+                from ..inverse.fitting import lattice_from_white
+
+                camera_seen = lattice_from_white(camera_seen, balanced(reference, tile))
+            recorded = replace(recorded, camera=camera_seen)
+            reference = interpolate(replace(reference, camera=camera_seen))
+    found = interpolate(recorded, mosaic=mosaic, white=reference)
+    write_capture(output, found)
+    typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")

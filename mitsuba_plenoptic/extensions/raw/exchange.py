@@ -1,0 +1,33 @@
+"""Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
+
+from ...io.pictures import read_picture
+from ...views.light_field_files import (
+    open_light_field,
+    open_micro_images,
+    read_labelled,
+    require_light_field_path,
+    save_light_field,
+    write_labelled,
+)
+from ...views.mosaics import LAYOUTS, read_mosaic, write_mosaic
+from .hci import read_hci
+from .lftoolbox import read_lftoolbox, write_lftoolbox
+from .lytro_file import nearest_white, read_lytro
+
+__all__ = [
+    "LAYOUTS",
+    "nearest_white",
+    "open_light_field",
+    "open_micro_images",
+    "read_hci",
+    "read_labelled",
+    "read_lftoolbox",
+    "read_lytro",
+    "read_mosaic",
+    "read_picture",
+    "require_light_field_path",
+    "save_light_field",
+    "write_labelled",
+    "write_lftoolbox",
+    "write_mosaic",
+]

@@ -1,0 +1,172 @@
+"""Folders of the 4D Light Field Benchmark (HCI) as light fields.
+
+A folder has views ``input_Cam000.png`` and so on, row by row, and ``parameters.cfg``. What this package wrote has its
+own section there, with the camera, the radiance of white, and the number of channels, as views are always in colour.
+"""
+
+from __future__ import annotations
+
+import configparser
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number
+from ...io.files import atomic_output, read_text, write_text
+from ...io.pictures import read_picture
+from ...report.images import Brightness, write_png
+from ...runtime.limits import require_memory
+from ...views import disparity
+from ...views.coordinates import camera_of, light_field
+from ...views.lens_grid import bin_grid
+
+PARAMETERS, SECTION = "parameters.cfg", "mitsuba_plenoptic"
+
+_LARGEST, _MOST_VIEWS = 2**20, 1000
+
+# Bytes of a value of three channels while views are gathered and checked.
+_NUMBER_BYTES = 3 * (4 + 4)
+
+
+def read_hci(folder: str | Path) -> xr.DataArray:
+    """Read a light field from a folder of the 4D Light Field Benchmark.
+
+    Parameters
+    ----------
+    folder : path
+        A folder that ``convert --format hci`` or another program wrote.
+
+    Returns
+    -------
+    xarray.DataArray
+        With the camera, in units of its capture, if this package wrote the folder; else without, from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, damaged or too large, or the views differ in size.
+    """
+    folder = Path(folder)
+    parser = configparser.ConfigParser(interpolation=None)
+    text = read_text(folder / PARAMETERS, _LARGEST)
+    with naming(folder / PARAMETERS), refusing("it cannot be read as the parameters of a light field:"):
+        parser.read_string(text)
+        columns, rows = (
+            require_count(name, int(parser["extrinsics"][name]), maximum=_MOST_VIEWS)
+            for name in ("num_cams_x", "num_cams_y")
+        )
+        ours = parser[SECTION] if parser.has_section(SECTION) else None
+        camera = None if ours is None else PlenopticCamera.from_dict(json.loads(ours["camera"]))
+        white = 1.0 if ours is None else require_number("white", float(ours["white"]), positive=True)
+        grey = ours is not None and ours["channels"] == "1"
+    views: list[np.ndarray] = []
+    for number in range(rows * columns):
+        path = folder / f"input_Cam{number:03d}.png"
+        picture = read_picture(path)
+        if not views:
+            require_memory(float(_NUMBER_BYTES) * rows * columns * picture[..., :1].size, f"{folder}: a light field")
+        refuse_if(
+            bool(views) and picture.shape != views[0].shape,
+            f"{path}: it has the shape {picture.shape}, the views before {views[0].shape if views else ()}",
+        )
+        views.append(picture)
+    values = np.stack(views).reshape(rows, columns, *views[0].shape) * np.float32(white)
+    values = np.ascontiguousarray(values[..., 0]) if grey and values.ndim == 5 else values
+    bins = None if camera is None else bin_grid(camera)
+    if bins is not None and bins.shape != values.shape[2:4]:
+        raise InputError(
+            f"{folder}: its views of {values.shape[2:4]} pixels do not fit its camera of {bins.shape} lenses"
+        )
+    return light_field(values, None, camera, bins)
+
+
+def write_hci(
+    folder: Path,
+    lf: xr.DataArray,
+    depth: np.ndarray | None,
+    *,
+    name: str,
+    version: str = "",
+    white: float | None = None,
+) -> int:
+    """Write a light field to a folder of the 4D Light Field Benchmark, and return how many views stand in a row.
+
+    The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
+    pictures, by default that of any other picture.
+    """
+    camera = camera_of(lf)
+    refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
+    middle = lf.sizes["v"] // 2
+    half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
+    lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
+    white = Brightness().white([lf.values]) if white is None else white
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
+        colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
+        write_png(folder / f"input_Cam{number:03d}.png", colours, peak=white)
+    shifts = (0.0, 0.0)
+    if depth is not None:
+        shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
+        for kind, values in (("gt_depth_lowres", depth / 1000), ("gt_disp_lowres", shift)):
+            _write_pfm(folder / f"{kind}.pfm", values)
+        shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
+    ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
+    _write_parameters(folder / PARAMETERS, camera, name, version, shifts, 2 * half + 1, ours)
+    return 2 * half + 1
+
+
+def _write_parameters(
+    path: Path,
+    camera: PlenopticCamera,
+    name: str,
+    version: str,
+    shifts: tuple[float, float],
+    views: int,
+    ours: dict[str, str],
+) -> None:
+    """Write the geometry of the cameras, of which `views` stand in a row, and what only this package reads."""
+    columns, rows = camera.bin_count
+    low, high = shifts
+    parser = configparser.ConfigParser(interpolation=None)
+    parser["intrinsics"] = {
+        "image_resolution_x_px": str(columns),
+        "image_resolution_y_px": str(rows),
+        "focal_length_mm": f"{camera.mla_distance:.9g}",
+        "sensor_size_mm": f"{max(columns, rows) * camera.mla_pitch:.9g}",
+        "fstop": "100",
+    }
+    parser["extrinsics"] = {
+        "num_cams_x": str(views),
+        "num_cams_y": str(views),
+        "baseline_mm": f"{camera.pupil_step:.9g}",
+        "focus_distance_m": f"{camera.focus_distance / 1000:.9g}",
+        **{f"center_cam_{axis}": "0" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")},
+    }
+    parser["meta"] = {
+        "scene": name,
+        "category": "plenoptic",
+        "date": "",
+        "version": version,
+        "authors": "mitsuba_plenoptic",
+        "contact": "",
+        "disp_min": f"{low:.6g}",
+        "disp_max": f"{high:.6g}",
+        "frustum_disp_min": f"{low:.6g}",
+        "frustum_disp_max": f"{high:.6g}",
+        "depth_map_scale": "1",
+    }
+    parser[SECTION] = ours
+    text = io.StringIO()
+    parser.write(text)
+    write_text(path, text.getvalue())
+
+
+def _write_pfm(path: Path, values: np.ndarray) -> None:
+    """Write a map as a portable float map, which begins with the lowest row."""
+    rows, columns = values.shape
+    with atomic_output(path, ".pfm") as temporary:
+        temporary.write_bytes(f"Pf\n{columns} {rows}\n-1\n".encode() + np.flipud(values).astype("<f4").tobytes())

@@ -1,0 +1,251 @@
+"""Files of the Light Field Toolbox for MATLAB (LFToolbox) by D. G. Dansereau.
+
+Its light fields are MATLAB files with an array ``LF`` of five dimensions, ``LF(j, i, l, k, c)``: row and column of the
+view, row and column of the lens, and channel; a second or fourth channel holds weights. That is our order. Its
+manual calls the first four axes t, s, v, u, with the letters of pupil and field exchanged against ours.
+
+``LensletGridModel`` describes the micro-image centres: spacings, the offset of the first centre, rotation, counts, and
+``FirstPosShiftRow``, the first (1 or 2) of the rows that are shifted by half a spacing. Its pixels are counted from
+1 and centred on integers, ours cover [k, k + 1), so that offsets differ by a half.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import xarray as xr
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
+from ...io.files import atomic_output, h5py_module, require_file, stored_array
+from ...runtime.limits import memory_limit, require_memory
+from ...views.coordinates import grid_of, light_field, require_light_field
+from ...views.lens_grid import LensGrid, bin_grid
+
+# Bytes of a value of a light field while it is read: as stored (at most 8), and twice in single precision.
+_NUMBER_BYTES = 8 + 4 + 4
+
+# Of files of version 5: bytes before the first variable, the type of a packed one, and bytes unpacked at once.
+_HEADER, _PACKED, _PIECE = 128, 15, 2**20
+_VARIABLES = (14, _PACKED)
+
+# What is read of a lens grid.
+_MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
+
+# Bytes of one variable, at most, in MATLAB's files of version 5.
+_MAX_BYTES = 2**31 - 1
+
+# MATLAB's names of the arrays that a light field may be.
+_NUMERIC = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
+
+_TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
+
+
+def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uint16") -> None:
+    """Write a light field as LFToolbox does, with its weights as the last channel.
+
+    Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps it, as in LFToolbox.
+    The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
+
+    Parameters
+    ----------
+    path : path
+        File to write, in MATLAB's version 5 format.
+    lf : xarray.DataArray
+        The light field.
+    precision : {"uint8", "uint16", "single"}
+        MATLAB type of the values.
+
+    Raises
+    ------
+    InputError
+        If the precision is unknown, the light field too large for the format, or the file cannot be written.
+    """
+    lf = require_light_field(lf)
+    require_choice("precision", precision, _TYPES)
+    values = np.asarray(lf.values)
+    if values.ndim == 4:
+        values = values[..., None]
+    kind = np.dtype(_TYPES[precision])
+    size = values[..., 0].size * (values.shape[4] + 1) * kind.itemsize
+    refuse_if(
+        size > _MAX_BYTES,
+        f"{path}: a light field of shape {lf.shape} takes {size} bytes; the format holds {_MAX_BYTES}",
+    )
+    peak = float(values.max(initial=0)) or 1.0
+    if kind.kind == "f":
+        peak = 1.0
+    stored = np.concatenate([values / np.float32(peak), np.asarray(lf["weight"].values)[..., None]], axis=4)
+    if kind.kind == "u":
+        stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
+    variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
+    if (grid := grid_of(lf)) is not None:
+        variables["LensletGridModel"] = _to_model(grid)
+    if "camera" in lf.attrs:
+        variables["Camera"] = lf.attrs["camera"]
+    variables["GeneratedByInfo"] = {"mfilename": "mitsuba_plenoptic"}
+    with atomic_output(path, ".mat") as temporary, temporary.open("wb") as file:
+        scipy.io.savemat(file, variables, do_compression=True)
+
+
+def read_lftoolbox(path: str | Path) -> xr.DataArray:
+    """Read a light field that LFToolbox or `write_lftoolbox` wrote.
+
+    Parameters
+    ----------
+    path : path
+        A MATLAB file; version 7.3, which LFToolbox writes, needs the package h5py.
+
+    Returns
+    -------
+    xarray.DataArray
+        Integers are scaled to 0 to 1 and by ``MaxLum``. Without weights in the file, views that are black throughout
+        have none. The coordinates are physical if the file holds the camera.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, too large, or holds no light field.
+    """
+    path = require_file(path)
+    with path.open("rb") as file:
+        is_hdf5 = b"MATLAB 7.3" in file.read(128)
+    # Damage shows as many exception types; all mean the same to the user.
+    with naming(path), refusing("it cannot be read as a light field:"):
+        return _from_variables(_read_hdf5(path) if is_hdf5 else _read_version_5(path))
+
+
+def _from_variables(found: dict[str, Any]) -> xr.DataArray:
+    stored = found["LF"]
+    if stored.ndim == 4:
+        # MATLAB drops a last dimension of 1.
+        stored = stored[..., None]
+    values = stored.astype(np.float32)
+    if stored.dtype.kind == "u":
+        values /= np.iinfo(stored.dtype).max
+    weight = None
+    if values.shape[4] in (2, 4):
+        values, weight = values[..., :-1], np.ascontiguousarray(values[..., -1])
+    values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
+    values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
+    model, text = found.get("LensletGridModel"), found.get("Camera")
+    lenses = None if model is None else grid_of_model(model)
+    camera = None if text is None else PlenopticCamera.from_dict(json.loads(text))
+    bins = None if camera is None else bin_grid(camera)
+    if bins is not None and bins.shape != values.shape[2:4]:
+        raise InputError(f"its light field of shape {values.shape} does not fit its camera of {bins.shape} lenses")
+    return light_field(values, weight, camera, bins, lenses)
+
+
+def _check(shape: tuple[int, ...]) -> None:
+    refuse_if(
+        len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1,
+        f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels",
+    )
+    require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
+
+
+def _require_unpacked(path: Path) -> None:
+    """Refuse a file of version 5 whose packed variables would not fit into memory, whatever their structures say."""
+    limit = int(memory_limit())
+    left = limit
+    with path.open("rb") as file:
+        order = {b"IM": "<", b"MI": ">"}.get(file.read(_HEADER)[-2:])
+        refuse_if(order is None, "it is not a MATLAB file of version 5 or 7.3: it does not begin as one does")
+        while len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            refuse_if(
+                kind not in _VARIABLES or not size, f"it is damaged: at byte {file.tell() - 8} no variable begins"
+            )
+            end = file.tell() + size
+            unpacking = zlib.decompressobj()
+            while kind == _PACKED and (piece := file.read(min(_PIECE, end - file.tell()))):
+                while piece:
+                    left -= len(unpacking.decompress(piece, _PIECE))
+                    piece = unpacking.unconsumed_tail
+                    refuse_if(left < 0, f"it unpacks into more than {limit} bytes, which is what may be taken")
+            file.seek(end)
+
+
+def _read_version_5(path: Path) -> dict[str, Any]:
+    _require_unpacked(path)
+    variables = scipy.io.whosmat(path)
+    for name, shape, kind in variables:
+        if name == "LF":
+            refuse_if(kind not in _NUMERIC, "LF is not an array of numbers")
+            _check(shape)
+    # One number, one structure, or one line of text.
+    small = [
+        name
+        for name, shape, _ in variables
+        if name in ("LensletGridModel", "Camera", "MaxLum")
+        if math.prod(shape) == 1
+    ]
+    found = scipy.io.loadmat(path, variable_names=["LF", *small], simplify_cells=True)
+    refuse_if("LF" not in found, "it has no variable LF")
+    refuse_if(found["LF"].dtype.kind not in "fiu", "LF is not an array of numbers")
+    return found
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    h5py = h5py_module("a MATLAB 7.3 file (one saved with '-v7' does not)")
+    with h5py.File(path, "r") as file:
+        stored = stored_array(file, "LF")
+        refuse_if(stored is None, "it has no variable LF")
+        # HDF5 lists MATLAB's dimensions in the opposite order.
+        _check(stored.shape[::-1])
+        found: dict[str, Any] = {"LF": np.transpose(stored[()])}
+        largest = stored_array(file, "MaxLum")
+        if largest is not None:
+            found["MaxLum"] = float(largest[0, 0])
+        if isinstance(file.get("LensletGridModel", getlink=True), h5py.HardLink):
+            found["LensletGridModel"] = _read_model(file["LensletGridModel"])
+    return found
+
+
+def _read_model(group: Any) -> dict[str, Any]:
+    model: dict[str, Any] = {}
+    for name in _MODEL:
+        stored = stored_array(group, name)
+        if stored is not None and stored.size <= 16:
+            values = stored[()].ravel()
+            model[name] = "".join(map(chr, values)) if name == "Orientation" else float(values[0])
+    return model
+
+
+def _to_model(grid: LensGrid) -> dict[str, Any]:
+    rows, columns = grid.shape
+    return {
+        "HSpacing": grid.spacing[0],
+        "VSpacing": grid.spacing[1],
+        "HOffset": grid.offset[0] + 0.5,
+        "VOffset": grid.offset[1] + 0.5,
+        "Rot": grid.rotation,
+        "UMax": float(columns),
+        "VMax": float(rows),
+        # Beyond the last row: no row is shifted.
+        "FirstPosShiftRow": float(rows + 1 if grid.shifted_rows is None else grid.shifted_rows + 1),
+        "Orientation": "horz",
+    }
+
+
+def grid_of_model(model: dict[str, Any]) -> LensGrid | None:
+    """Turn a lenslet grid model into a grid, unless it describes the transposed image."""
+    if str(model.get("Orientation", "horz")).lower() != "horz":
+        return None
+    rows = int(model["VMax"])
+    first = int(model["FirstPosShiftRow"])
+    return LensGrid(
+        spacing=(float(model["HSpacing"]), float(model["VSpacing"])),
+        offset=(float(model["HOffset"]) - 0.5, float(model["VOffset"]) - 0.5),
+        shape=(rows, int(model["UMax"])),
+        rotation=float(model["Rot"]),
+        shifted_rows=None if first > rows else (first - 1) % 2,
+    )

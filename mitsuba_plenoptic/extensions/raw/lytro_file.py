@@ -1,0 +1,339 @@
+"""Raw pictures of Lytro's cameras: containers (``.lfp``, ``.lfr``), and white pictures (``.raw`` with ``.txt``).
+
+The layout has been published by those who found it out: N. Patel (lfptools, README: sections of a container), the
+Department of Optics & Acoustics (optics.miloush.net/lytro: 12-bit pixels, white pictures, positions of the microlenses)
+and the authors of LFToolbox and imageio (10-bit pixels, names of the metadata). A container is
+
+- a header of 16 bytes: 89 "LFP" 0D 0A 1A 0A, a version, and 4 bytes of zero;
+- sections: 89 "LFM" or "LFC" 0D 0A 1A 0A, a version, the length of the data (4 bytes, big-endian), 80 bytes that begin
+  with the name of the data, ``sha1-`` and their digest in hexadecimal, the data, and zeros.
+
+The first section is JSON and names others: ``metadataRef``, again JSON, and ``imageRef``, the pixels. Two pixels of 12
+bits lie in 3 bytes, big-endian; of four pixels of 10 bits 4 bytes have the upper 8 bits and a fifth the lower 2, those
+of the first pixel lowest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
+from ...io.captures import RECORDED, Capture, recording_of
+from ...io.files import read_text, require_size
+from ...runtime.limits import require_memory
+
+CONTAINERS = (".lfp", ".lfr")
+
+SUFFIXES = (*CONTAINERS, ".raw")
+"""Of raw pictures; a file ``.raw`` has its metadata in a text file of the same name."""
+
+_LARGEST_FILE, _LARGEST_TEXT = 2**28, 2**24
+
+_MAGIC = b"\x89LF%c\r\n\x1a\n"
+_HEADER, _NAME, _DIGEST = 16, 80, 45
+
+# Bytes of a pixel while it is read: as a number and, in double precision, as a value.
+_PIXEL_BYTES = 2 + 2 * 8 + 4
+
+_TILINGS = {"hexUniformRowMajor": "hexagonal", "squareUniform": "square"}
+
+_FILTERS = ("r", "gr", "gb", "b")
+
+_MILLIMETRES = 1e3
+
+_MOST_SATURATED = 0.01
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """What a file holds: the metadata of the frame, and its pixels, packed."""
+
+    metadata: Any
+    pixels: bytes
+
+    def entry(self, name: str) -> Any:
+        """Return an entry of the metadata by its path, such as ``devices.mla.lensPitch``."""
+        found = _within(self.metadata, *name.split("."))
+        refuse_if(found is None, f"its metadata have no {name}")
+        return found
+
+    def number(self, name: str, **rules: Any) -> float:
+        """Return a number of the metadata."""
+        return require_number(name, self.entry(name), **rules)
+
+    @property
+    def details(self) -> str:
+        """The entry that describes the pixels: first cameras have one of its own for it."""
+        return "image.rawDetails" if _within(self.metadata, "image", "rawDetails") else "image"
+
+    @property
+    def steps(self) -> tuple[float, float]:
+        """Positions of zoom and focus."""
+        return self.number("devices.lens.zoomStep"), self.number("devices.lens.focusStep")
+
+
+def read_lytro(path: str | Path) -> Capture:
+    """Read a raw picture of a Lytro camera.
+
+    The result is a mosaic for `demosaic`. Pixels are 0 at the black level and 1 at the white level of their filter. The
+    camera follows from the metadata: pixels, lattice (pitches, rotation, offset), the distance of the lenses from the
+    pixels, focal length and f-number of the main lens. The metadata state neither the distance in focus nor the focal
+    length of the microlenses: the camera is focused at infinity, and its microlenses, too. Its main lens is thin, so
+    that its pupil is at the focal length from the array; pitches and offset are scaled by the distance of the true
+    exit pupil so that micro-images are centred where those of the file are.
+
+    Parameters
+    ----------
+    path : path
+        A container (``.lfp`` or ``.lfr``); or pixels (``.raw``), whose metadata are next to it in a text file of the
+        same name, as in the white pictures of a camera.
+
+    Returns
+    -------
+    Capture
+        With the entries ``image`` and ``devices`` of the metadata, the mosaic, and the number of saturated pixels in
+        `metadata` under ``raw``.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, or holds no raw picture, as those made for the web.
+    """
+    path = Path(path)
+    picture = _read(path)
+    with naming(path):
+        return _capture_of(picture)
+
+
+def nearest_white(folder: str | Path, capture: Capture) -> Path:
+    """Choose the white picture of a folder that was taken with the zoom and focus nearest to those of a capture.
+
+    Parameters
+    ----------
+    folder : path
+        Where white pictures of the same camera lie, each a ``.raw`` with its ``.txt``, or a container.
+    capture : Capture
+        What `read_lytro` returned.
+
+    Returns
+    -------
+    pathlib.Path
+        Of the nearest zoom step the nearest focus step; of several pictures there the brightest of which at most 1 % of
+        the pixels are saturated.
+
+    Raises
+    ------
+    InputError
+        If the folder has no such pictures, one of them is damaged, or the capture is not from such a file.
+    """
+    with naming("capture"):
+        zoom, focus = _Picture(recording_of(capture), b"").steps
+    folder = Path(folder)
+    refuse_if(not folder.is_dir(), f"{folder}: there is no such folder")
+    found: dict[tuple[float, float], list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in SUFFIXES:
+            picture = _read(path)
+            with naming(path):
+                steps = picture.steps
+            found.setdefault((abs(steps[0] - zoom), abs(steps[1] - focus)), []).append(path)
+    refuse_if(not found, f"{folder}: it has no white pictures, .raw with .txt, .lfp or .lfr")
+    nearest = found[min(found)]
+    return nearest[0] if len(nearest) == 1 else max(nearest, key=_brightness)
+
+
+def _brightness(path: Path) -> tuple[bool, float]:
+    """Return by what a white picture is better than another."""
+    capture = read_lytro(path)
+    saturated = recording_of(capture)["saturated_pixels"] / capture.image.size
+    return saturated <= _MOST_SATURATED, float(capture.image.mean())
+
+
+def _read(path: Path) -> _Picture:
+    suffix = require_choice("suffix", path.suffix.lower(), SUFFIXES)
+    content = require_size(path, _LARGEST_FILE).read_bytes()
+    with naming(path):
+        if suffix in CONTAINERS:
+            return _unpack_container(content)
+        texts = [path.with_suffix(text) for text in (".txt", ".TXT") if path.with_suffix(text).is_file()]
+        refuse_if(not texts, f"its metadata are not next to it, in {path.stem}.txt")
+    with naming(texts[0]):
+        text = _json(read_text(texts[0], _LARGEST_TEXT).encode())
+        return _Picture(_within(_frame(text.get("master", text)), "metadata"), content)
+
+
+def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
+    """Yield the name and the data of each section of a container."""
+    refuse_if(not content.startswith(_MAGIC % b"P"), "it does not begin as a Lytro container")
+    position = _HEADER
+    while position < len(content):
+        head = content[position : position + _HEADER]
+        refuse_if(
+            len(head) < _HEADER or head[:8] not in (_MAGIC % b"M", _MAGIC % b"C"),
+            f"byte {position}: no section begins there, as it should: the file is damaged or cut off",
+        )
+        length = struct.unpack(">I", head[12:])[0]
+        start = position + _HEADER + _NAME
+        data = content[start : start + length]
+        refuse_if(len(data) < length, f"byte {position}: a section of {length} bytes is cut off")
+        name = content[position + _HEADER : start][:_DIGEST].decode("ascii", "replace")
+        refuse_if(
+            name != f"sha1-{hashlib.sha1(data, usedforsecurity=False).hexdigest()}",
+            f"byte {position}: the data of a section are damaged: their digest is another",
+        )
+        yield name, data
+        position = start + length
+        while content[position : position + 1] == b"\0":
+            position += 1
+
+
+def _unpack_container(content: bytes) -> _Picture:
+    sections = list(_sections(content))
+    refuse_if(not sections, "it has no sections")
+    parts = dict(sections[1:])
+    frame = _frame(_json(sections[0][1]))
+    metadata, image = (_within(parts, _within(frame, name)) for name in ("metadataRef", "imageRef"))
+    if metadata is None or image is None:
+        raise InputError("it has no raw picture; files made for the web have none: give the one that the camera wrote")
+    return _Picture(_json(metadata), image)
+
+
+def _json(data: bytes) -> dict[str, Any]:
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is no number")
+
+    refuse_if(len(data) > _LARGEST_TEXT, f"its metadata have {len(data)} bytes: they may have at most {_LARGEST_TEXT}")
+    try:
+        found = json.loads(data, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"its metadata are not JSON: {error}") from None
+    refuse_if(not isinstance(found, dict), f"its metadata = {short_repr(found)}: they must be entries by name")
+    return dict(found)
+
+
+def _within(found: Any, *names: str | int) -> Any:
+    """Return what lies within mappings and lists, by its names from the outside inwards; None if there is no such."""
+    for name in names:
+        try:
+            found = found[name]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return found
+
+
+def _frame(contents: Any) -> Any:
+    """Return the first frame of a table of contents: of newer cameras in ``frames``, of the first in ``picture``."""
+    newer = _within(contents, "frames", 0, "frame")
+    return _within(contents, "picture", "frameArray", 0, "frame") if newer is None else newer
+
+
+def _capture_of(picture: _Picture) -> Capture:
+    columns, rows = (require_count(f"image.{name}", picture.entry(f"image.{name}")) for name in ("width", "height"))
+    require_memory(float(_PIXEL_BYTES) * columns * rows, f"{columns} x {rows} pixels")
+    numbers = _numbers(picture, columns, rows)
+    tile = _tile(picture)
+    black, white = (_levels(picture, name, tile) for name in ("black", "white"))
+    refuse_if((white <= black).any(), f"{picture.details}.pixelFormat: white must be above black")
+    saturated = 0
+    image = np.empty((rows, columns), np.float32)
+    for j, i in np.ndindex(2, 2):
+        own = numbers[j::2, i::2]
+        image[j::2, i::2] = (own - black[j, i]) / (white[j, i] - black[j, i])
+        saturated += int(np.count_nonzero(own >= white[j, i]))
+    mosaic = "".join(name[-1] if name in ("r", "b") else "g" for name in tile.flat).upper()
+    record = {
+        "mosaic": mosaic,
+        "saturated_pixels": saturated,
+        "image": picture.entry("image"),
+        "devices": picture.entry("devices"),
+    }
+    return Capture(image, _camera_of(picture, columns, rows), metadata={RECORDED: record})
+
+
+def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
+    """Unpack the digital numbers of the pixels."""
+    packing = f"{picture.details}.pixelPacking"
+    bits, order = picture.entry(f"{packing}.bitsPerPixel"), picture.entry(f"{packing}.endianness")
+    refuse_if(
+        (bits, order) not in ((12, "big"), (10, "little")),
+        f"{packing}: {short_repr(bits)} bits, {short_repr(order)}-endian: known are 12 bits, big, and 10 bits, little",
+    )
+    shift = picture.number(f"{picture.details}.pixelFormat.rightShift")
+    refuse_if(shift != 0, f"{picture.details}.pixelFormat.rightShift = {shift:g}: only 0 is known")
+    pixels, data = columns * rows, np.frombuffer(picture.pixels, np.uint8)
+    refuse_if(
+        len(data) * 8 != pixels * bits or pixels % (2 if bits == 12 else 4),
+        f"image: {len(data)} bytes for {columns} x {rows} pixels of {bits} bits",
+    )
+    numbers = np.empty(pixels, np.uint16)
+    if bits == 12:
+        first, second, third = data.reshape(-1, 3).T.astype(np.uint16)
+        numbers[0::2], numbers[1::2] = first << 4 | second >> 4, (second & 15) << 8 | third
+    else:
+        *upper, lower = data.reshape(-1, 5).T.astype(np.uint16)
+        for k, eight in enumerate(upper):
+            numbers[k::4] = eight << 2 | lower >> 2 * k & 3
+    return numbers.reshape(rows, columns)
+
+
+def _tile(picture: _Picture) -> NDArray[np.str_]:
+    """Return the filters of the first two pixels of the first two rows, (2, 2)."""
+    name = f"{picture.details}.mosaic"
+    text, first = picture.entry(f"{name}.tile"), picture.entry(f"{name}.upperLeftPixel")
+    refuse_if(text != "r,gr:gb,b", f"{name}.tile = {short_repr(text)}: only r,gr:gb,b is known")
+    tile = np.array(_FILTERS).reshape(2, 2)
+    j, i = divmod(_FILTERS.index(require_choice(f"{name}.upperLeftPixel", first, _FILTERS)), 2)
+    return np.roll(tile, (-j, -i), (0, 1))
+
+
+def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.float64]:
+    """Return the black or the white level of the filters of a tile."""
+    entry = f"{picture.details}.pixelFormat.{name}"
+    return np.array([[picture.number(f"{entry}.{one}", minimum=0, maximum=65535) for one in row] for row in tile])
+
+
+def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
+    """Return the camera that the metadata describe; their lengths are metres."""
+
+    def length(name: str, **rules: Any) -> float:
+        return picture.number(f"devices.{name}", **rules) * _MILLIMETRES
+
+    tiling = picture.entry("devices.mla.tiling")
+    require_choice("devices.mla.tiling", tiling, _TILINGS)
+    focal_length, gap = length("lens.focalLength", positive=True), length("mla.sensorOffset.z", positive=True)
+    exit_pupil = length("lens.exitPupilOffset.z") or math.inf
+    # Micro-images are (e + z) / e times as far from the axis as their lenses, and here (b + z) / b times.
+    ours = focal_length / (focal_length + gap)
+    scale = ours * (1 + gap / exit_pupil)
+    pitch = length("mla.lensPitch", positive=True) * scale
+    pitches = [pitch * picture.number(f"devices.mla.scaleFactor.{axis}", positive=True) for axis in "xy"]
+    rotation = picture.number("devices.mla.rotation")
+    offset = np.array([length("mla.sensorOffset.x"), length("mla.sensorOffset.y")]) * ours
+    if _TILINGS[tiling] == "square":
+        # Our lattice has the corner of four lenses there, theirs a lens.
+        cosine, sine = math.cos(rotation), math.sin(rotation)
+        offset += np.array([[cosine, -sine], [sine, cosine]]) @ (np.array(pitches) / 2)
+    return PlenopticCamera(
+        focal_length=focal_length,
+        aperture_radius=focal_length / (2 * picture.number("devices.lens.fNumber", positive=True)),
+        mla_distance=focal_length,
+        mla_focal_length=gap,
+        mla_pitch=pitches[0] if pitches[0] == pitches[1] else tuple(pitches),
+        mla_lattice=_TILINGS[tiling],
+        mla_rotation=math.degrees(rotation),
+        mla_offset=(float(offset[0]), float(offset[1])),
+        detector_distance=gap,
+        detector_width=columns * length("sensor.pixelPitch", positive=True),
+        resolution=(columns, rows),
+    )

@@ -1,0 +1,247 @@
+"""A look at a scene before it is captured: what its lens sees, what is in focus, and whether the camera suits it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...prescription.lens_data import image_distance
+from ...report.framing import IN_FOCUS, Canvas, scale_bar, show
+from ...report.images import Brightness
+from .preview_views import PreviewView, view_of
+
+# Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
+# objective, which takes more.
+_COLUMNS, _SPP, _OBJECTIVE_SPP = 320, 16, 128
+
+# Fractions of the picture's width that a scene spans and of what is seen that can be refocused, below which a user is
+# warned.
+_LITTLE_FILLED, _LITTLE_SHARP = 0.4, 0.5
+
+# Part of the field that a scaled scene fills.
+_FILL = 0.8
+
+# Object distances over the focal length that images can be made of without an extreme magnification.
+_NEAREST = 1.25
+
+_SHARP, _FOCUS = "#3fb4ff", "#ffb000"
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """What a camera sees without its microlenses.
+
+    Attributes
+    ----------
+    picture : (rows, columns) array
+        Radiance, focused on the plane in focus.
+    points : (rows, columns, 3) array
+        What the middle of the lens sees in the camera's frame, x to the left, y up and z the distance; NaN where there
+        is nothing.
+    view : PreviewView
+        The camera's view.
+    scale : float
+        Lengths of the camera's scene over those of the given one.
+    """
+
+    picture: np.ndarray
+    points: np.ndarray
+    view: PreviewView
+    scale: float = 1.0
+
+    @property
+    def distance(self) -> np.ndarray:
+        """Distances of what is seen along the axis; NaN where there is nothing."""
+        return np.asarray(self.points[..., 2])
+
+    @property
+    def filled(self) -> float:
+        """Fraction of the picture's width or height that the scene spans, the larger one."""
+        known = np.isfinite(self.distance)
+        spans = [np.flatnonzero(known.any(axis=axis)) for axis in (0, 1)]
+        return max(
+            float(np.ptp(span) + 1) / size if span.size else 0.0
+            for span, size in zip(spans, known.shape[::-1], strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposal for a scene: a camera's distance from lens to MLA, or a scale of the scene and a position for it.
+
+    Attributes
+    ----------
+    distance : float
+        Distance of the plane in focus, in the scaled scene.
+    mla_distance : float
+        Distance from main lens to MLA for it.
+    scale : float
+        Factor for all lengths of the scene; 1 if only the focus is to change.
+    pose : mitsuba.ScalarTransform4f or None
+        Position of the camera in the scene before it is scaled; None for its own.
+    """
+
+    distance: float
+    mla_distance: float
+    scale: float = 1.0
+    pose: Any = None
+
+    def lookat(self) -> str:
+        """Return the sensor's position in the scaled scene as Mitsuba's XML."""
+        matrix = np.array(self.pose.matrix, dtype=np.float64).reshape(4, 4)
+        origin, up, ahead = self.scale * matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
+        # The native plane of a microscope is where it stands.
+        target = origin + (self.distance or 1.0) * ahead / np.linalg.norm(ahead)
+        texts = [", ".join(f"{value:.6g}" for value in vector + 0.0) for vector in (origin, target, up)]
+        return '<lookat origin="{}" target="{}" up="{}"/>'.format(*texts)
+
+
+def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
+    """See a scene as the camera has it or as a fit proposes.
+
+    In place of the scene the camera is scaled.
+    """
+    scale, pose = (fit.scale, fit.pose) if fit else (1.0, None)
+    if fit and fit.mla_distance != camera.mla_distance:
+        camera = camera.replace(mla_distance=fit.mla_distance)
+    view = view_of(camera)
+    columns, rows = camera.bin_count
+    size = (columns * -(-_COLUMNS // columns), rows * -(-_COLUMNS // columns))
+    spp = _SPP if camera.objective is None else _OBJECTIVE_SPP
+    picture = view.take(scene, size, spp, scale, pose)
+    rays, to_world = view.sight(scene, size, scale, pose)
+    hit = scene.ray_intersect(rays)
+    seen = to_world.inverse() @ hit.p
+    points = np.array(dr.select(hit.is_valid(), seen, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
+    return Preview(picture, scale * points, view, scale)
+
+
+def framing_warnings(seen: Preview) -> list[str]:
+    """Describe what is poor about where the scene is, with fractions of the picture."""
+    view, distance = seen.view, seen.distance[np.isfinite(seen.distance)]
+    if not distance.size:
+        return ["nothing of the scene is in the picture"]
+    found = []
+    if seen.filled < _LITTLE_FILLED:
+        found.append(f"the scene spans {seen.filled:.2%} of the picture")
+    near = float((distance <= view.camera.focal_length).mean())
+    if near > 0 and view.camera.objective is None:
+        found.append(
+            f"{near:.0%} of what is seen is within the focal length of {view.camera.focal_length:g} mm, where nothing "
+            "is in focus"
+        )
+    ends = view.sharp_range()
+    sharp = float(((distance >= ends[0]) & (distance <= ends[1])).mean())
+    if sharp < _LITTLE_SHARP:
+        found.append(
+            f"only {sharp:.0%} of what is seen is from {view.between(*ends)}, which refocusing makes sharp; it is from "
+            f"{view.between(distance.min(), distance.max())}"
+        )
+    return found
+
+
+def propose(scene: Any, seen: Preview) -> Proposal:
+    """Propose a focus for the scene, or a scale and a position for it where the focus alone would not do."""
+    view, camera = seen.view, seen.view.camera
+    if seen.filled >= _LITTLE_FILLED:
+        near, far = _span(seen.distance)
+        if camera.objective is not None:
+            # Its native plane is where it stands.
+            return Proposal(0.0, camera.mla_distance, pose=_pose(scene, (0.0, 0.0, (near + far) / 2)))
+        # In the middle of the inverse distances, so that both ends are blurred alike.
+        middle = 2 / (1 / near + 1 / far) if near > 0 else math.nan
+        if middle > _NEAREST * camera.focal_length:
+            # As far from the main lens's image as now.
+            behind = camera.mla_distance - image_distance(camera.focal_length, view.focus)
+            return Proposal(middle, image_distance(camera.focal_length, middle) + behind)
+    low, high = _extent(scene)
+    size, centre = high - low, (low + high) / 2
+    refuse_if(not size[:2].max() > 0, "scene: its objects have no width or height")
+    field = np.array(view.field(view.focus))
+    scale = float(f"{_FILL * float(np.min(field / np.maximum(size[:2], 1e-6 * size.max()))):.2g}")
+    pose = _pose(scene, (centre[0], centre[1], centre[2] - view.focus / scale))
+    return Proposal(view.focus, camera.mla_distance, scale, pose)
+
+
+def _pose(scene: Any, position: Any) -> Any:
+    """Return the pose of the scene's sensor, moved to a position in its own frame."""
+    to_world = mi.ScalarTransform4f(np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4))
+    return to_world @ mi.ScalarTransform4f().translate(list(position))
+
+
+def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of a box in the sensor's frame with the scene's objects, lamps only where all are."""
+    objects = [shape for shape in scene.shapes() if not shape.is_emitter()] or list(scene.shapes())
+    refuse_if(not objects, "scene: it has no objects to be framed")
+    to_camera = scene.sensors()[0].world_transform().inverse()
+    corners = [np.array(to_camera @ shape.bbox().corner(index)).ravel() for shape in objects for index in range(8)]
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def _span(distance: np.ndarray) -> tuple[float, float]:
+    """Return the distances between which most of what is seen is."""
+    known = distance[np.isfinite(distance)]
+    return tuple(map(float, np.percentile(known, (5, 95)))) if known.size else (math.nan, math.nan)  # type: ignore[return-value]
+
+
+def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
+    """Draw each picture with what is in focus and sharp outlined, and the same from above."""
+    canvas = Canvas(9.6, 4.9 * len(previews) + 0.1)
+    for index, (title, seen) in enumerate(previews):
+        top = 0.45 + 4.9 * index
+        rows, columns = seen.picture.shape
+        width, height = (4.2, 4.2 * rows / columns) if rows <= columns else (4.2 * columns / rows, 4.2)
+        axes = canvas.axes(0.2, top, width, height)
+        what = f"What the main lens sees, {seen.view.focus_label}"
+        heading = f"{title}: {what[0].lower()}{what[1:]}" if title else what
+        show(axes, seen.picture, heading, peak=Brightness().white([seen.picture]))
+        if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
+            scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
+        axes.set_frame_on(True)
+        _outline(axes, seen)
+        _draw_from_above(canvas.axes(5.1, top, 4.2, 3.9), seen)
+    canvas.save(Path(path))
+
+
+def _outline(axes: Axes, seen: Preview) -> None:
+    """Outline what refocusing makes sharp, and what the picture has in focus."""
+    distance = seen.distance
+    near, far = seen.view.sharp_range()
+    in_focus = seen.view.is_focused(distance)
+    for part, colour in (((distance >= near) & (distance <= far), _SHARP), (in_focus, _FOCUS)):
+        if part.any() and not part.all():
+            axes.contour(part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
+
+
+def _draw_from_above(axes: Axes, seen: Preview) -> None:
+    """Draw what is seen from above, between the borders of the field."""
+    view, focus = seen.view, seen.view.focus
+    points = seen.points[np.isfinite(seen.distance)][::7]
+    near, far = view.sharp_range()
+    start, reach = view.drawn_range(points[:, 2])
+    if near < reach:
+        drawn = max(near, start), min(far, reach)
+        axes.axvspan(*drawn, color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
+    axes.axvline(focus, color=_FOCUS, label=view.focus_label)
+    for side in (-0.5, 0.5):
+        border = [side * view.field(end)[0] for end in (start, reach)]
+        axes.plot([start, reach], border, color="#667080", linewidth=0.8)
+    axes.plot(points[:, 2], -points[:, 0], ".", color="#1b1f24", markersize=1, label="seen of the scene")
+    axes.set_xlim(start, reach)
+    axes.set_xticks(*zip(*view.ticks(reach).items(), strict=True), fontsize=8)
+    low, high = axes.get_ylim()
+    across = [tick for tick in MaxNLocator(6).tick_values(low, high) if low < tick < high]
+    axes.set_yticks(across, [f"{tick * view.per_millimetre:g}" for tick in across], fontsize=8)
+    axes.yaxis.tick_right()
+    axes.set_title(f"From above, {view.unit} across; grey: borders of the field", size=9, loc="left", pad=6)
+    axes.legend(fontsize=7, loc="upper left", framealpha=0.9)

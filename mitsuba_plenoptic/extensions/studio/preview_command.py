@@ -1,0 +1,108 @@
+"""``mitsuba-plenoptic preview``: a scene as the camera will see it, in seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...cli.inputs import (
+    CameraFile,
+    Definitions,
+    Samples,
+    Scene,
+    Unit,
+    Variant,
+    open_scene,
+    output_option,
+    parse_definitions,
+)
+from ...errors import InputError
+from ...runtime.progress import in_words, progress_bar
+
+
+def preview(
+    scene: Scene,
+    output: Annotated[
+        Path | None, output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.")
+    ] = None,
+    camera: CameraFile = None,
+    unit: Unit = "mm",
+    fit: Annotated[
+        bool,
+        typer.Option("--fit", help="Propose a focus for the scene, or a scale of the scene, and draw it, too."),
+    ] = False,
+    waves: Annotated[
+        bool, typer.Option("--waves", help="Estimate what a wave capture takes, too, which may take a while.")
+    ] = False,
+    spp: Samples = None,
+    variant: Variant = None,
+    define: Definitions = None,
+) -> None:
+    """See in seconds what a camera will see of a scene, before it is captured.
+
+    The picture is that of Mitsuba's thin lens of the same aperture and field,
+    focused on the camera's plane in focus, or that of a microscope without its
+    microlenses. What refocusing makes sharp is outlined in blue, the plane in
+    focus in yellow. Printed are the field, the micro-images, what is poor about
+    the framing, and what captures by rays, with --waves by waves, will take.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic preview letters
+
+      mitsuba-plenoptic preview my_scene.xml --camera lytro --fit
+
+      mitsuba-plenoptic preview beads
+    """
+    from ...camera import PlenopticCamera
+    from ...io.files import require_writable
+    from ...light.render_capture import estimate_capture, plenoptic_sensor
+    from ...optics.guards import PhysicsError
+
+    target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
+    with progress_bar("Previewing") as progress:
+        loaded = open_scene(scene, parse_definitions(define), variant, camera, unit=unit)
+        seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
+        progress(1, 4)
+        # Brings Matplotlib, which takes a while to load.
+        from .preview import draw_preview, framing_warnings, preview_of, propose
+
+        seen = preview_of(loaded, seen_by)
+        progress(2, 4)
+        view = seen.view
+        where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
+        previews = [(f"{scene}, in focus {where}", seen)]
+        lines = []
+        if fit:
+            proposal = propose(loaded, seen)
+            previews.append(("As proposed", preview_of(loaded, seen_by, proposal)))
+            if proposal.pose is None:
+                lines.append(
+                    f"proposal: focus at {proposal.distance:.4g} mm: mla_distance = {proposal.mla_distance:.6g}"
+                )
+            else:
+                scaled = "" if proposal.scale == 1 else f"multiply the scene's lengths by {proposal.scale:g} and "
+                before = f"{proposal.distance:.4g} mm before its middle"
+                if seen_by.objective is not None:
+                    before = "the native object plane in its middle"
+                lines.append(f"proposal: {scaled}put the camera at {proposal.lookat()}, {before}")
+            lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
+        progress(3, 4)
+        draw_preview(target, previews)
+    typer.echo(f"{target}: the picture")
+    typer.echo(f"field: {view.field_in_units()} {where}")
+    typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
+    pixels = seen_by.micro_image_pitch / seen_by.pixel_size
+    typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.lens_count[0]} x {seen_by.lens_count[1]} of them")
+    for model in ("ray", "wave") if waves else ("ray",):
+        try:
+            cost = estimate_capture(loaded, model=model, spp=spp)
+            typer.echo(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
+        except (InputError, PhysicsError) as error:
+            typer.echo(f"{model} capture: refused: {error}")
+    for text in framing_warnings(seen):
+        typer.echo(f"framing: {text}")
+    for text in lines:
+        typer.echo(text)

@@ -1,0 +1,265 @@
+"""How a camera sees a scene without its microlenses, as previews draw it: through a thin lens or an objective."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ... import design
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...lenses.telecentric import TelecentricLens
+from ...prescription.lens_data import defocus_factor, image_distance
+from ...report.experiment import photograph, photographic_sensor
+
+_RAYS_PER_PASS = 2**22
+
+_FAR = 1e5
+"""Distance in focal lengths that represents infinity."""
+
+
+@dataclass(frozen=True)
+class PreviewView(ABC):
+    """What a camera sees; distances are from the main lens, behind an objective from the native object plane."""
+
+    camera: PlenopticCamera
+
+    # Of lengths that are printed: its name, and how many there are in a millimetre.
+    unit = "mm"
+    per_millimetre = 1.0
+
+    @property
+    @abstractmethod
+    def focus(self) -> float:
+        """Distance of the plane in focus."""
+
+    @property
+    def focus_label(self) -> str:
+        """Name of the plane in focus."""
+        return f"in focus at {self.in_units(self.focus)}"
+
+    @abstractmethod
+    def sharp_range(self) -> tuple[float, float]:
+        """Return the nearest and the farthest distance that some microlenses bring back sharply; NaN for none."""
+
+    @abstractmethod
+    def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
+        """Take a picture of a scene whose lengths are `scale` times as large, from another pose if one is given."""
+
+    @abstractmethod
+    def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
+        """Return the rays through the middle of the pupil, one for each pixel, and the camera's position in the world.
+
+        In place of the scene the camera is scaled.
+        """
+
+    @abstractmethod
+    def is_focused(self, distance: np.ndarray) -> np.ndarray:
+        """Return whether the picture blurs what is there by less than a bin of reconstructions."""
+
+    @abstractmethod
+    def field(self, distance: float) -> tuple[float, float]:
+        """Return width and height of the field at a distance."""
+
+    def field_in_units(self) -> str:
+        """Write width and height of the field in the plane in focus, with their unit."""
+        width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
+        return f"{width:.4g} x {height:.4g} {self.unit}"
+
+    @abstractmethod
+    def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
+        """Return from which to which distance to draw the field, with what is at some distances."""
+
+    @abstractmethod
+    def ticks(self, reach: float) -> dict[float, str]:
+        """Return the distances to mark on a drawing as far as `reach`, with their names."""
+
+    def in_units(self, distance: float) -> str:
+        """Write a distance with its unit."""
+        return "infinity" if math.isinf(distance) else f"{self._digits(distance)} {self.unit}"
+
+    def between(self, near: float, far: float) -> str:
+        """Write a range of distances with its unit."""
+        return f"{self._digits(near)} to {self.in_units(far)}"
+
+    def _digits(self, distance: float) -> str:
+        return f"{distance * self.per_millimetre:.4g}"
+
+
+class LensView(PreviewView):
+    """The view through a thin lens of the camera's aperture."""
+
+    @property
+    def focus(self) -> float:
+        """Distance of the object plane that the first microlenses see sharply."""
+        camera = self.camera
+        distance = design.best_distances(camera)[0]
+        refuse_if(
+            not camera.focal_length < distance,
+            f"mla_distance = {camera.mla_distance:g}: no plane beyond the focal length {camera.focal_length:g} is in "
+            "focus",
+        )
+        return min(distance, _FAR * camera.focal_length)
+
+    def in_units(self, distance: float) -> str:
+        """Write a distance with its unit; the distance that represents infinity is named so."""
+        return super().in_units(math.inf if distance >= _FAR * self.camera.focal_length else distance)
+
+    def field_in_units(self) -> str:
+        """Write width and height of the field, at infinity as angles."""
+        if self.in_units(self.focus) != self.in_units(math.inf):
+            return super().field_in_units()
+        width, height = (math.degrees(2 * math.atan(extent / 2)) for extent in self.field(1.0))
+        return f"{width:.4g} x {height:.4g} degrees"
+
+    def sharp_range(self) -> tuple[float, float]:
+        """Return the ends of `design.depth_ranges` of all types."""
+        ranges = [found for found in design.depth_ranges(self.camera) if found is not None]
+        return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
+
+    def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
+        """Take the picture with Mitsuba's thin lens."""
+        lens = {"aperture_radius": self.camera.aperture_radius / scale, "focus_distance": self.focus / scale}
+        return photograph(
+            scene, photographic_sensor(scene, self.camera, size, type="thinlens", **lens, **_posed(pose)), spp
+        )
+
+    def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
+        """Return the rays of Mitsuba's pinhole."""
+        near = 1e-6 * self.focus / scale
+        pinhole = photographic_sensor(scene, self.camera, size, type="perspective", near_clip=near, **_posed(pose))
+        x, y = _pixel_centres(size)
+        rays, _ = pinhole.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+        return rays, pinhole.world_transform()
+
+    def is_focused(self, distance: np.ndarray) -> np.ndarray:
+        """Compare the blur on the array with a lens."""
+        camera = self.camera
+        image = image_distance(camera.focal_length, self.focus)
+        blur = camera.aperture_diameter * np.abs(defocus_factor(distance, image, camera.focal_length))
+        return np.asarray(blur <= camera.mla_pitch)
+
+    def field(self, distance: float) -> tuple[float, float]:
+        """Return what grows with the distance."""
+        columns, rows = self.camera.bin_count
+        bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
+        return columns * bin_size, rows * bin_size
+
+    def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
+        """Draw from the lens on."""
+        return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
+
+    def ticks(self, reach: float) -> dict[float, str]:
+        """Mark the lens and the plane in focus."""
+        return {0.0: "lens", self.focus: self.in_units(self.focus)}
+
+
+class MicroscopeView(PreviewView):
+    """The view through an objective, as a microscope without an array has it: by telecentric rays from the stop."""
+
+    unit = "um"
+    per_millimetre = 1e3
+
+    @property
+    def focus(self) -> float:
+        """The native object plane."""
+        return 0.0
+
+    @property
+    def focus_label(self) -> str:
+        """Name of the plane in focus."""
+        return "in focus in the native object plane"
+
+    def sharp_range(self) -> tuple[float, float]:
+        """Return `design.depth_of_field`."""
+        return design.depth_of_field(self.camera)
+
+    def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
+        """Average the radiance over the stop, and over each pixel in the native object plane."""
+        integrator = scene.integrator()
+        # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
+        integrator = getattr(integrator, "child", integrator)
+        if not isinstance(integrator, mi.SamplingIntegrator):
+            integrator = mi.load_dict({"type": "path"})
+        sampler = mi.load_dict({"type": "independent"})
+        total = np.zeros(size[::-1])
+        # Samples of a pixel side by side, in passes of bounded size.
+        together = max(1, min(spp, _RAYS_PER_PASS // total.size))
+        passes = -(-spp // together)
+        x, y = (dr.repeat(middle, together) for middle in _pixel_centres(size))
+        for index in range(passes):
+            sampler.seed(index, dr.width(x))
+            jitter, stop = sampler.next_2d(), mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
+            place = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
+            radius = self.camera.aperture_radius
+            rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y), scale, pose)
+            light, found = integrator.sample(scene, sampler, rays)[:2]
+            value = dr.select(found, mi.luminance(light) if mi.is_rgb else light[0], 0.0)
+            total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
+        return total
+
+    def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
+        """Return rays along the axis."""
+        return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)), scale, pose)
+
+    def is_focused(self, distance: np.ndarray) -> np.ndarray:
+        """Compare the blur in the object with a bin."""
+        steepest = math.tan(self._objective.half_angle)
+        return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
+
+    def field(self, distance: float) -> tuple[float, float]:
+        """Return the same for all depths."""
+        columns, rows = self.camera.bin_count
+        bin_size = self.camera.bin_size(0)
+        return columns * bin_size, rows * bin_size
+
+    def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
+        """Draw as far before the native object plane as beyond it."""
+        reach = np.abs([end for end in self.sharp_range() if math.isfinite(end)] + [*distances])
+        half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
+        return -half, half
+
+    def ticks(self, reach: float) -> dict[float, str]:
+        """Mark the native object plane, and the ends of the depth of field where there is room."""
+        ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
+        return {**ends, 0.0: "native plane"}
+
+    @property
+    def _objective(self) -> Any:
+        return self.camera.objective
+
+    def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any], scale: float, pose: Any) -> Any:
+        """Return the rays through points of the native object plane, in fractions of the field, and of the stop."""
+        lens = TelecentricLens(self._objective)
+        # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
+        width, height = (self._objective.magnification * extent for extent in self.field(0.0))
+        origin, slope, _ = lens.ray(stop, ((place[0] - 0.5) * width, (place[1] - 0.5) * height))
+        to_world = scene.sensors()[0].world_transform() if pose is None else mi.Transform4f(pose.matrix)
+        rays = dr.zeros(mi.RayDifferential3f, dr.width(place[0]))
+        rays.o = to_world @ mi.Point3f(*(coordinate / scale for coordinate in origin))
+        rays.d = dr.normalize(to_world @ mi.Vector3f(slope[0], slope[1], 1))
+        rays.maxt = dr.inf
+        return rays, to_world
+
+
+def view_of(camera: PlenopticCamera) -> PreviewView:
+    """Return how a camera sees."""
+    return LensView(camera) if camera.objective is None else MicroscopeView(camera)
+
+
+def _posed(pose: Any) -> dict[str, Any]:
+    """Return the position of a sensor, the scene's own by default."""
+    return {} if pose is None else {"to_world": pose}
+
+
+def _pixel_centres(size: tuple[int, int]) -> tuple[Any, Any]:
+    """Return the middles of all pixels, row by row, in fractions of the picture."""
+    index = dr.arange(mi.UInt32, size[0] * size[1])
+    row = index // size[0]
+    return (index - row * size[0] + 0.5) / size[0], (row + 0.5) / size[1]

@@ -1,0 +1,136 @@
+"""``mitsuba-plenoptic run``: the steps of a run file, those that are not finished."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ...cli import mistake, step_commands
+from ...cli.inputs import parse_definitions, scene_roots
+from ...cli.run_file import RunStep, parameters_of, read_run_file
+from ...cli.stopping import resumable
+from ...errors import InputError, refuse_if, short_repr
+
+_log = logging.getLogger(__name__)
+
+
+def run(
+    file: Annotated[Path, typer.Argument(metavar="RUN.yaml", help="The run file, YAML or JSON.")],
+) -> None:
+    """Run several commands that a file lists, and again only those whose inputs have changed.
+
+    A run file has a list of steps, each a command with its options by name,
+    and options that several steps share. [bold]--save-run[/bold] of a command
+    writes one. Files are named from the folder of the run file. What each
+    step has read and written is noted next to it, in RUN.steps.json. A run
+    that was stopped resumes where it was.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic render letters -o raw.exr --save-run run.yaml
+
+      mitsuba-plenoptic depth raw.exr -o depth.pdf --save-run run.yaml
+
+      mitsuba-plenoptic run run.yaml
+    """
+    from ...io.files import files_used, read_yaml
+    from ...io.versions import VERSION, is_of_1_0
+
+    # Brings libraries that take a while to load.
+    from ...report.stage_store import StepLog
+
+    commands = step_commands()
+    parameters = parameters_of(commands)
+    steps = read_run_file(file, parameters)
+    log = StepLog(file.absolute().with_suffix(".steps.json"))
+    with contextlib.chdir(file.parent), resumable():
+        # All are parsed before the first is run, which may take long.
+        contexts, by_waves = [], False
+        for number, step in enumerate(steps, 1):
+            with _naming_step(file, number, step, parameters[step.command]):
+                words = step.command_line(parameters[step.command])
+                contexts.append(commands[step.command].make_context(step.command, words))
+                by_waves |= _is_by_waves(contexts[-1])
+        _require_outputs_apart(file, steps)
+        if by_waves and is_of_1_0(read_yaml(file.name)):
+            _log.info(
+                "%s: it states no version, as those of version 1.0 and earlier: waves refracted at a thin main lens as "
+                "lens_model parabolic then, and follow the camera's lens_model now; the line version: %s ends this",
+                file,
+                VERSION,
+            )
+        for number, (step, context) in enumerate(zip(steps, contexts, strict=True), 1):
+            label = f"step {number} of {len(steps)}, {step.command}"
+            with _naming_step(file, number, step, parameters[step.command]):
+                settings = _settings(step, parameters[step.command])
+                if log.is_finished(settings):
+                    typer.echo(f"{label}: up to date")
+                    continue
+                typer.echo(label)
+                with context, files_used() as used:
+                    commands[step.command].invoke(context)
+                log.note(settings, used)
+
+
+_LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "method"}
+"""Options that choose rays or waves, by the command."""
+
+
+def _is_by_waves(context: Any) -> bool:
+    """Return whether a step, as it is parsed, is by waves, or one whose recipe may be."""
+    name = context.info_name
+    chosen = context.params[_LIGHT[name]] if name in _LIGHT else "wave" if name == "dataset" else "ray"
+    if chosen is None:
+        roots = scene_roots(context.params["scene"], parse_definitions(context.params["define"]))
+        return any(each.get("type", "").startswith("plenoptic_") for root in roots for each in root.iter("integrator"))
+    return chosen != "ray"
+
+
+@contextlib.contextmanager
+def _naming_step(file: Path, number: int, step: RunStep, parameters: Mapping[str, Any]) -> Iterator[None]:
+    """Begin the line on a user's mistake with the run file and the step, and spell options as the file does."""
+    try:
+        yield
+    except Exception as error:
+        names = {option: name for name, one in parameters.items() for option in one.opts}
+        message = mistake(error, names)
+        if message is None:
+            raise
+        # Typer's message on a value does not show the value.
+        of = names.get(next(iter(getattr(getattr(error, "param", None), "opts", ())), ""), "")
+        if of in step.options:
+            message = f"{of} = {short_repr(step.options[of])}: {getattr(error, 'message', message)}"
+        raise InputError(f"{file}: step {number} ({step.command}): {message}") from error
+
+
+def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
+    """Refuse two steps that write the same file: each would undo the other."""
+    found: dict[Path, int] = {}
+    for number, step in enumerate(steps, 1):
+        if "output" in step.options:
+            first = found.setdefault(Path(str(step.options["output"])).absolute(), number)
+            refuse_if(
+                first != number,
+                f"{file}: step {number} ({step.command}): output = {step.options['output']}: step {first} writes it, "
+                "too; give each a name of its own",
+            )
+
+
+def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all that a step depends on but the files that it reads; of a scene the files that it names, too."""
+    # Brings libraries that take a while to load.
+    from ...report.stage_store import scene_fingerprint
+
+    words = step.words(parameters)
+    scenes = [word.removeprefix("--scene=") for word in words.get("scene", ())]
+    definitions = parse_definitions([word.removeprefix("--define=") for word in words.get("define", ())])
+    return {
+        "command": step.command,
+        "options": words,
+        "scenes": [scene_fingerprint(scene, definitions) for scene in scenes],
+    }

@@ -1,0 +1,364 @@
+"""Parameter sweeps: captures and reconstructions over a grid of cameras, wavelengths and distances, as one dataset."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ...camera import PlenopticCamera
+from ...errors import (
+    InputError,
+    argument,
+    refuse_if,
+    require_choice,
+    require_module,
+    require_number,
+    require_wavelength,
+)
+from ...io.captures import Capture
+from ...io.checkpoints import Checkpoint
+from ...io.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
+from ...light.render_capture import is_wave_capture, refuse_by_rays, render_capture
+from ...prescription.lens_data import image_distance
+from ...refocus import METHODS
+from ...report.experiment import load_with_sensor, refocused
+from ...report.stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software
+from ...runtime.backend import DEFAULT_VARIANT, set_variant
+from ...runtime.batches import BatchMap
+
+__all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
+
+# Names that are not parameters of the scene.
+WAVELENGTH, DISTANCE = "wavelength", "distance"
+
+Grid = Mapping[str, Sequence[float]]
+
+_MOST_POINTS = 100_000
+
+
+def read_grid(path: Path) -> dict[str, list[Any]]:
+    """Read a grid from YAML: names, each with a list of numbers, or with one."""
+    content = read_yaml(path)
+    refuse_if(
+        not isinstance(content, dict),
+        f"{path}: it must hold names, each with a list of numbers, such as 'wavelength: [532, 633]'",
+    )
+    return {name: value if isinstance(value, list) else [value] for name, value in content.items()}
+
+
+def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
+    """Turn texts ``name=1,2,3`` into a grid."""
+    grids = []
+    for text in texts:
+        name, equals, values = text.partition("=")
+        refuse_if(not name or not equals, f"--vary {text}: write it as --vary NAME=VALUE,VALUE,...")
+        grids.append({name: [part.strip() for part in values.split(",")] if values.strip() else []})
+    return merge_grids(*grids)
+
+
+def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
+    """Join grids that have no name in common."""
+    merged: dict[str, list[Any]] = {}
+    for grid in grids:
+        for name in grid:
+            refuse_if(name in merged, f"grid: {name} is given twice")
+        merged |= grid
+    return merged
+
+
+def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
+    """Return a grid, neither empty nor too large, with its values as finite numbers of which none comes twice."""
+    checked: dict[str, tuple[float, ...]] = {}
+    for name, values in grid.items():
+        refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
+        refuse_if(not len(values), f"grid: {name} has no values")
+        checked[name] = tuple(_number(name, value) for value in values)
+        for value, count in Counter(checked[name]).items():
+            refuse_if(count > 1, f"grid: {name} = {value:g} is given twice")
+    refuse_if(not checked, "grid: it is empty; give at least one name with values")
+    count = math.prod(len(values) for values in checked.values())
+    refuse_if(count > _MOST_POINTS, f"grid: it has {count} points; at most {_MOST_POINTS} are allowed")
+    return checked
+
+
+def _number(name: str, value: Any) -> float:
+    refuse_if(
+        isinstance(value, (list, tuple, dict)), f"grid: {name} holds a {type(value).__name__}: it must be a number"
+    )
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError):
+            value = float(value)
+    return require_number(f"grid: {name}", value)
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """Settings that all points of a sweep have in common.
+
+    Attributes
+    ----------
+    scene : str
+        A scene file or a built-in name.
+    parameters : mapping
+        Values for the scene's ``$name`` parameters that do not vary.
+    camera : mapping, optional
+        Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
+    unit : str
+        Of the scene's lengths, as for `load_scene`.
+    model, spp, seed
+        As for `render_capture`; by model "wave" captures are made from signed rays.
+    method : str
+        Of the reconstructions.
+    variant : str
+        Mitsuba variant.
+    """
+
+    scene: str
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    camera: Mapping[str, Any] | None = None
+    unit: str = "mm"
+    model: str | None = None
+    spp: int | None = None
+    seed: int = 0
+    method: str = "ray"
+    variant: str = DEFAULT_VARIANT
+
+
+class Points:
+    """The points of a grid: captures, and of each the reconstructions."""
+
+    def __init__(self, settings: SweepSettings, grid: Grid, store: StageStore) -> None:
+        self.settings, self.store = settings, store
+        self.distances = grid.get(DISTANCE, ())
+        self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
+
+    def __iter__(self) -> Iterator[dict[str, float]]:
+        for values in itertools.product(*self.axes.values()):
+            yield dict(zip(self.axes, values, strict=True))
+
+    def parameters(self, point: dict[str, float]) -> dict[str, str]:
+        """Values for the scene's parameters."""
+        varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
+        for name in varied:
+            refuse_if(
+                name in self.settings.parameters, f"grid: {name} varies and is set by {argument('parameters')} too"
+            )
+        return {**self.settings.parameters, **varied}
+
+    def check(self, **for_waves: Any) -> None:
+        """Make every camera once, before the work, and see that they record images of one size.
+
+        Ray captures take none of the options `for_waves`; None means not given.
+        """
+        require_choice("method", self.settings.method, METHODS)
+        for wavelength in self.axes.get(WAVELENGTH, ()):
+            require_wavelength(wavelength)
+        sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
+        for point in self:
+            parameters = self.parameters(point)
+            if (key := tuple(parameters.items())) in sizes:
+                continue
+            scene = self._load(parameters)
+            if not is_wave_capture(scene, self.settings.model):
+                refuse_by_rays(resume=self.store.resume or None, **for_waves)
+            camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+            sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
+            for distance in self.distances:
+                image_distance(camera.focal_length, distance, name=DISTANCE)
+            first = next(iter(sizes.values()))
+            if sizes[key] != first:
+                changed = ", ".join(f"{name} = {value:g}" for name, value in point.items())
+                raise InputError(
+                    f"grid: with {changed} images have {_size(sizes[key])}, with the first values {_size(first)}: one "
+                    "dataset holds images of one size"
+                )
+
+    def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
+        """Yield each capture with its reconstructions, from the store where they are there."""
+        method = {"method": self.settings.method}
+        for point in self:
+            capture, key = self._capture(point, batch_map)
+            names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
+            yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
+
+    def _load(self, parameters: dict[str, str]) -> Any:
+        return load_with_sensor(self.settings.scene, parameters, self.settings.camera, self.settings.unit)
+
+    def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
+        settings, parameters = self.settings, self.parameters(point)
+        options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
+        if WAVELENGTH in point:
+            options["wavelength"] = point[WAVELENGTH]
+        if settings.model == "wave":
+            options["method"] = "signed_rays"
+        inputs = {
+            "scene": scene_fingerprint(settings.scene, parameters),
+            "camera": settings.camera,
+            "unit": settings.unit,
+            "variant": settings.variant,
+            **options,
+        }
+
+        def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
+            scene = self._load(parameters)
+            keeper = checkpoint if is_wave_capture(scene, settings.model) else None
+            return render_capture(scene, progress=progress, checkpoint=keeper, batch_map=batch_map, **options)
+
+        return self.store.capture(f"capture{_name(point)}", inputs, make)
+
+
+def _size(size: tuple[int, ...]) -> str:
+    rows, columns, *bins = size
+    return f"{columns} x {rows} pixels" + (f" and {bins[0]} x {bins[1]} bins" if bins else "")
+
+
+def _name(point: dict[str, float]) -> str:
+    return "".join(f",{name}={_text(value)}" for name, value in point.items())
+
+
+def _text(value: float) -> str:
+    return str(int(value)) if value == int(value) else repr(value)
+
+
+_UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromkeys(
+    ("focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch", "detector_distance"), "mm"
+)
+
+
+class SweepFile:
+    """The dataset in its file, image by image."""
+
+    def __init__(self, file: Any, settings: SweepSettings, grid: Grid, first: Capture) -> None:
+        self.variables = file.variables
+        axes = [name for name in grid if name != DISTANCE]
+        self.shape = tuple(len(grid[name]) for name in axes) or (1,)
+        # A grid of distances alone has one capture, without an axis.
+        self._scalar = not axes
+        rows, columns = first.camera.shape
+        bin_columns, bin_rows = first.camera.bin_count
+        sizes = {name: len(values) for name, values in grid.items()} | {"row": rows, "column": columns}
+        if DISTANCE in grid:
+            sizes |= {"bin_row": bin_rows, "bin_column": bin_columns}
+        channels = ("channel",) if first.image.ndim == 3 else ()
+        file.dimensions = sizes | dict.fromkeys(channels, 3)
+        for name, values in grid.items():
+            variable = file.create_variable(name, (name,), data=np.array(values))
+            variable.attrs.update({"units": _UNITS[name]} if name in _UNITS else {})
+
+        def add(name: str, dimensions: tuple[str, ...], facts: dict[str, str], image: bool = True) -> None:
+            shape = [file.dimensions[d].size for d in dimensions]
+            # One image to a chunk, as they are written and read.
+            chunks = [1 if d in grid else size for d, size in zip(dimensions, shape, strict=True)]
+            storage = {"chunks": tuple(chunks), "compression": "gzip", "shuffle": True} if image else {}
+            file.create_variable(name, dimensions, "f4" if image else "f8", **storage).attrs.update(facts)
+
+        radiance = {"units": "1", "long_name": "mean radiance over the lens"}
+        add("capture", (*axes, "row", "column", *channels), {**radiance, "coordinates": "pixel_size"})
+        add("pixel_size", tuple(axes), {"units": "mm", "long_name": "width of a pixel"}, image=False)
+        if DISTANCE in grid:
+            over = (*axes, DISTANCE)
+            add("reconstruction", (*over, "bin_row", "bin_column", *channels), {**radiance, "coordinates": "bin_size"})
+            add("bin_size", over, {"units": "mm", "long_name": "width of a bin in the object plane"}, image=False)
+        file.attrs.update(
+            {
+                "title": f"Sweep of the scene {Path(settings.scene).stem}",
+                "model": first.model,
+                "settings": json.dumps(asdict(settings), sort_keys=True),
+                "software": json.dumps(software(), sort_keys=True),
+            }
+        )
+        self.distances = grid.get(DISTANCE, ())
+
+    def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
+        """Write one capture and its reconstructions."""
+        at = () if self._scalar else tuple(int(i) for i in index)
+        self.variables["capture"][(*at, ...)] = capture.image
+        self.variables["pixel_size"][at] = capture.camera.pixel_size
+        for number, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
+            self.variables["reconstruction"][(*at, number, ...)] = image
+            self.variables["bin_size"][(*at, number)] = capture.camera.bin_size(distance)
+
+
+def sweep(
+    settings: SweepSettings,
+    grid: Grid,
+    output: Path,
+    *,
+    batch_map: BatchMap | None = None,
+    stages: StageOptions | None = None,
+) -> xr.Dataset:
+    """Render, and reconstruct where distances are given, every point of a grid.
+
+    Each point is stored in a folder next to the output, ``out.points`` for ``out.nc``: a sweep that was stopped, or
+    whose grid has grown, computes only what is missing. The dataset is written point by point, so that memory does
+    not grow with the grid.
+
+    Parameters
+    ----------
+    settings : SweepSettings
+        What does not vary.
+    grid : mapping of names to numbers
+        What does: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to which each
+        capture is refocused.
+    output : path
+        NetCDF-4 file to write, which ends in ``.nc``.
+    batch_map : callable, optional
+        For wave captures: computes the sums, for example `Cluster`.
+    stages : StageOptions, optional
+        How progress is reported, and what becomes of checkpoints.
+
+    Returns
+    -------
+    xarray.Dataset
+        The file, read as it is used: ``capture`` over the grid, ``row`` and ``column`` (and ``channel``), with the
+        coordinate ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``,
+        ``bin_row`` and ``bin_column``, with ``bin_size``. Images are in units of radiance.
+
+    Raises
+    ------
+    InputError
+        If the grid has an unknown name, a value that is no number or twice the same, or none at all; if its images
+        differ in size; or if the scene, a camera or a distance is refused.
+    """
+    return prepare(settings, grid, output, stages, batch_map=batch_map)(batch_map)
+
+
+def prepare(
+    settings: SweepSettings, grid: Grid, output: Path, stages: StageOptions | None, **for_waves: Any
+) -> Callable[[BatchMap | None], xr.Dataset]:
+    """Check a sweep, so that workers need not be started in vain, and return the function that computes it on them.
+
+    `for_waves` are the options, by name, that ray captures do not take; None means not given.
+    """
+    h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
+    output = require_writable(output, ".nc")
+    grid = check_grid(grid)
+    set_variant(settings.variant)
+    store = StageStore(output.with_suffix(".points"), stages)
+    points = Points(settings, grid, store)
+    points.check(**for_waves)
+
+    def compute(batch_map: BatchMap | None) -> xr.Dataset:
+        remove_leftovers(output)
+        with atomic_output(output) as temporary, Sink(temporary, "w+") as sink:
+            with h5netcdf.File(sink, "w") as file:
+                for index, (capture, images) in enumerate(points.compute(batch_map)):
+                    if not index:
+                        sweep_file = SweepFile(file, settings, grid, capture)
+                    sweep_file.put(np.unravel_index(index, sweep_file.shape), capture, images)
+                    sink.check(output)
+                    store.notify("points", index + 1, math.prod(sweep_file.shape))
+            sink.check(output)
+        return xr.open_dataset(output, engine="h5netcdf")
+
+    return compute

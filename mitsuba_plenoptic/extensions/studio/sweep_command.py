@@ -1,0 +1,108 @@
+"""``mitsuba-plenoptic sweep``: a scene over a grid of cameras and wavelengths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...cli.choices import METHODS
+from ...cli.inputs import (
+    CameraFile,
+    Definitions,
+    Model,
+    Samples,
+    Scene,
+    Scheduler,
+    Seed,
+    Unit,
+    Variant,
+    Workers,
+    batches_on,
+    camera_instead,
+    output_option,
+    parse_definitions,
+)
+from ...cli.judging import one_of
+from ...cli.stages import stage_lines
+from ...cli.stopping import Resume
+from ...errors import refuse_if
+
+if TYPE_CHECKING:
+    pass
+
+
+def sweep(
+    scene: Scene,
+    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write.")],
+    grid: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=V1,V2,...",
+            help="One name of the grid and its values: a $NAME of the scene, 'wavelength' in nanometres, or "
+            "'distance' to refocus to; repeat for several.",
+        ),
+    ] = None,
+    model: Model = None,
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(METHODS), show_default="ray", help="How captures are refocused."),
+        one_of(METHODS),
+    ] = None,
+    spp: Samples = None,
+    seed: Seed = 0,
+    resume: Resume = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    camera: CameraFile = None,
+    unit: Unit = "mm",
+    define: Definitions = None,
+    variant: Variant = None,
+) -> None:
+    """Render a scene over a grid of cameras and wavelengths, refocus to distances.
+
+    Writes one labelled dataset, which xarray opens. Every point is stored in a
+    folder next to it (FILE.points): a sweep that was stopped, or whose grid has
+    grown, computes only what is missing.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic sweep letters -o sweep.nc --vary aperture_radius=3,4,5
+      --vary distance=210,240,280
+
+      mitsuba-plenoptic sweep letters -o colours.nc --model wave
+      --vary wavelength=450,550,633 --workers 4
+
+      mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
+    """
+    # Datasets need libraries that take a second to load, which other commands need not wait for.
+    from ...runtime.backend import DEFAULT_VARIANT
+    from .sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
+
+    wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    refuse_if(
+        method is not None and "distance" not in wanted,
+        "--method: nothing is refocused without a 'distance' in the grid; leave it out",
+    )
+    parameters = parse_definitions(define)
+    settings = SweepSettings(
+        scene=scene,
+        unit=unit,
+        parameters=parameters,
+        camera=camera_instead(camera, scene, parameters, {name: f"{values[0]:g}" for name, values in wanted.items()}),
+        model=model,
+        spp=spp,
+        seed=seed,
+        method=method or "ray",
+        variant=variant or DEFAULT_VARIANT,
+    )
+    with stage_lines(resume) as stages:
+        compute = prepare(settings, wanted, output, stages, workers=workers, scheduler=scheduler)
+        with batches_on(workers, scheduler) as batch_map:
+            dataset = compute(batch_map)
+    axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
+    typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")

@@ -1,0 +1,62 @@
+"""``mitsuba-plenoptic view``: an interactive page of a capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...cli.inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
+from ...errors import refuse_if
+from ...runtime.progress import progress_bar
+
+
+def view(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE",
+            help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
+            "reconstructions, a depth map.",
+        ),
+    ],
+    output: Annotated[
+        Path | None, output_option("FILE.html", "File to write. Default: named as the first source.")
+    ] = None,
+    white: White = None,
+    view_count: ViewCount = None,
+    linear: Linear = False,
+    camera: CameraFile = None,
+) -> None:
+    """Make a page to look at a capture: viewpoint, focus, micro-images.
+
+    The page is one HTML file that any browser opens from disk; it loads
+    nothing. Drag to move the viewpoint, click to refocus. The page refocuses
+    by rays, from views of the capture; reconstructions and focal stacks that
+    are given are shown as they were computed.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic view raw.exr
+
+      mitsuba-plenoptic view ray.exr wave.exr -o compare.html
+
+      mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
+    """
+    from ...io.files import require_apart, require_writable
+    from .viewer import Recording
+    from .viewer import view as make_page
+    from .viewer_sources import read_source
+
+    refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
+    target = require_writable(output or sources[0].with_suffix(".html"), ".html")
+    require_apart(target, *sources, white)
+    known = named_camera(camera)
+    with progress_bar("Making the page"):
+        found = [read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources]
+        used = any(isinstance(one, Recording) for one in found)
+        for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
+            refuse_if(value is not None and not used, f"--{name} {value}: of no use without a capture or light field")
+        make_page(*found).save(target)
+    typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

@@ -1,0 +1,360 @@
+"""A page that shows a capture from any viewpoint, refocused and lens by lens: one HTML file that loads nothing."""
+
+from __future__ import annotations
+
+import html
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if
+from ...io.captures import Capture
+from ...io.files import write_text
+from ...refocus import Reconstruction
+from ...report.images import Brightness, encode, shrink
+from ...report.page import scene_name, template
+from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
+from ...views.coordinates import DIMS, light_field, require_light_field, view_steps
+from ...views.lens_grid import bin_grid
+
+# Bytes before compression of all raw pictures, and of the views of all light fields.
+_RAW_BYTES, _VIEW_BYTES = 2**24, 2**23
+
+# Views along each axis that are shown at least, however large they are.
+_FEWEST_VIEWS = 3
+
+# Steps of the focus slider. It reaches to where points move by a lens from view to view, and by so many at least from
+# the first view to the last.
+_STEPS, _REACH = 161, 16.0
+
+# Brightest value over white from which 8 bits would show bands where the exposure is changed.
+_WIDE = 4.0
+
+# Confidence above which a depth is shown.
+_SURE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A light field with its name on the page, and the raw picture that it was decoded from, where there is one."""
+
+    name: str
+    light_field: xr.DataArray
+    image: np.ndarray | None = None
+    # Of propagation, where it is known.
+    model: str = ""
+    # What the page is headed by: the scene and the camera, as far as they are known.
+    title: str = ""
+
+    @classmethod
+    def of(cls, capture: Capture, name: str, lf: xr.DataArray) -> Recording:
+        """Return the recording of a capture with its light field."""
+        scene = scene_name(str(capture.metadata.get("scene", "")))
+        title = ", ".join(part for part in (scene, _through(capture.camera)) if part)
+        return cls(name, lf, capture.image, capture.model, title)
+
+
+def _through(camera: PlenopticCamera) -> str:
+    """Describe a camera in a few words."""
+    columns, rows = camera.lens_count
+    lattice = "" if camera.mla_lattice == "square" else f"{camera.mla_lattice} "
+    lens = f"f/{camera.f_number:.3g}" if camera.lens_data.converges else camera.lens_data.label
+    return f"{lens}, {columns} x {rows} {lattice}microlenses"
+
+
+# Distance of a pupil that stands for one infinitely far, in focal lengths.
+_FAR = 1e5
+
+
+def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.DataArray:
+    """Decode a capture to be looked at.
+
+    For cameras that `decode` does not support, with a real main lens or an objective, a thin lens stands in for the
+    exit pupil: near the axis, its micro-images are the same. Positions and distances are then left out, as they are
+    not those of the camera.
+    """
+    camera, lens = capture.camera, capture.camera.lens_data
+    if lens.is_thin or lens.images_stop:
+        return decode(capture, white=white)
+    further = 1.0 if lens.converges else _FAR
+    distance, radius = further * camera.pupil_distance, further * camera.pupil_radius
+    pupil = camera.replace(main_lens=None, focal_length=distance / 2, aperture_radius=radius, mla_distance=distance)
+    by = white.image if isinstance(white, Capture) else white
+    found = decode(replace(capture, camera=pupil), white=by)
+    return light_field(found.values, found["weight"].values, lenses=grid_of(found))
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """An interactive page, as `view` makes it; notebooks show it in a frame.
+
+    Parameters
+    ----------
+    page : str
+        The page as HTML.
+    """
+
+    page: str
+
+    def save(self, path: str | Path) -> None:
+        """Write the page, which any browser opens from disk.
+
+        Parameters
+        ----------
+        path : path
+            A file whose name ends in ``.html``.
+        """
+        write_text(path, self.page, ".html")
+
+    def _repr_html_(self) -> str:
+        frame = 'width="100%" height="900" style="border: 0" title="Light-field viewer"'
+        return f'<iframe {frame} srcdoc="{html.escape(self.page)}"></iframe>'
+
+
+def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Dataset, title: str = "") -> Viewer:
+    """Make a page that shows captures, light fields and focal stacks interactively.
+
+    The page moves the viewpoint over the pupil, refocuses by shifting the views and adding them (the ray model),
+    enlarges the micro-images of a capture, and compares two captures. Views and pixels that would make it too large are
+    left out, which the page states.
+
+    Parameters
+    ----------
+    *sources : Capture, Reconstruction, xarray.DataArray or xarray.Dataset
+        One or two captures or light fields of the same bins and views, and what was computed of them: focal stacks and
+        reconstructions, which are shown as they are at their distances, and one depth map.
+    title : str
+        Headline of the page. Default: the scene and the camera, as far as captures state them.
+
+    Returns
+    -------
+    Viewer
+        `Viewer.save` writes the page; notebooks show it.
+
+    Raises
+    ------
+    InputError
+        If there is no source, one is of another kind, or they do not fit each other.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> mp.view(mp.example("letters-ray"), title="Letters").save("letters.html")
+    """
+    refuse_if(not sources, "sources: give at least one capture, light field, focal stack, reconstruction or depth map")
+    recordings, planes, depths = _sorted(sources)
+    refuse_if(len(recordings) > 2, f"sources: {len(recordings)} captures or light fields: a page compares two at most")
+    refuse_if(len(depths) > 1, f"sources: {len(depths)} depth maps: a page shows one")
+    shapes = [one.light_field.shape for one in recordings]
+    refuse_if(
+        len(set(shapes)) > 1,
+        f"sources: light fields of the shapes {' and '.join(map(str, shapes))} cannot be compared: they must be alike",
+    )
+    for one in recordings[1:]:
+        for axis in DIMS:
+            refuse_if(
+                not np.allclose(one.light_field[axis], recordings[0].light_field[axis], rtol=1e-6, atol=1e-9),
+                f"sources: light fields whose {axis} differ cannot be compared: they must be of the same camera",
+            )
+    if depths and recordings:
+        refuse_if(
+            depths[0]["depth"].shape != shapes[0][2:4],
+            f"sources: a depth map of {depths[0]['depth'].shape} bins does not fit a light field of {shapes[0][2:4]}",
+        )
+    refuse_if(
+        len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
+    )
+    shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
+    white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
+    # Alike for both, so that they have the same views.
+    wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
+    thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]
+    recorded = [
+        _recording(one, name, lf, white, 16 if wide else 8, len(recordings))
+        for one, name, lf in zip(recordings, _names(recordings), thinned, strict=True)
+    ]
+    data = {
+        "white": white,
+        "recordings": [content for content, _ in recorded],
+        "planes": _planes(planes, white),
+        "depth": _depth(depths[0]) if depths else None,
+    }
+    facts = [
+        *(fact for _, facts in recorded for fact in facts),
+        *(_plane_facts(planes) if planes else []),
+        ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
+    ]
+    # Scene and camera are mostly those of both.
+    headline = title or " and ".join(dict.fromkeys(one.title for one in recordings if one.title)) or "Light field"
+    page = template("view.html", Path(__file__).parent / "templates")
+    return Viewer(page.render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
+
+
+def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
+    """Sort sources into light fields, planes from near to far as distance, image and method, and depth maps."""
+    recordings: list[Recording] = []
+    planes: list[tuple[float, np.ndarray, str]] = []
+    depths: list[xr.Dataset] = []
+    for source in sources:
+        if isinstance(source, Capture):
+            recordings.append(Recording.of(source, source.model, decoded(source)))
+        elif isinstance(source, Recording):
+            require_light_field(source.light_field)
+            recordings.append(source)
+        elif isinstance(source, Reconstruction):
+            planes.append((source.distance, source.image, source.method))
+        elif isinstance(source, xr.DataArray) and source.dims[:1] == ("distance",):
+            for image in source:
+                planes.append((float(image["distance"]), image.values, source.attrs.get("method", "shifted views")))
+        elif isinstance(source, xr.DataArray):
+            title = _through(camera_of(source)) if source.attrs.get("camera") else ""
+            recordings.append(Recording("light field", require_light_field(source), title=title))
+        elif isinstance(source, xr.Dataset) and "depth" in source:
+            depths.append(source)
+        else:
+            raise InputError(
+                f"sources: of type {type(source).__name__}: they must be captures, light fields, focal stacks, "
+                "reconstructions or depth maps"
+            )
+    return recordings, sorted(planes, key=lambda plane: plane[0]), depths
+
+
+def _names(recordings: list[Recording]) -> list[str]:
+    """Name light fields differently."""
+    names = [one.name for one in recordings]
+    return [f"{name} {index}" if names.count(name) > 1 else name for index, name in enumerate(names, 1)]
+
+
+def _recording(
+    one: Recording, name: str, lf: xr.DataArray, white: float, bits: int, count: int
+) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Return the views that are left, the raw picture and the geometry of a light field, with facts about them."""
+    whole = one.light_field
+    full = max(float(lf.max()), white)
+    left_out = "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
+    # Noise has a mean; without what is negative it would be too bright, which is to be stated.
+    negative = float((lf.values < 0).mean())
+    below = f"; {negative:.2%} of the samples are negative, and 0 in this page" if negative else ""
+    size = f"{lf.sizes['s']} x {lf.sizes['t']} bins each; {bits} bits, up to {full:.3g}"
+    facts = [(f"Views, {name}", f"{lf.sizes['u']} x {lf.sizes['v']}{left_out}; {size}{below}")]
+    content: dict[str, Any] = {
+        "name": name,
+        "views": encode(view_mosaic(lf), bits, full),
+        "weight": encode(view_mosaic(lf["weight"]), 8, 1.0),
+        "raw": None,
+        **_geometry(lf),
+    }
+    if one.image is not None:
+        content["raw"], fact = _raw(one.image, whole, white, count)
+        facts.append((f"Raw picture, {name}", f"{one.model} model; {fact}" if one.model else fact))
+    return content, facts
+
+
+def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
+    """Leave out views until so few samples are left."""
+    count = most = min(lf.sizes["v"], lf.sizes["u"])
+    each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
+    if lf.size <= samples:
+        return lf
+    while count > min(_FEWEST_VIEWS, most) and count**2 * each > samples:
+        count -= 1
+    return pick_views(lf, count)
+
+
+def _geometry(lf: xr.DataArray) -> dict[str, Any]:
+    """Return the positions of the views, and the disparities and distances of the focus slider."""
+    try:
+        steps = [view_steps(lf, axis).tolist() for axis in "vu"]
+        reach = max(1.0, _REACH / (1 + np.ptp(steps[0])))
+        ends, reason = (-reach, reach), ""
+        if lf.attrs.get("camera"):
+            ends = (-reach, min(reach, disparity(lf, math.inf)))
+    except InputError as error:
+        steps, ends, reason = [[0.0] * lf.sizes[axis] for axis in "vu"], (0.0, 0.0), str(error)
+    disparities = np.linspace(*ends, _STEPS) if ends[1] > ends[0] else np.zeros(1)
+    known = bool(lf.attrs.get("camera")) and not reason
+    distances = distance_of(lf, disparities) if known else np.full(len(disparities), np.nan)
+    return {
+        "v": steps[0],
+        "u": steps[1],
+        "rows": lf.sizes["t"],
+        "columns": lf.sizes["s"],
+        "disparities": disparities.tolist(),
+        "distances": _plain(distances),
+        "fixed": reason,
+    }
+
+
+def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
+    """Return the raw picture with the positions of its micro-images and bins, and a fact about it."""
+    factor = math.ceil(math.sqrt(image.size * count / _RAW_BYTES))
+    small = shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
+    full = min(max(float(small.max()), white), _WIDE * white)
+    rows, columns = small.shape[:2]
+    averaged = f", averaged over {factor} x {factor} pixels" if factor > 1 else ""
+    grid, bins = grid_of(lf), _bins(lf)
+    content = {
+        "picture": encode(small, 8, full),
+        "rows": rows,
+        "columns": columns,
+        "factor": factor,
+        "lenses": None
+        if grid is None
+        else {
+            "spacing": grid.spacing,
+            "offset": grid.offset,
+            "shape": grid.shape,
+            "rotation": grid.rotation,
+            "shifted": grid.shifted_rows,
+            "pitch": grid.nearest_distance,
+        },
+        "bins": bins,
+    }
+    return content, f"{image.shape[1]} x {image.shape[0]} pixels{averaged}; 8 bits, up to {full:.3g}"
+
+
+def _bins(lf: xr.DataArray) -> dict[str, Any] | None:
+    """Return where bins are on the raw picture, None where that is unknown."""
+    if not lf.attrs.get("camera") or not lf.attrs.get("grid"):
+        return None
+    bins = bin_grid(camera_of(lf))
+    return {"offset": bins.offset, "spacing": bins.spacing}
+
+
+def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[dict[str, Any]]:
+    """Return images with their distances."""
+    full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
+    bits = 16 if full > _WIDE * white else 8
+    return [
+        {"distance": _plain(distance), "method": method, "picture": encode(image, bits, full)}
+        for distance, image, method in planes
+    ]
+
+
+def _plane_facts(planes: list[tuple[float, np.ndarray, str]]) -> list[tuple[str, str]]:
+    image = planes[0][1]
+    methods = ", ".join(sorted({method for _, _, method in planes}))
+    return [("Images of the stack", f"{len(planes)} of {image.shape[1]} x {image.shape[0]} bins ({methods})")]
+
+
+def _depth(found: xr.Dataset) -> dict[str, Any]:
+    """Return a depth map as inverse distances, unknown where the depth is hardly sure."""
+    depth = np.asarray(found["depth"], dtype=np.float64)
+    inverse = np.where(np.asarray(found["confidence"]) > _SURE, 1 / depth, np.nan)
+    known = inverse[np.isfinite(inverse)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    return {"picture": encode(inverse, 16, high or 1.0), "low": low, "high": high}
+
+
+def _plain(distance: Any) -> Any:
+    """Write distances for JSON: what is infinite as a text, what is unknown as None."""
+    values = [
+        None if math.isnan(value) else "inf" if math.isinf(value) else float(f"{value:.6g}")
+        for value in np.atleast_1d(distance).tolist()
+    ]
+    return values if np.ndim(distance) else values[0]

@@ -1,0 +1,117 @@
+"""Files for the viewer: which of its sources a file holds, by its suffix and, of OpenEXR, by the kind in its header."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, naming, refuse_if, require_number
+from ...io.captures import read_capture
+from ...io.exr import read_attributes, read_exr, read_exr_parts
+from ...io.pictures import read_picture
+from ...views.light_field_files import open_light_field
+from .viewer import Recording, decoded
+
+
+def read_source(
+    path: str | Path,
+    *,
+    white: str | Path | None = None,
+    views: int | None = None,
+    linear: bool = False,
+    camera: PlenopticCamera | None = None,
+) -> Recording | xr.DataArray | xr.Dataset:
+    """Read a source of the viewer.
+
+    Parameters
+    ----------
+    path : path
+        ``.exr``: a capture, a focal stack, a reconstruction or a depth map of this package. Other suffixes: what
+        `open_light_field` reads.
+    white, views, linear, camera
+        As for `open_light_field`; of no use for what was computed of a light field.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or holds something else.
+    """
+    path = Path(path)
+    kind = read_attributes(path).get("kind") if path.suffix.lower() == ".exr" else None
+    if isinstance(kind, str) and kind in _COMPUTED:
+        with naming(path):
+            return _COMPUTED[kind](path)
+    if path.suffix.lower() == ".exr":
+        capture = read_capture(path)
+        capture = capture if camera is None else replace(capture, camera=camera)
+        lens = capture.camera.lens_data
+        if not lens.is_thin and not lens.images_stop and views is None:
+            lf = decoded(capture, None if white is None else _white(white, linear))
+            return Recording.of(capture, path.stem, lf)
+    lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
+    if path.suffix.lower() == ".exr":
+        return Recording.of(capture, path.stem, lf)
+    # Raw pictures were decoded; of mosaics and light fields there is no raw picture.
+    raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and path.suffix.lower() in _PICTURES else None
+    return Recording(path.stem, lf, raw)
+
+
+_PICTURES = (".png", ".tif", ".tiff")
+
+
+def _white(path: str | Path, linear: bool) -> np.ndarray:
+    """Read a white image."""
+    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
+
+
+def _stack(path: Path) -> xr.DataArray:
+    """Read a focal stack that `write_stack` wrote."""
+    parts, attributes = read_exr_parts(path)
+    distances = attributes.get("coordinates", {}).get("distance")
+    if not isinstance(distances, list) or len(distances) != len(parts):
+        raise InputError("its header does not state the distance of each image")
+    return _planes([_image(part) for part in parts.values()], distances, "shifted views")
+
+
+def _reconstruction(path: Path) -> xr.DataArray:
+    """Read a reconstruction that `write_reconstruction` wrote as a stack of one image."""
+    image, _, attributes = read_exr(path)
+    return _planes([image], [attributes.get("distance")], str(attributes.get("method", "reconstruction")))
+
+
+def _planes(images: list[np.ndarray], distances: list[Any], method: str) -> xr.DataArray:
+    """Return images as a focal stack."""
+    values = [require_number("distance", value, positive=True, finite=False) for value in distances]
+    refuse_if(len({image.shape for image in images}) > 1, "all of its images must be of one size")
+    dims = ("distance", "t", "s", "c")[: 1 + images[0].ndim]
+    return xr.DataArray(np.stack(images), dims=dims, coords={"distance": values}, attrs={"method": method})
+
+
+def _depth(path: Path) -> xr.Dataset:
+    """Read a depth map that `write_depth` wrote."""
+    parts, _ = read_exr_parts(path)
+    for name in ("depth", "confidence", "image"):
+        refuse_if(name not in parts, f"it has no part {name}")
+    images = {name: _image(parts[name]) for name in ("depth", "confidence", "image")}
+    return xr.Dataset({name: (("t", "s", "c")[: image.ndim], image) for name, image in images.items()})
+
+
+def _image(channels: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the image of a part, whose channels are Y, or R, G and B."""
+    for names in (("Y",), ("R", "G", "B")):
+        if set(channels) == set(names):
+            return channels["Y"] if names == ("Y",) else np.stack([channels[name] for name in names], axis=-1)
+    raise InputError(f"it has the channels {', '.join(channels)} instead of Y or R, G, B")
+
+
+_COMPUTED: dict[str, Callable[[Path], xr.DataArray | xr.Dataset]] = {
+    "focal stack": _stack,
+    "reconstruction": _reconstruction,
+    "depth": _depth,
+}

@@ -1,0 +1,8 @@
+"""Extension `wavefront`: wavefronts from captures, and elements of HCIPy.
+
+Searches need the extension `inverse`.
+"""
+
+from ...extension import Extension
+
+EXTENSION = Extension(modules={"wavefront": "wavefront", "hcipy": "hcipy"})

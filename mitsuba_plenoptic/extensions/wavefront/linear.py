@@ -1,0 +1,146 @@
+r"""Linear estimates of Zernike terms from the pixels of a capture, by the interaction matrix of the wave model.
+
+Near a reference wavefront a capture of known points that counts N photons is
+
+.. math:: y = N (r + J a) + n
+
+with the reference r and the interaction matrix J, whose columns are the derivatives of the capture by the terms a. The
+photon noise n has the variance N r. The estimate minimises
+
+.. math:: \sum_p \frac{(y_p / N - r_p - (J a)_p)^2}{r_p / N} + \sum_j \frac{a_j^2}{\sigma_j^2}
+
+(Tikhonov; the maximum a posteriori for terms of the standard deviations sigma), or its first sum alone over the
+directions that the pixels determine best (truncated singular values). It holds for changes of about a tenth of a wave;
+`fit_wavefronts` has no such limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
+from ...io.captures import as_array, require_pixels
+from ...light.optical_system import OpticalSystem
+from ...points.operator import CaptureOperator
+from ...points.units import brightness_at
+from .zone_search import Zone
+
+Array = NDArray[np.float64]
+
+_LEAST_COUNT = 1.0
+"""Photons at least that are expected in a pixel when it is weighted, as in fits."""
+
+
+@dataclass(frozen=True)
+class InteractionMatrix:
+    """The capture of known points, and its derivatives by Zernike terms.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, with the reference wavefront.
+    reference : float64 array (rows, columns)
+        Its capture, with a sum of 1.
+    responses : float64 array (modes - 1, rows, columns)
+        Derivatives of the capture, by the second Zernike term and those that follow.
+    """
+
+    camera: PlenopticCamera
+    reference: Array
+    responses: Array
+
+    @classmethod
+    @suggest_keywords
+    def of(
+        cls,
+        camera: PlenopticCamera,
+        zone: Zone,
+        *,
+        modes: int = 36,
+        wavelength: float = 633.0,
+        accuracy: float = 0.01,
+    ) -> InteractionMatrix:
+        """Compute the matrix of a camera for known points.
+
+        Parameters
+        ----------
+        camera : PlenopticCamera
+            The camera; its ``wavefront`` is the reference.
+        zone : Zone
+            The points.
+        modes : int
+            Number of Zernike terms, the piston included, which is not estimated; from 2 to 36.
+        wavelength : float
+            In nanometres.
+        accuracy : float
+            As for `CaptureOperator`.
+
+        Raises
+        ------
+        InputError
+            If an input has a wrong value, the detector records no light of the zone, or captures of the camera have
+            no derivatives.
+        """
+        count = require_count("modes", modes, minimum=2, maximum=36)
+        wavelength = require_wavelength(wavelength)
+        if not isinstance(zone, Zone):
+            raise InputError(f"zone of type {type(zone).__name__}: it must be a Zone")
+        operator = CaptureOperator(camera, zone.points, wavelength=wavelength, accuracy=require_accuracy(accuracy))
+        system = OpticalSystem(operator.camera.at_wavelength(wavelength), wavelength)
+        weights = zone.weights * brightness_at(system, zone.points)
+        image = np.asarray(operator.forward(weights), np.float64)
+        refuse_if(not image.sum() > 0, "zone: the detector records no light of it")
+        directions = [{"wavefront": term} for term in np.eye(count)[1:]]
+        responses = np.asarray(operator.jacobian(weights, directions), np.float64)
+        return cls(camera, image / image.sum(), responses / image.sum())
+
+    def estimate(self, image: Any, *, prior: Any = None, rank: int | None = None) -> Array:
+        """Estimate the terms by which the wavefront of a capture differs from the reference.
+
+        Parameters
+        ----------
+        image : array (rows, columns)
+            Capture in counted electrons; its sum is taken for the number N.
+        prior : float or array (modes - 1,), optional
+            Expected standard deviation of each term, in waves. Default: unknown.
+        rank : int, optional
+            Number of directions of the terms that are estimated, those that the pixels determine best. The others stay
+            0. Default: all.
+
+        Returns
+        -------
+        float64 array (modes,)
+            The terms in the unit and order of the camera's ``wavefront``.
+
+        Raises
+        ------
+        InputError
+            If an input has a wrong shape or value, or both `prior` and `rank` are given.
+        """
+        seen = np.asarray(as_array("image", image), np.float64)
+        refuse_if(
+            seen.shape != self.reference.shape, f"image of shape {seen.shape}: the matrix is of {self.reference.shape}"
+        )
+        require_pixels("image", seen)
+        photons = float(seen.sum())
+        refuse_if(photons <= 0, "image: it is black: nothing can be found by it")
+        refuse_if(prior is not None and rank is not None, "prior, rank: give one of the two")
+        count = len(self.responses)
+        weight = photons / np.sqrt(np.maximum(photons * self.reference, _LEAST_COUNT))
+        rows = (self.responses * weight).reshape(count, -1).T
+        misfit = ((seen / photons - self.reference) * weight).ravel()
+        left, singular, right = np.linalg.svd(rows, full_matrices=False)
+        if prior is None:
+            kept = require_count("rank", count if rank is None else rank, maximum=count)
+            found = right[:kept].T @ (left.T[:kept] @ misfit / singular[:kept])
+        else:
+            deviation = np.asarray(as_array("prior", prior), np.float64)
+            if deviation.shape not in ((), (count,)) or not (np.isfinite(deviation) & (deviation > 0)).all():
+                raise InputError(f"prior of shape {deviation.shape}: it must be positive, one or {count} numbers")
+            found = np.linalg.solve(rows.T @ rows + np.diag(np.ones(count) / deviation**2), rows.T @ misfit)
+        return np.concatenate([[0.0], found])

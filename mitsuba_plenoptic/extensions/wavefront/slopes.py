@@ -1,0 +1,239 @@
+r"""Slopes of a wavefront over the pupil, measured in captures of a point source, and the Zernike terms that fit them.
+
+An aberration W bends the ray from the pupil point P by its slope, so that it arrives on the microlens array
+
+.. math:: \Delta m = b \, \nabla W(P)
+
+from the image of the point. Behind an array in focus each lens shows the pupil, so that a pixel stands for a pair of a
+lens and a pupil point: the centroid of the lenses that are lit from a pupil point is the slope there (Clare and Lane,
+"Wave-front sensing from subdivision of the focal plane with a lenslet array", J. Opt. Soc. Am. A 22, 2005). Behind an
+array in the pupil's image (Shack-Hartmann) the lens stands for a square of the pupil, and the place of its spot is the
+mean slope there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
+from ...io.captures import as_array, require_pixels
+from ...lenses.common import main_lens
+from ...lenses.thin import Wavefront
+from ...light.sampling import check_positions
+from ...optics import rays
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Slopes of a wavefront at points of the pupil.
+
+    Attributes
+    ----------
+    pupil : float64 array (n, 2)
+        Points of the pupil, x and y in millimetres.
+    slope : float64 array (n, 2)
+        Derivatives of the path along x and y, in millimetres per millimetre.
+    light : float64 array (n,)
+        Light that each slope was measured with, in the unit of the capture.
+    width : float
+        Side, in millimetres, of the square about each point over which the slope is the mean; 0 for slopes at points.
+    """
+
+    pupil: Array
+    slope: Array
+    light: Array
+    width: float = 0.0
+
+
+def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
+    """Measure slopes in the views of a capture: for each pupil point the centroid of the lenses lit from there.
+
+    The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where it stays
+    within one, and coarse pixels make them some percent too small. They serve as a start for `fit_wavefronts`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A camera with a thin main lens and its array in focus.
+    image : array (rows, columns)
+        Capture of a point source; negative pixels, which noise makes, count as dark.
+    point : (X, Y, g)
+        The point source in the camera frame, in millimetres.
+
+    Returns
+    -------
+    Slopes
+        At pupil points about one pixel of a micro-image apart.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value, or the capture is black.
+    """
+    camera.require_thin("slopes of views are measured", "use an InteractionMatrix")
+    seen = _known_image(image, camera)
+    place = main_lens(camera).images(check_positions([point], camera))[0]
+    lens, pupil = lenses_of_pixels(camera)
+    inside = np.hypot(pupil[..., 0], pupil[..., 1]) <= camera.aperture_radius
+    light, moved = seen[inside], (lens - place)[inside] / camera.mla_distance
+    refuse_if(not light.any(), "image: it is black where the pupil is seen: nothing can be found by it")
+    # Views as far apart as pixels, which are not at the same pupil points behind all lenses.
+    cells, index = np.unique(np.rint(pupil[inside] / camera.pupil_step), axis=0, return_inverse=True)
+    total = np.bincount(index, light, len(cells)).astype(np.float64)
+    lit = total > 0
+    both = np.hstack([pupil[inside], moved])
+    means = np.stack([np.bincount(index, light * part, len(cells)) for part in both.T], -1)[lit] / total[lit, None]
+    return Slopes(means[:, :2], means[:, 2:], total[lit])
+
+
+def spot_slopes(
+    image: Any, *, pixels_per_lens: int, pixel_size: float, focal_length: float, magnification: float = 1.0
+) -> Slopes:
+    """Measure slopes in a capture of a Shack-Hartmann sensor: the place of each lens's spot.
+
+    From the phase of the first Fourier coefficient of the lens's pixels, to which even light adds nothing. Centroids
+    read some percent too little, as the borders of cells cut the tails of spots off; of two pixels a lens they are
+    taken.
+
+    Parameters
+    ----------
+    image : array (rows, columns)
+        Capture of a point source; negative pixels count as dark.
+    pixels_per_lens : int
+        Rows and columns of pixels behind a lens, which divide those of the image; x and y grow with column and row.
+    pixel_size : float
+        In millimetres.
+    focal_length : float
+        Distance from the lenses to the detector, in millimetres.
+    magnification : float
+        Size of the pupil's image on the lenses over that of the pupil; negative where the image is upside down, as
+        behind a `Collimator`: -0.32 for the preset ``shack_hartmann``.
+
+    Returns
+    -------
+    Slopes
+        At the centres of the lenses that are lit, in the pupil, as means over lenses.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value, or the capture is black.
+    """
+    seen = _known_image(image)
+    n, size = require_count("pixels_per_lens", pixels_per_lens), require_length("pixel_size", pixel_size)
+    rows, columns = seen.shape
+    refuse_if(
+        bool(rows % n or columns % n), f"image of shape {seen.shape}: its sides must be multiples of {n} pixels a lens"
+    )
+    growth = require_number("magnification", magnification)
+    refuse_if(not SHORTEST <= abs(growth) <= LONGEST, f"magnification = {growth:g}: it must be a ratio other than 0")
+    spots = seen.reshape(rows // n, n, columns // n, n)
+    light = spots.sum((1, 3))
+    refuse_if(not light.any(), "image: it is black: nothing can be found by it")
+    lit = light > 0
+    if n < _LEAST_PIXELS:
+        offset = (np.arange(n) - (n - 1) / 2) * size
+        moved = _sums(spots, offset)[lit] / light[lit, None]
+    else:
+        turn = 2 * np.pi / n
+        moved = np.angle(_sums(spots, np.exp(1j * turn * (np.arange(n) - (n - 1) / 2))))[lit] * (size / turn)
+    centre = [(np.arange(count) - (count - 1) / 2) * n * size / growth for count in (columns // n, rows // n)]
+    lenses = np.stack(np.meshgrid(*centre), -1)
+    bend = growth / require_length("focal_length", focal_length)
+    return Slopes(lenses[lit], moved * bend, light[lit], abs(n * size / growth))
+
+
+_LEAST_PIXELS = 3
+"""Pixels along a lens from which on the phase of their first Fourier coefficient tells a place."""
+
+
+def _sums(spots: Array, factors: NDArray[Any]) -> NDArray[Any]:
+    """Return (rows, columns, 2) the sums of lenses' pixels times factors by the column, and by the row."""
+    return np.stack([np.einsum("imjn,n->ij", spots, factors), np.einsum("imjn,m->ij", spots, factors)], -1)
+
+
+def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Array:
+    """Fit Zernike terms to slopes by least squares, each slope weighted by its light.
+
+    Slopes that are means over squares count as means over the part of the square in the pupil; squares outside do not
+    count.
+
+    Parameters
+    ----------
+    slopes : Slopes
+        Slopes at points of the pupil.
+    radius : float
+        Radius of the pupil in millimetres.
+    modes : int
+        Number of terms, piston included, which stays 0.
+
+    Returns
+    -------
+    float64 array (modes,)
+        Coefficients in the unit and order of the camera's ``wavefront``.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range, or there are fewer slopes than terms.
+    """
+    count = require_count("modes", modes, minimum=2)
+    if slopes.slope.size < count:
+        raise InputError(f"modes = {count}: {slopes.slope.size} slopes cannot determine them")
+    known = all(np.isfinite(part).all() for part in (slopes.pupil, slopes.slope, slopes.light))
+    refuse_if(not (known and np.any(slopes.light > 0)), "slopes: they must be finite, and have some light")
+    rows, seen = _mean_slopes(slopes, require_length("radius", radius), count)
+    weight = np.sqrt(slopes.light * seen)
+    found, *_ = np.linalg.lstsq(
+        (rows * weight[:, None]).reshape(count - 1, -1).T, (slopes.slope * weight[:, None]).ravel(), rcond=None
+    )
+    return np.concatenate([[0.0], found])
+
+
+_POINTS = 16
+"""Points along a square over which slopes of terms are averaged."""
+
+
+def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the slopes of the terms as `slopes` states them, and which of its squares are in the pupil."""
+    if slopes.width == 0:
+        return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
+    step = ((np.arange(_POINTS) + 0.5) / _POINTS - 0.5) * slopes.width
+    points = slopes.pupil[:, None] + np.stack(np.meshgrid(step, step), -1).reshape(-1, 2)
+    inside = np.hypot(points[..., 0], points[..., 1]) <= radius
+    share = inside / np.maximum(inside.sum(1), 1)[:, None]
+    terms = mode_slopes(points.reshape(-1, 2), radius, modes).reshape(modes - 1, *points.shape)
+    return np.einsum("klsd,ls->kld", terms, share), np.asarray(inside.any(1))
+
+
+def mode_slopes(pupil: Array, radius: float, modes: int) -> Array:
+    """Return the slopes (modes - 1, n, 2) of each Zernike term but the piston, of one unit, at points of the pupil."""
+    x, y = pupil.T
+    terms = np.eye(modes)[1:]
+    return np.stack([np.stack(np.broadcast_arrays(*Wavefront(term, radius).slope(x, y)), -1) for term in terms])
+
+
+def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
+    """Return (rows, columns, 2) the centre of each pixel's lens, and the pupil point that it sees through it."""
+    b, z = camera.mla_distance, camera.reduced_distance
+    detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
+    chief = rays.chief_point(detector, b, z)
+    lens = np.stack(camera.lattice.centre(*camera.lattice.cell(chief[..., 0], chief[..., 1])), -1)
+    return lens, lens + (lens - detector) * (b / z)
+
+
+def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Array:
+    """Return a capture of one channel without negative pixels, or refuse it."""
+    seen = np.asarray(as_array("image", image), np.float64)
+    refuse_if(seen.ndim != 2, f"image of shape {seen.shape}: wavefronts are measured in images of one channel")
+    require_pixels("image", seen)
+    if camera is not None:
+        refuse_if(seen.shape != camera.shape, f"image of shape {seen.shape}: the camera records {camera.shape}")
+    return np.maximum(seen, 0)

@@ -1,0 +1,199 @@
+"""Ground truth: what the rays of a capture and of its views meet, in a file next to the capture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, naming, refuse_if, require_choice, short_repr
+from .exr import read_exr_parts, write_exr_parts
+
+QUANTITIES = {
+    "depth": "Z",
+    "virtual_depth": "Z",
+    "position": "XYZ",
+    "normal": "XYZ",
+    "albedo": "RGB",
+    "shape_index": "I",
+}
+"""Quantities of the point that a ray meets, with their channels."""
+
+SUFFIX = ".truth.exr"
+"""Suffix that replaces a capture's ``.exr``."""
+
+NAME = "ground_truth"
+"""Key of the file in the metadata of its capture."""
+
+COORDINATES = {
+    f"{name}.{letter}": name if len(letters) == 1 else f"{name}_{letter.lower()}"
+    for name, letters in QUANTITIES.items()
+    for letter in letters
+}
+"""Names of the channels in light fields."""
+
+_PIXELS, _VIEWS = "capture", "views"
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """The surfaces that the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
+
+    ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres: infinite
+    where a ray meets nothing. ``virtual_depth`` is greater in plane mirrors, where it is the distance of the mirror
+    image, about which views agree, and the same elsewhere. ``position`` and ``normal`` (of shading) are in the world's
+    frame, ``albedo`` is the diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is an integer,
+    0 where nothing is met. Where the main lens lets no such ray through, all but the index are NaN. None is an average:
+    each is of one ray.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    pixels : dict
+        Arrays (rows, columns[, 3]) by quantity, float32: of the ray from the middle of each pixel through the centre
+        of its lens.
+    views : dict
+        Arrays (v, u, t, s[, 3]) by quantity: of the rays that the samples of the decoded light field stand for, from
+        their point on the pupil, as by a ``perspective`` camera there.
+    shapes : tuple of str
+        Names of the scene's shapes, the first that of index 1.
+    to_world : (4, 4) float64 array
+        The camera's transform.
+    """
+
+    camera: PlenopticCamera
+    pixels: dict[str, np.ndarray]
+    views: dict[str, np.ndarray]
+    shapes: tuple[str, ...]
+    to_world: np.ndarray
+
+
+def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
+    """Return quantities by their names, each once."""
+    found = tuple(dict.fromkeys(names))
+    for name in found:
+        require_choice("aov", name, QUANTITIES)
+    refuse_if(not found, f"aov: name at least one of {', '.join(QUANTITIES)}")
+    return found
+
+
+def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of quantities by channel, such as ``normal.X``, without the axis of the three."""
+    return {
+        f"{name}.{letter}": array[..., index] if len(letters) > 1 else array
+        for name, array in values.items()
+        for letters in (QUANTITIES[name],)
+        for index, letter in enumerate(letters)
+    }
+
+
+def truth_path(capture: Path) -> Path:
+    """Return the path of a capture's ground truth."""
+    return capture.with_name(capture.name.removesuffix(capture.suffix) + SUFFIX)
+
+
+def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
+    """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, laid side by side.
+
+    Their channels are depth.Z, virtual_depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and
+    shape_index.I. The views lie as `views.view_mosaic` lays them.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    truth : GroundTruth
+        What to write.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    sizes = next(iter(truth.views.values())).shape[:4]
+    v, u, t, s = sizes
+    views = {name: plane.swapaxes(1, 2).reshape(v * t, u * s) for name, plane in channel_planes(truth.views).items()}
+    attributes = {
+        "kind": "ground truth",
+        "camera": truth.camera.to_dict(),
+        "views": sizes,
+        "shapes": truth.shapes,
+        "to_world": truth.to_world.tolist(),
+    }
+    write_exr_parts(path, {_PIXELS: channel_planes(truth.pixels), _VIEWS: views}, attributes)
+
+
+def read_ground_truth(path: str | Path) -> GroundTruth:
+    """Read what `write_ground_truth` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, or is something else.
+    """
+    parts, attributes = read_exr_parts(path)
+    with naming(path):
+        refuse_if(
+            attributes.get("kind") != "ground truth",
+            f"it holds a {short_repr(attributes.get('kind'))}, not ground truth",
+        )
+        camera = PlenopticCamera.from_dict(attributes.get("camera", {}))
+        refuse_if(
+            set(parts) != {_PIXELS, _VIEWS},
+            f"its parts are {short_repr(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}",
+        )
+        sizes = attributes.get("views")
+        if not isinstance(sizes, list) or len(sizes) != 4 or not all(isinstance(n, int) and n > 0 for n in sizes):
+            raise InputError(f"views = {short_repr(sizes)}: they must be four numbers")
+        v, u, t, s = sizes
+        for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
+            for plane in parts[part].values():
+                refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
+        shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
+        if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
+            raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
+        pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
+        views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
+        return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
+
+
+def _matrix(value: Any) -> np.ndarray:
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    refuse_if(
+        matrix.shape != (4, 4) or not np.isfinite(matrix).all(),
+        f"to_world = {short_repr(value)}: it must be 4 x 4 numbers",
+    )
+    return matrix
+
+
+def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
+    """Undo `channel_planes`, for a scene of `shapes` shapes."""
+    names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
+    keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
+    refuse_if(
+        not names or set().union(*keys.values()) != set(planes),
+        f"its channels are {short_repr(sorted(planes))}: they must be whole quantities",
+    )
+    found = {
+        name: np.stack([planes[key] for key in of_name], axis=-1) if len(of_name) > 1 else planes[of_name[0]]
+        for name, of_name in keys.items()
+    }
+    index = found.get("shape_index")
+    refuse_if(
+        index is not None and not np.isin(index, np.arange(shapes + 1)).all(),
+        f"its shape_index is not always a whole number from 0 to {shapes}",
+    )
+    return found

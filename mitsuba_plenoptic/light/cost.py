@@ -1,0 +1,15 @@
+"""The cost of a capture, as estimates state it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost of a capture."""
+
+    points: int  # number of points whose light reaches the recorded window; 0 if not determined
+    patterns: int  # number of point spreads that are computed for them
+    seconds: float  # time, extrapolated from a few point spreads on this machine
+    memory: float  # largest memory in bytes

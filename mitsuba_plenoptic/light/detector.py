@@ -1,0 +1,239 @@
+"""An image sensor's effect on a noise-free capture: photon noise, dark noise, saturation and digital numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import (
+    InputError,
+    put,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_number,
+    short_repr,
+    suggest_keywords,
+)
+from ..io.captures import Capture, recording_of
+
+# Bounds of what is counted or multiplied, so that no product leaves what a float holds.
+_SMALLEST, _LARGEST = 1e-9, 1e9
+
+# Values of the image that are exposed at once, at most.
+_CHUNK = 2**22
+
+
+@suggest_keywords
+@dataclass(frozen=True)
+class Detector:
+    r"""A linear image sensor after EMVA Standard 1288, Release 4.0 Linear.
+
+    In a pixel that :math:`\mu_p` photons hit on average, a Poisson-distributed number of electrons of mean
+    :math:`\mu_e = \eta \mu_p + \mu_d` is freed, at most the full well; reading adds normal noise of standard deviation
+    :math:`\sigma_d`; the digital number is :math:`y = K e` plus the black level, rounded, between 0 and
+    :math:`2^{bits} - 1`. Below saturation its mean is :math:`K \mu_e` plus the black level,
+    within 0.003, and its variance :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`, within 0.03, where
+    :math:`K \sigma_d \geq 1/2` and the black level keeps the noise above 0. With less read noise the steps of the
+    digital numbers show: the mean is off by up to half a number, and the 1/12 does not hold.
+
+    The defaults are about those of a CMOS sensor with pixels of 2 micrometres. Every channel of a colour capture is
+    exposed as a sensor of its own, or, with a `mosaic`, each pixel records one of the three. There is no non-uniformity
+    from pixel to pixel.
+
+    Parameters
+    ----------
+    quantum_efficiency : float
+        Fraction :math:`\eta` of photons that free an electron, 1e-9 to 1.
+    full_well : float
+        Electrons at which a pixel saturates, 1 to 1e9. The next two parameters are at most 1e9, too.
+    dark_electrons : float
+        Mean number :math:`\mu_d` of electrons that come without light during the exposure.
+    read_noise : float
+        Standard deviation :math:`\sigma_d` of the dark signal of a very short exposure, in electrons.
+    bits : int
+        Bits of a digital number, 1 to 16.
+    gain : float, optional
+        Digital numbers per electron, K, at least 1e-9. Default: the full well is the largest number.
+    black_level : int, optional
+        Digital number without any electron. Default: four standard deviations of the dark noise, so that it is not
+        cut off.
+    mosaic : {"RGGB", "GRBG", "GBRG", "BGGR", "QUAD_RGGB", "QUAD_GRBG", "QUAD_GBRG", "QUAD_BGGR"}, optional
+        Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
+        it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
+        Default: none.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    quantum_efficiency: float = 0.6
+    full_well: float = 8000.0
+    dark_electrons: float = 0.0
+    read_noise: float = 2.5
+    bits: int = 12
+    gain: float | None = None
+    black_level: int | None = None
+    mosaic: str | None = None
+
+    def __post_init__(self) -> None:
+        put(
+            self,
+            quantum_efficiency=_positive("quantum_efficiency", self.quantum_efficiency, maximum=1),
+            full_well=require_number("full_well", self.full_well, minimum=1, maximum=_LARGEST),
+            dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
+            read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
+            bits=require_count("bits", self.bits, maximum=16),
+        )
+        top, black = 2**self.bits - 1, self.black_level
+        if black is None:
+            noise = math.hypot(self.read_noise, math.sqrt(self.dark_electrons))
+            scale = top / self.full_well if self.gain is None else _positive("gain", self.gain)
+            black = min(math.ceil(4 * scale * noise), top // 2)
+        black = require_count("black_level", black, minimum=0, maximum=top - 1)
+        gain = (top - black) / self.full_well if self.gain is None else self.gain
+        put(self, black_level=black, gain=_positive("gain", gain))
+        if self.mosaic is not None:
+            require_choice("mosaic", self.mosaic, ALL_MOSAICS)
+
+    def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        """Expose pixels that are hit by a given mean number of photons.
+
+        Parameters
+        ----------
+        photons : array
+            Mean number of photons in each pixel, not negative.
+        generator : numpy.random.Generator
+            Source of the noise.
+
+        Returns
+        -------
+        uint16 array of the same shape
+        """
+        return self._exposed(photons, generator)[0]
+
+    def _exposed(self, photons: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return the digital numbers, and which pixels have a full well or the largest number."""
+        assert self.gain is not None and self.black_level is not None
+        # Far beyond saturation the number of electrons does not matter, but would overflow.
+        mean = np.minimum(self.quantum_efficiency * photons + self.dark_electrons, 100 * self.full_well + 1e4)
+        electrons = np.minimum(generator.poisson(mean), self.full_well)
+        read = electrons + generator.normal(0, self.read_noise, electrons.shape)
+        largest = 2**self.bits - 1
+        numbers = np.clip(np.round(self.gain * read + self.black_level), 0, largest).astype(np.uint16)
+        return numbers, (electrons >= self.full_well) | (numbers == largest)
+
+
+def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
+    return require_number(name, value, positive=True, minimum=_SMALLEST, maximum=maximum)
+
+
+@suggest_keywords
+def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
+    """Record a noise-free capture with a real detector.
+
+    The result is in units of the capture again: digital numbers less black level and dark signal, over gain, quantum
+    efficiency and photons. So everything that takes a capture takes it, and shows the effect of noise. Below
+    saturation its mean is that of the capture, if the read noise is half a digital number or more. With less, as for
+    few bits and a large full well, rounding displaces the mean by up to half a number, which is
+    ``0.5 / (gain * quantum_efficiency * photons)`` in units of the capture.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture; values below 0, which interpolation may leave, count as dark.
+    detector : Detector
+        The image sensor.
+    photons : float
+        Photons that hit a pixel of value 1 during the exposure, 1e-9 to 1e9.
+    seed : int
+        Seed of the noise; the same seed gives the same image.
+
+    Returns
+    -------
+    Capture
+        With detector, photons and seed in `metadata` under ``exposure``, and there the number of ``saturated_pixels``:
+        those with a full well, or with the largest digital number, in any channel. The noise of the rendering is left
+        out. With a mosaic it has one channel, for `demosaic`, and its metadata the `wavelength` of the colours under
+        ``exposure``.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, the capture has been exposed already, or a mosaic is to record a capture that
+        has not three channels.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> detector = mp.Detector(read_noise=2.5, bits=12)
+    >>> exposed = mp.expose(mp.example("letters-ray"), detector, photons=1000, seed=1)
+    >>> exposed.metadata["exposure"]["saturated_pixels"]
+    0
+    """
+    if not isinstance(capture, Capture) or not isinstance(detector, Detector):
+        raise InputError(f"expose({short_repr(capture)}, {short_repr(detector)}): it takes a Capture and a Detector")
+    photons = _positive("photons", photons)
+    seed = require_count("seed", seed, minimum=0)
+    generator = np.random.default_rng(seed)
+    require_demosaiced(capture)
+    refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
+    image, wavelength = capture.image, capture.wavelength
+    extra: dict[str, Any] = {}
+    if detector.mosaic is not None:
+        refuse_if(
+            image.ndim != 3 or image.shape[2] != 3,
+            f"mosaic = {detector.mosaic}: the capture has 1 channel: filters need three",
+        )
+        image = np.take_along_axis(image, filters(capture.camera, detector.mosaic)[..., None], 2)[..., 0]
+        extra, wavelength = {"wavelength": wavelength}, None
+    assert detector.gain is not None and detector.black_level is not None
+    result, saturated = np.empty_like(image), 0
+    rows = max(1, _CHUNK // (image[0].size))
+    for start in range(0, len(image), rows):
+        part = image[start : start + rows].astype(np.float64)
+        numbers, full = detector._exposed(photons * np.maximum(part, 0), generator)
+        saturated += int(np.count_nonzero(full.reshape(*part.shape[:2], -1).any(axis=2)))
+        electrons = (numbers.astype(np.float64) - detector.black_level) / detector.gain - detector.dark_electrons
+        result[start : start + rows] = electrons / (detector.quantum_efficiency * photons)
+    exposure = {**asdict(detector), "photons": photons, "seed": seed, "saturated_pixels": saturated, **extra}
+    metadata = {**capture.metadata, "exposure": exposure}
+    return replace(capture, image=result, wavelength=wavelength, noise=None, metadata=metadata)
+
+
+MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
+"""Bayer's mosaic and its turns (Bayer 1976, US patent 3971065), by the filters of the first two rows of two pixels."""
+
+
+QUAD = "QUAD_"
+"""Before the name of one of `MOSAICS`: each of its filters covers 2 x 2 pixels."""
+
+ALL_MOSAICS = (*MOSAICS, *(QUAD + mosaic for mosaic in MOSAICS))
+
+
+def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
+    """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
+    tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix(QUAD)]).reshape(2, 2)
+    each = 2 if mosaic.startswith(QUAD) else 1
+    left, top = camera.crop_offset
+    rows, columns = camera.shape
+    return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])
+
+
+def mosaic_of(capture: Capture) -> str | None:
+    """Return the mosaic that a capture was recorded through and still has, None if it has none."""
+    mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
+    return mosaic if mosaic in ALL_MOSAICS else None
+
+
+def require_demosaiced(capture: Capture) -> None:
+    """Refuse a capture that is a mosaic of colours, for work that treats all pixels alike."""
+    mosaic = mosaic_of(capture)
+    refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

@@ -1,0 +1,249 @@
+r"""Irregular arrays: microlenses with individual displacements and focal lengths, tilted arrays, shifts to chief rays.
+
+The lens with the indices (i, j) is displaced along x and y, and its focal length is scaled, by normal deviates. These
+depend only on the indices and a seed, so that a lens is the same in all computations. Deviates are clipped at three
+standard deviations.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..camera.entry import one_if_equal
+from ..errors import InputError
+from ..lenses.main_lens import Pair
+from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
+
+MOST_DEVIATIONS = 3.0
+"""Standard deviations at which deviates are clipped."""
+
+
+def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
+    """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
+    place, focal = camera.mla_jitter
+    x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
+    return place * x, place * y, 1 + focal * f
+
+
+def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
+    """Return the displacement of lenses towards the axis, to which `mla_cra` aligns them, from regular positions."""
+    if not camera.mla_cra:
+        return 0.0, 0.0
+    z = camera.detector_distance if detector_distance is None else detector_distance
+    module = dr if dr.is_array_v(x) else np
+    height = module.sqrt(x * x + y * y)
+    angle = sum(
+        math.radians(angles[1] - angles[0]) * module.clip((height - low) / (high - low), 0, 1)
+        for (low, high), angles in zip(
+            itertools.pairwise(camera.mla_cra[::2]), itertools.pairwise(camera.mla_cra[1::2]), strict=True
+        )
+    )
+    # Snell's law at the border of the medium behind the lenses.
+    sine = module.sin(angle) / camera.mla_medium
+    scale = -z * sine / module.sqrt(1 - sine * sine) / module.maximum(height, 1e-9)
+    return scale * x, scale * y
+
+
+_PLACES = 33
+"""Places across a crop at which shifts to chief rays are fitted."""
+
+
+def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted ones above the recorded pixels.
+
+    What knows regular arrays alone, as point spreads and reconstructions do, takes this one. Its `mla_pitch` and
+    `mla_offset` have the smallest mean square of the distance from the lenses.
+    """
+    if not camera.mla_cra:
+        return camera
+    edges = (camera.pixel_coordinates(axis)[[0, -1]] + 0.5 * camera.pixel_size * np.array([-1, 1]) for axis in (0, 1))
+    place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
+    shift = np.stack(chief_ray_shift(camera, *place))
+    middle, moved = place.mean((1, 2)), shift.mean((1, 2))
+    about = place - middle[:, None, None]
+    stretch = 1 + (about * shift).sum() / (about**2).sum()
+    return camera.replace(
+        mla_cra=(),
+        mla_pitch=one_if_equal(tuple((stretch * np.array(camera.mla_pitches)).tolist())),
+        mla_offset=tuple((stretch * (np.array(camera.mla_offset) - middle) + middle + moved).tolist()),
+    )
+
+
+def _words(index: Any) -> Any:
+    """Return indices as 32-bit integers, modulo 2^32."""
+    if not dr.is_array_v(index):
+        return np.asarray(index, np.int64).astype(np.uint32)
+    return dr.uint32_array_t(type(index))(dr.int32_array_t(type(index))(index))
+
+
+def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
+    """Return a normal deviate by the method of Box and Muller (1958), clipped at `MOST_DEVIATIONS`."""
+    first, second = (_uniform(i, j, 2 * number + part, seed) for part in (0, 1))
+    if dr.is_array_v(first):
+        value = dr.sqrt(-2 * dr.log(first)) * dr.cos(2 * math.pi * second)
+        return dr.clip(value, -MOST_DEVIATIONS, MOST_DEVIATIONS)
+    return np.clip(np.sqrt(-2 * np.log(first)) * np.cos(2 * math.pi * second), -MOST_DEVIATIONS, MOST_DEVIATIONS)
+
+
+def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
+    """Return values uniformly distributed between 0 and 1, both excluded."""
+    bits = _mix(_mix(_mix(i ^ _mix_int(seed)) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
+    if dr.is_array_v(bits):
+        return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
+    return (bits.astype(np.float64) + 0.5) * 2.0**-23
+
+
+def _mix(word: Any) -> Any:
+    """Return a word each bit of which depends on all given bits (Wellons 2018, "Prospecting for hash functions")."""
+    word = word ^ (word >> 16)
+    word = word * type(word)(0x7FEB352D) if dr.is_array_v(word) else word * np.uint32(0x7FEB352D)
+    word = word ^ (word >> 15)
+    word = word * type(word)(0x846CA68B) if dr.is_array_v(word) else word * np.uint32(0x846CA68B)
+    return word ^ (word >> 16)
+
+
+def _mix_int(word: int) -> int:
+    """Return `_mix` of one integer."""
+    return int(_mix(np.array([word], np.uint32))[0])
+
+
+_STEP = 0.4
+"""Largest phase difference in radians, at a lens's edge, between adjacent kinds; a lens differs by half of it."""
+
+_SHORTEST = 400.0
+"""Wavelength in nanometres for which this phase difference is computed."""
+
+_MOMENT_SAMPLES = 256
+"""Samples across a lens for the moments of its aperture."""
+
+_MOST = 32
+"""Largest number of kinds, each of which has images of its own."""
+
+
+class Kind(NamedTuple):
+    """Microlenses that are treated as equal."""
+
+    # Index of the design focal length of the lens.
+    lens_type: int
+    # Focal length and distance to the detector of these lenses, in millimetres, reduced by the index of the medium.
+    focal_length: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class LensKinds:
+    """The kinds of a camera's microlenses, which are the same for all wavelengths, and the positions of the lenses."""
+
+    camera: PlenopticCamera
+
+    def __post_init__(self) -> None:
+        count = len(self._ratios) * len(self._heights) * len(self.camera.mla_focal_lengths)
+        if count > _MOST:
+            # The error names the parameter that causes more kinds.
+            name = "mla_jitter" if len(self._ratios) > len(self._heights) else "mla_tilt"
+            raise InputError(
+                f"{name} = {getattr(self.camera, name)}: a wave capture would need {count} kinds of microlenses, and "
+                f"takes {_MOST} at most; make it smaller"
+            )
+
+    @cached_property
+    def every(self) -> list[Kind]:
+        """All kinds: the combinations of each height, each focal length factor and each lens type."""
+        camera = self.camera
+        return [
+            Kind(kind, f2 * ratio, camera.reduced_distance + height / camera.mla_medium)
+            for height, ratio, (kind, f2) in itertools.product(
+                self._heights, self._ratios, enumerate(camera.reduced_focal_lengths)
+            )
+        ]
+
+    def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
+        r"""Return the mean factor by which a kind's micro-images are larger than those by rays through lens centres.
+
+        Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
+        of a lens of power n/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium of
+        index n. The brightness falls by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the
+        lenses; the focal length is reduced.
+        """
+        camera = self.camera
+        distance = camera.pupil_distance if mla_distance is None else mla_distance
+        square = (scale * (1 / focal_length - camera.lens_data.converges / distance) / camera.mla_medium) ** 2
+        second, fourth = self._moments
+        return (1 - 2 * second * square + fourth * square * square) ** -0.5
+
+    @cached_property
+    def _moments(self) -> tuple[float, float]:
+        """Means of the second and fourth power of the distance from the centre over the aperture of a lens."""
+        along = drjit_array(mi.Float, (np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
+        x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
+        square = x * x + y * y
+        return float(square.mean()), float((square**2).mean())
+
+    def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
+        """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""
+        x, y = self.camera.lattice.centre(i, j)
+        right, up = chief_ray_shift(self.camera, x, y)
+        x, y = x + right, y + up
+        if self.camera.mla_jitter[0]:
+            right, up, _ = irregularities(self.camera, i, j)
+            x, y = x + right, y + up
+        return (x, y), self.height(x, y)
+
+    def height(self, x: Any, y: Any) -> Any:
+        """Return the distance of a tilted array at a position towards the main lens, relative to the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
+        return x * across + y * up if across or up else 0.0
+
+    def number(self, i: Any, j: Any, height: Any) -> Any:
+        """Return the indices of the kinds of lenses."""
+        camera = self.camera
+        kind = mi.UInt32(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
+        if len(self._ratios) > 1:
+            kind += len(camera.mla_focal_lengths) * _nearest(irregularities(camera, i, j)[2], self._ratios)
+        if len(self._heights) > 1:
+            kind += len(camera.mla_focal_lengths) * len(self._ratios) * _nearest(height, self._heights)
+        return kind
+
+    @property
+    def _phase(self) -> float:
+        """Phase in radians at a lens's edge per unit of wavefront curvature in 1/mm."""
+        return math.pi * float(self.camera.lattice.aperture_reach) ** 2 / in_millimetres(_SHORTEST)
+
+    @cached_property
+    def _ratios(self) -> NDArray[np.float64]:
+        """Factors on the focal lengths."""
+        most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
+        # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
+        return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
+
+    @cached_property
+    def _heights(self) -> NDArray[np.float64]:
+        """Heights of a tilted array."""
+        camera = self.camera
+        most = abs(self.height(camera.detector_width / 2, 0.0)) + abs(self.height(0.0, camera.detector_height / 2))
+        n = camera.mla_medium
+        return _steps(most, _STEP / self._phase * n * (camera.reduced_distance - most / n) ** 2)
+
+
+def _steps(most: float, widest: float) -> NDArray[np.float64]:
+    """Return the centres of equal steps, each at most `widest` wide, from -most to most."""
+    count = max(1, math.ceil(2 * most / widest)) if most else 1
+    return most * ((2 * np.arange(count) + 1) / count - 1)
+
+
+def _nearest(value: Any, steps: Sequence[float] | NDArray[np.float64]) -> Any:
+    """Return the index of the step nearest to each value."""
+    width = float(steps[1] - steps[0])
+    return mi.UInt32(dr.clip(dr.floor((value - float(steps[0])) / width + 0.5), 0, len(steps) - 1))

@@ -1,0 +1,398 @@
+"""Ray and wave captures of scenes, and estimates of the time and memory that they take."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import time
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
+from ..io.captures import MODELS, Capture
+from ..io.checkpoints import Checkpoint
+from ..optics import guards
+from ..runtime.backend import one_at_a_time
+from ..runtime.batches import BatchMap
+from ..runtime.jobs import Job
+from ..runtime.limits import largest_fitting, require_memory
+from .cost import Cost
+from .noise import require_samples
+from .passes import RAYS_PER_PASS, render_passes
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
+from .scene_unit import warn_of_metres
+
+_FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
+
+MOST_SAMPLES = 2**24
+"""Largest count of samples per pixel."""
+
+# Bytes per pixel while a film is rendered: its block of red, green, blue and weight, the developed image, its copy,
+# and the sum of passes, each of up to four single-precision values.
+_PIXEL_BYTES = 4 * 4 * 4
+_RAY_BYTES = 16
+
+
+_OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
+"""Parameters that captures hand on to the integrators."""
+
+
+@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
+@one_at_a_time
+def render_capture(
+    scene: Any,
+    *,
+    sensor: int | Any = 0,
+    model: str | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
+    batch_map: BatchMap | None = None,
+    noise: bool = False,
+    **wave: Any,
+) -> Capture:
+    """Render the capture of a plenoptic camera in a scene.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        A scene with a sensor of type ``plenoptic``.
+    sensor : int or mitsuba.Sensor
+        Index of the sensor in the scene, counted from 0, or a sensor, which need not be in the scene.
+    model : {"ray", "wave"}, optional
+        Model of the light in the camera: ``wave`` makes the scene's integrator the child of a ``plenoptic_wave``,
+        ``ray`` replaces a ``plenoptic_wave`` by its child. Default: that of the scene's integrator.
+    spp : int, optional
+        Samples per pixel, for both models; with method ``points``, points per microlens. Default: the sample count of
+        the sensor's sampler. Ray captures draw them in passes of powers of two, each with a pattern of its own if the
+        sampler has one.
+    seed : int
+        Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process.
+    progress : callable, optional
+        Called with the finished and the total amount of work: samples per pixel or, for wave captures, parts of the
+        detector.
+    checkpoint : Checkpoint, optional
+        For wave captures: intermediate results are saved to its file, and read from there. Ray captures do not take
+        one.
+    batch_map : callable, optional
+        For wave captures: computes the parts of the sums, for example `Cluster`. Default: threads of
+        this process.
+    noise : bool
+        Whether to estimate also the standard deviation of the pixels from seed to seed, as `Capture.noise`. The value
+        of each pixel has a relative error of 18 % or more. The estimate uses the spread of up to 16 passes and needs
+        at least two samples; the image differs from that of a single pass, because the random numbers do. A wave
+        capture on a luminance film in an rgb variant gets the weighted sum of its channels' deviations: an upper bound,
+        which is reached where the channels deviate together, as they do for grey objects.
+    **wave
+        Parameters of ``plenoptic_wave``: ``wavelength``, ``bandwidth``, ``responses``, ``wavelength_count``, ``nodes``,
+        ``method``, ``accuracy``; or of the scene's ``plenoptic_laser``.
+
+    Raises
+    ------
+    InputError
+        If the scene is not of the active variant, has no such sensor or no integrator, a parameter is out of range,
+        the capture would take more memory than is allowed, or a pixel is NaN or infinite.
+    PhysicsError
+        If too much of the light is lost. The fractions that the guards found are in the metadata under ``guards``.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> size = {"detector_width": 0.256, "resolution": 128}
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
+    >>> capture = mp.render_capture(scene, spp=4)  # of a wave capture: model="wave"
+    >>> capture.image.shape, capture.model
+    ((128, 128), 'ray')
+    """
+    chosen = plenoptic_sensor(scene, sensor)
+    camera = PlenopticCamera.from_sensor(chosen)
+    warn_of_metres(scene, chosen)
+    require_film(chosen.film())
+    integrator = chosen_integrator(scene, model, wave)
+    require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
+    spp = sample_count(chosen, spp)
+    seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
+    if noise:
+        require_samples(spp)
+    wavelengths, spectrum = None, None
+    if hasattr(integrator, "wavelengths"):
+        spectrum = integrator.spectrum_of(scene, chosen)
+        wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
+    _require_film_memory(camera, spp)
+    # Two sensors with the same camera must not share a checkpoint.
+    which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
+    metadata = _provenance(scene, integrator, seed=seed, spp=spp, **which)
+    deviation = None
+    with guards.watch() as fractions:
+        if wavelengths is None:
+            guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
+            image, deviation = render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
+        else:
+            if checkpoint:
+                checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
+            job = Job(progress, batch_map, checkpoint)
+            film = integrator.record(scene, chosen, seed=seed, spp=spp, job=job, noise=noise)
+            image = np.array(film.develop())
+            if noise:
+                image, deviation = _split(image, film.base_channels_count())
+    metadata["guards"] = fractions
+    if spectrum is not None:
+        metadata["spectrum"] = {"wavelengths": spectrum.wavelengths, "responses": spectrum.responses}
+    if image.shape[2] == 1:
+        image, deviation = image[..., 0], None if deviation is None else deviation[..., 0]
+    if wavelengths is None:
+        return Capture(image, camera, None, "ray", metadata, deviation)
+    if len(set(wavelengths)) == 1:
+        return Capture(image, camera, wavelengths[0], "wave", metadata, deviation)
+    # A luminance film adds up three wavelengths, so that its capture has no single one.
+    return Capture(image, camera, wavelengths if image.ndim == 3 else None, "wave", metadata, deviation)
+
+
+def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
+    """Return a scene's plenoptic sensor by its index, or the given one; refuse a scene of another variant."""
+    if not isinstance(scene, mi.Scene):
+        raise InputError(
+            f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
+            "which is one for the whole process: load the scene after mi.set_variant"
+        )
+    if isinstance(sensor, mi.Sensor):
+        return sensor
+    sensors = scene.sensors()
+    instead = advice(python="with_camera gives the scene one", shell="--camera NAME gives it one")
+    refuse_if(not sensors, f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
+    number = require_count("sensor", sensor, minimum=0)
+    refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    try:
+        PlenopticCamera.from_sensor(sensors[number])
+    except InputError as error:
+        raise InputError(f"{error}; {instead}") from None
+    return sensors[number]
+
+
+def is_wave_capture(scene: Any, model: str | None) -> bool:
+    """Return whether the model, or that of the scene's integrator if it is None, is the wave model."""
+    return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
+
+
+def require_taken(integrator: Any, **given: Any) -> None:
+    """Refuse arguments that a ray capture would ignore; None means not given."""
+    if not hasattr(integrator, "wavelengths"):
+        refuse_by_rays(**given)
+
+
+def refuse_by_rays(**given: Any) -> None:
+    """Refuse arguments that are for wave captures; None means not given."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
+
+
+def require_film(film: Any) -> None:
+    """Refuse films with alpha or in other colours than red, green and blue."""
+    channels = film.base_channels_count()
+    refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
+    # Films show their pixel format only in their description.
+    refuse_if("pixel_format = xyz" in str(film) and channels == 3, f"film: pixel_format = xyz: {_FILM_RULE}")
+
+
+def require_wave_film(film: Any) -> None:
+    """Refuse films that wave captures would not fill as the film describes."""
+    require_film(film)
+    refuse_if(
+        film.class_name() != "HDRFilm",
+        f"plenoptic_wave: film of type {film.class_name()}: it must be an hdrfilm; give responses to the integrator",
+    )
+    refuse_if(
+        not film.rfilter().is_box_filter(),
+        f"plenoptic_wave: the film's filter is {film.rfilter().class_name()}: pixels are integrated exactly, "
+        'use <rfilter type="box"/>',
+    )
+
+
+def sample_count(sensor: Any, spp: int | None) -> int:
+    """Return the requested sample count, or that of the sensor's sampler if it is None."""
+    return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
+
+
+def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
+    """Return the integrator for a model; refuse one with extra outputs."""
+    integrator = _integrator(scene, model, wave)
+    if integrator.aov_names():
+        raise InputError(
+            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
+        )
+    return integrator
+
+
+def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
+    """Return the scene's integrator, wrapped in a wave integrator or extracted from one as the model requires."""
+    integrator = scene.integrator()
+    if integrator is None:
+        raise InputError("scene: it has no integrator; add one, for example of type 'path'")
+    if model is not None:
+        require_choice("model", model, MODELS)
+    is_wave = hasattr(integrator, "wavelengths")
+    if not is_wave and model != "wave":
+        refuse_by_rays(**wave)
+        return integrator
+    if model == "ray":
+        refuse_by_rays(**wave)
+        return integrator.child
+    if is_wave and not wave:
+        return integrator
+    own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
+    # None means not given; Mitsuba's loader would end the process on it.
+    wave = {name: value for name, value in wave.items() if value is not None}
+    child = integrator.child if is_wave else integrator
+    try:
+        return mi.load_dict({**own, **wave, "child": child})
+    except RuntimeError as error:
+        raise InputError(mitsuba_sentence(error)) from None
+
+
+def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
+    """Return the bytes that a ray capture takes, for the camera's film or one of the same aspect with `columns`."""
+    pixels = float(camera.shape[0]) * camera.shape[1]
+    if columns is not None:
+        pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
+    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(RAYS_PER_PASS, pixels * spp), pixels)
+
+
+def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
+    """Refuse a film too large to render, before Mitsuba allocates it."""
+    rows, columns = camera.shape
+
+    def memory(width: int) -> float:
+        return film_memory(camera, spp, width)
+
+    def fitting(limit: float) -> str | None:
+        width = largest_fitting(memory, limit, columns)
+        return f"{width} x {max(1, round(width * rows / columns))} pixels" if width else None
+
+    require_memory(memory(columns), f"capture of {columns} x {rows} pixels", fitting)
+
+
+def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split a film's image into its channels and their noise, both in the film's colours."""
+    image, deviation = image[..., :channels], image[..., channels:]
+    if channels < deviation.shape[2]:
+        weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
+        deviation = deviation @ np.array(weights, np.float32)
+    elif deviation.shape[2] < channels:
+        # Light of one wavelength fills all channels of a colour film.
+        deviation = np.repeat(deviation, channels, axis=2)
+    return image, deviation
+
+
+def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
+    """Return the metadata that states how a capture was made."""
+    packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
+    return {
+        "scene": scene.id(),
+        "variant": mi.variant(),
+        "integrator": getattr(integrator, "child", integrator).class_name(),
+        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
+        "software": {name: importlib.metadata.version(name) for name in packages},
+        **settings,
+    }
+
+
+_RAYS = 2**20
+"""Largest count of rays from the detector that are traced at once."""
+
+_SECONDS = 0.6
+"""Approximate time in seconds for which light paths are traced."""
+
+_FEW_PATHS = 16
+"""Largest count of samples that are traced for a pixel at once."""
+
+
+@functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
+@one_at_a_time
+def estimate_capture(
+    scene: Any,
+    *,
+    sensor: int | Any = 0,
+    model: str | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    batch_map: BatchMap | None = None,
+    **wave: Any,
+) -> Cost:
+    """Estimate the time and memory that `render_capture` would take with the same arguments.
+
+    Some of the rays are traced. For method ``points``, all points are found and some of their spreads are computed.
+
+    Parameters
+    ----------
+    scene, sensor, model, spp, seed, batch_map, **wave
+        As in `render_capture`.
+
+    Returns
+    -------
+    Cost
+        Points and point spreads (0 except for method ``points``), seconds, and bytes.
+
+    Raises
+    ------
+    InputError
+        If `render_capture` would refuse the arguments, or the capture would not fit into memory.
+    PhysicsError
+        If too much of the light would be lost.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters={"resolution": 256})
+    >>> cost = mp.estimate_capture(scene, spp=4)
+    >>> cost.seconds < 60, cost.memory < 2**30
+    (True, True)
+    """
+    sensor = plenoptic_sensor(scene, sensor)
+    camera = PlenopticCamera.from_sensor(sensor)
+    require_film(sensor.film())
+    integrator = chosen_integrator(scene, model, wave)
+    require_taken(integrator, batch_map=batch_map)
+    spp = sample_count(sensor, spp)
+    if hasattr(integrator, "wavelengths"):
+        return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
+    rate = _rays_per_second(scene, sensor, integrator, camera.shape, spp, seed)
+    return Cost(0, 0, float(camera.shape[0]) * camera.shape[1] * spp / rate, film_memory(camera, spp))
+
+
+def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
+    """Time rays of rows of pixels that are evenly spaced on the detector, in the order in which Mitsuba traces them."""
+    rows, columns = shape
+    together = min(spp, _FEW_PATHS)
+    lines = min(rows, max(1, _RAYS // (columns * together)))
+    count = lines * columns * together
+    sampler = mi.load_dict({"type": "independent"})
+    pixel = dr.arange(mi.UInt32, count) // together
+    column, row = mi.Float(pixel % columns), mi.Float(pixel // columns * (rows // lines))
+
+    def trace() -> float:
+        # Seeded for each pass; otherwise Dr.Jit would trace its state from the first pass through all others.
+        sampler.seed(seed, count)
+        dr.sync_thread()
+        start = time.perf_counter()
+        offset = sampler.next_2d()
+        position = mi.Point2f((column + offset.x) / columns, (row + offset.y) / rows)
+        ray, weight = sensor.sample_ray_differential(0.0, sampler.next_1d(), position, sampler.next_2d())
+        radiance = mi.SamplingIntegrator.sample(integrator, scene, sampler, ray, None, True)[0]
+        dr.eval(mi.unpolarized_spectrum(radiance) * mi.unpolarized_spectrum(weight))
+        dr.sync_thread()
+        return time.perf_counter() - start
+
+    dr.eval(column, row)
+    trace()  # compiles the kernels
+    seconds, passes = 0.0, 0
+    while seconds < _SECONDS:
+        seconds += trace()
+        passes += 1
+    return passes * count / seconds

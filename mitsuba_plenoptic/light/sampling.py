@@ -1,0 +1,151 @@
+"""Extent of a scene point's light in a camera, and the sampling and window that its field needs.
+
+Directions are given as direction cosines, as in the angular spectrum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import SHORTEST, InputError, refuse_if
+from ..lenses.main_lens import Light, MainLens
+from ..runtime.limits import memory_limit, require_memory
+
+MEMORY_LIMIT = 4 * 2**30
+"""Largest memory in bytes for one propagation."""
+
+_FARTHEST = 1e16
+"""Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
+
+_WIDEST = 1000
+"""Largest number of microlenses across that the light of a point within the focal length may cover."""
+
+_RIM_ANGLES = 32
+_RIM_RADII = (0.0, 0.4, 0.7, 1.0)
+
+_BISECTIONS = 6
+"""Bisections that find the edges of beams."""
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Geometric images of scene points on the MLA, and the directions in which their light arrives there.
+
+    Every array has the shape (n, 2), for x and y.
+    """
+
+    centre: NDArray[np.float64]
+    half_width: NDArray[np.float64]
+    cosine: NDArray[np.float64]
+    half_cosine: NDArray[np.float64]
+
+
+def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
+    """Trace rays from each scene point, (n, 3), through the pupil to the MLA."""
+    angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
+    point, light = (positions[:, None, 0], positions[:, None, 1], positions[:, None, 2]), lens.bind(positions)
+    is_open = np.broadcast_to(light.is_open((P[:, 0], P[:, 1])), (len(positions), len(P)))
+    pupil = np.broadcast_to(P.T[:, None], (2, len(positions), len(P)))
+    if not is_open.all():
+        drawn = _drawn_in(light, np.broadcast_to(P, (len(positions), *P.shape)), is_open)
+        pupil = np.moveaxis(drawn, -1, 0)
+    cosine = np.stack(np.broadcast_arrays(*light.cosines((pupil[0], pupil[1]), point)))
+    square = (cosine**2).sum(0)
+    if np.any(square >= 1):
+        worst = positions[np.argmax(square.max(1))]
+        raise InputError(f"position = {tuple(worst.tolist())}: its light leaves the main lens too steeply")
+    return _bounds(lens.meet_array(pupil, cosine, point), np.broadcast_to(cosine, pupil.shape))
+
+
+def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Move the last points (n, m, 2), those of the rim, inwards to the edges of beams; move other blocked points, too.
+
+    Rim points move towards the mean of the open points, and other blocked points to it.
+    """
+    if not is_open.any(1).all():
+        # The beam is narrow and passes between these points.
+        raise InputError("position: hardly any light of one of the scene points passes the main_lens")
+    middle = (P * is_open[..., None]).sum(1, keepdims=True) / is_open.sum(1)[:, None, None]
+    away = P[:, -_RIM_ANGLES:] - middle
+    low, high = np.zeros((2, *away.shape[:2]))
+    high += 1
+    for _ in range(_BISECTIONS):
+        half = (low + high) / 2
+        x, y = np.moveaxis(middle + half[..., None] * away, -1, 0)
+        within = light.is_open((x, y))
+        low, high = np.where(within, half, low), np.where(within, high, half)
+    # Just outside the edge, so that the bounds contain the whole beam.
+    edge = middle + high[..., None] * away
+    return np.concatenate([np.where(is_open[..., None], P, middle)[:, :-_RIM_ANGLES], edge], axis=1)
+
+
+def bundle_footprint(pupil: NDArray[np.float64], cosine: NDArray[np.float64], distance: float) -> Footprint:
+    """Return the footprint on the MLA of rays from the exit pupil; both arrays have the shape (2, n, rays)."""
+    place = pupil + distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
+    return _bounds(place, cosine)
+
+
+def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprint:
+    """Return the bounding boxes of positions and direction cosines, (2, n, rays)."""
+    low, high, first, last = place.min(-1).T, place.max(-1).T, cosine.min(-1).T, cosine.max(-1).T
+    return Footprint((low + high) / 2, (high - low) / 2, (first + last) / 2, (last - first) / 2)
+
+
+def check_positions(
+    positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
+) -> NDArray[np.float64]:
+    """Return scene points as a float64 array (n, 3), or refuse them."""
+    try:
+        points = np.asarray(positions, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError("position: it must be numbers (X, Y, g)") from None
+    refuse_if(
+        points.ndim != 2 or points.shape[1] != 3,
+        f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",
+    )
+    _refuse_any(points, ~np.isfinite(points).all(1), "its coordinates must be finite")
+    far, rule = (np.abs(points) > _FARTHEST).any(1), f"its coordinates must be {_FARTHEST:g} at most, and g"
+    nearest = None if camera is None else camera.lens_data.nearest
+    if nearest is not None:
+        _refuse_any(points, far | (points[:, 2] <= nearest), f"{rule} more than {nearest:.6g}: before the objective")
+        return points
+    g = np.abs(points[:, 2]) if virtual else points[:, 2]
+    _refuse_any(points, far | (g < SHORTEST), f"{rule} at least {SHORTEST:g}: in front of the main lens")
+    if camera is not None and len(points):
+        _require_millimetres(points[np.abs(points[:, 2]).argmin()], camera)
+    return points
+
+
+def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
+    """Refuse points if any is bad, and name the first."""
+    if bad.any():
+        raise InputError(f"position = {_format(points[bad][0])}: {rule}")
+
+
+def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
+    """Refuse a point far within the focal length, such as one in metres, whose light exceeds any memory."""
+    g, pitch = float(nearest[2]), min(camera.mla_pitches)
+    blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
+    if abs(g) < camera.focal_length and blur > _WIDEST * pitch:
+        raise InputError(
+            f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is "
+            f"within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
+        )
+
+
+def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`."""
+    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
+
+
+def _format(point: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{coordinate:g}" for coordinate in point) + ")"

@@ -1,0 +1,224 @@
+"""The radiance along rays from the main lens into a scene, and its derivatives.
+
+Radiance is differentiated with respect to scene parameters by path replay backpropagation (Vicini, Speierer and Jakob,
+"Path replay backpropagation: differentiating light paths using constant memory and linear time", 2021), which traces
+each ray once for its radiance and once more for the derivative.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+
+from ..errors import InputError, refuse_if
+from ..lenses.main_lens import Pair
+
+_REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
+"""For the class names of integrators, the plugins that find the same radiance and its derivatives."""
+
+_ENDLESS = 2**31
+"""Path depths from this value on mean that depth is not limited."""
+
+_REVERSE_ONLY = "PRBVolpathIntegrator"
+"""The class of an integrator that Mitsuba does not differentiate forward."""
+
+_UNATTACHED = "not attached to the AD graph"
+"""Mitsuba's message when the light depends on no parameter that has a gradient."""
+
+
+_NEGATIVE = 0.01
+"""Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero."""
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """The radiance along rays from the main lens into a scene."""
+
+    # The scene, and the plenoptic sensor, whose transform and shutter times the rays have.
+    scene: Any
+    sensor: Any
+    integrator: Any
+    # Wavelength of all rays in nanometres, for spectral variants.
+    wavelength: float | None = None
+
+    is_radiance: ClassVar[bool] = True
+    """Whether calls return the radiance of a scene, which is not negative."""
+
+    def __call__(
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+    ) -> list[Any]:
+        """Return the radiance along rays from points in the camera frame, by channel or at their own wavelengths."""
+        sampler, ray = self.rays(point, slope, active, seed, wavelengths)
+        found = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
+        return channels(found) if wavelengths is None else list(found)
+
+    def rays(
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
+    ) -> tuple[Any, Any]:
+        """Return a sampler, and the rays from points in the camera frame as Mitsuba's rays in the world frame."""
+        ray = world_ray(self.sensor, point, slope)
+        if wavelengths is not None:
+            ray.wavelengths = type(ray.wavelengths)(*wavelengths)
+        elif self.wavelength is not None:
+            ray.wavelengths = self.wavelength
+        sampler = random_numbers(seed, dr.width(ray))
+        if self.sensor.shutter_open_time() > 0:
+            ray.time += sampler.next_1d(active) * self.sensor.shutter_open_time()
+        return sampler, ray
+
+
+def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
+    """Return rays from points in the camera frame as Mitsuba's in the world frame, when the shutter opens."""
+    to_world = sensor.world_transform()
+    ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
+    ray.time = sensor.shutter_open()
+    return ray
+
+
+def require_finite(radiance: list[Any], *others: Any) -> None:
+    """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite."""
+    finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
+    dr.eval(finite, radiance, others)
+    refuse_if(not dr.all(finite), "scene: the radiance of some rays is NaN or infinite: all must be finite")
+
+
+def require_light(radiance: list[Any]) -> None:
+    """Refuse radiances of which a considerable part is negative, which would be taken for noise."""
+    if float(min(dr.min(value)[0] for value in radiance)) < 0:
+        lack = -sum(float(dr.sum(dr.minimum(value, 0))[0]) for value in radiance)
+        refuse_negative(lack, sum(float(dr.sum(dr.abs(value))[0]) for value in radiance))
+
+
+def refuse_negative(lack: float, light: float) -> None:
+    """Refuse negative light, unless it is a small part of the whole."""
+    refuse_if(
+        lack > _NEGATIVE * light,
+        f"scene: {lack / max(light, 1e-300):.0%} of the light of some rays is negative: captures by waves need "
+        "radiance of at least 0",
+    )
+
+
+@dataclass(frozen=True)
+class LightDerivatives(SceneLight):
+    """Derivatives of the radiance along rays; calling it returns the derivatives along the parameters' tangents."""
+
+    is_radiance: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:
+        """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate so."""
+        integrator = _differentiable(light.integrator)
+        name = type(integrator).__name__
+        if forward and (name == _REVERSE_ONLY or mi.is_spectral):
+            kind = f"nested {name}" if name == _REVERSE_ONLY else f"variant {mi.variant()}"
+            raise InputError(f"{kind}: Mitsuba differentiates it in reverse alone; use dr.backward")
+        if name == _REVERSE_ONLY and light.sensor.get_medium() is not None:
+            raise InputError(f"nested {name}: it differentiates no light of cameras in a medium")
+        return cls(light.scene, light.sensor, integrator, light.wavelength)
+
+    def __call__(
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+    ) -> list[Any]:
+        """Return the change of the radiance along rays; see `SceneLight`."""
+        change = self.replay(point, slope, active, seed, wavelengths).differentiate(dr.ADMode.Forward, None)
+        change = dr.select(active, change, 0)
+        return channels(change) if wavelengths is None else list(change)
+
+    def replay(
+        self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
+    ) -> Replay:
+        """Trace rays for their radiance, and return their state for the derivatives; see `SceneLight`."""
+        sampler, ray = self.rays(point, slope, active, seed, wavelengths)
+        if self.scene.environment() is None and self.sensor.get_medium() is None:
+            active = active & self.scene.ray_test(ray, active)
+        dr.eval(active)
+        radiance, *_, state = self.integrator.sample(
+            mode=dr.ADMode.Primal, sampler=sampler.clone(), state_in=None, δL=None, **_options(self.scene, ray, active)
+        )
+        require_finite(list(radiance), state)
+        return Replay(self.scene, self.integrator, sampler, ray, active, state)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Rays that have been traced, and the state from which their light paths can be replayed."""
+
+    # The arguments of the integrator when the rays were traced.
+    scene: Any
+    integrator: Any
+    sampler: Any
+    ray: Any
+    # Mask of the rays that hit a surface; all others carry no light.
+    active: Any
+    # State that the integrator returned.
+    state: Any
+
+    def differentiate(self, mode: Any, cotangent: Any) -> Any:
+        """Replay the light paths; in forward mode, return the change of their radiance."""
+        try:
+            change, *_ = self.integrator.sample(
+                mode=mode,
+                sampler=self.sampler,
+                state_in=self.state,
+                δL=cotangent,
+                **_options(self.scene, self.ray, self.active),
+            )
+        except Exception as error:
+            # Dr.Jit's loops wrap exceptions that are raised inside them.
+            if _UNATTACHED in f"{error} {error.__cause__}":
+                raise InputError(
+                    "scene: the light paths that are replayed have no derivative by the parameters with a gradient: "
+                    "wave captures have derivatives by radiance, textures and materials, none by positions of lamps; "
+                    "capture by rays with the integrator path, or take differences of captures"
+                ) from None
+            raise
+        # Evaluated so that gradients are accumulated before the next rays are traced.
+        dr.eval(change)
+        return change
+
+
+def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
+    """Return the arguments of an integrator's `sample` that are the same for all modes."""
+    return {"scene": scene, "ray": ray, "active": active, "depth": mi.UInt32(0), "δaovs": None}
+
+
+def _differentiable(integrator: Any) -> Any:
+    """Return an integrator that differentiates the radiance found by the given one."""
+    if mi.is_polarized:
+        raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
+    if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
+        return integrator
+    name = type(integrator).__name__ if type(integrator).__module__ != "mitsuba" else integrator.class_name()
+    refuse_if(
+        name not in _REPLAYED, f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb"
+    )
+    # Integrators written in C++ show these parameters only in their description.
+    depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
+    if depths["max_depth"] >= _ENDLESS:
+        depths["max_depth"] = -1
+    return mi.load_dict({"type": _REPLAYED[name], **depths, "hide_emitters": integrator.hide_emitters})
+
+
+def random_numbers(seed: int, lanes: int) -> Any:
+    """Return a seeded sampler of independent random numbers."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, lanes)
+    return sampler
+
+
+def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> Any:
+    """Return the unpolarized radiance that an integrator estimates along rays; black where not active."""
+    # The unbound method reaches integrators written in C++ and in Python alike.
+    radiance, _, *_ = mi.SamplingIntegrator.sample(
+        integrator, scene, sampler, mi.RayDifferential3f(ray), medium, active
+    )
+    return dr.select(active, mi.unpolarized_spectrum(radiance), 0)
+
+
+def channels(radiance: Any) -> list[Any]:
+    """Return the channels of a radiance; in spectral variants all lanes have the same wavelength, so there is one."""
+    return [radiance[0]] if mi.is_spectral else list(radiance)

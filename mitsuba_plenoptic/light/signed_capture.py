@@ -1,0 +1,269 @@
+r"""Captures of scenes by signed rays: plan, noise and cost, and derivatives by textures, emitters, BSDFs and media.
+
+A capture is linear in the radiances of its rays, so its change is the same sum of their changes. In reverse, let
+:math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
+function by the radiance of ray k of N through a cell and lens is
+
+.. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
+          \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,
+
+where the second term is due to the mean c that the ray's half h, of :math:`N_h` rays, provides to the other half. The
+mixing of a ray's values into channels by the nodes is linear as well, and is transposed in reverse.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any, ClassVar, TypeVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..camera.vector import Values
+from ..io.checkpoints import digest
+from ..runtime.jobs import Job, SumTask
+from .control_variate import halves
+from .cost import Cost
+from .noise import PARTS, Mended, keep_spread, with_spread
+from .phase_space import FINE, parts_of
+from .scene_light import LightDerivatives, SceneLight
+from .signed_camera import CameraAdjoint, CameraTangents
+from .signed_colours import Lanes, Node, SignedColours, mixed
+from .signed_draws import Lot
+from .signed_rays import SignedRaySum
+
+Sum = TypeVar("Sum", bound=SignedRaySum)
+
+_SAMPLES = 4
+"""Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less well."""
+
+
+@dataclass(frozen=True)
+class SignedCapture:
+    """A capture by signed rays: the camera, the light, the channels' responses and the accuracy."""
+
+    camera: PlenopticCamera
+    # Radiance along rays.
+    light: SceneLight
+    # Responses of the channels.
+    colours: SignedColours
+    accuracy: float
+
+    has_gradients: ClassVar[bool] = True
+    """Whether derivatives of the capture can be computed."""
+
+    @cached_property
+    def nodes(self) -> list[Node]:
+        """Return the nodes, the wavelengths at which diffraction is computed."""
+        return self.colours.planned(self.camera, self.accuracy)
+
+    @property
+    def _parts(self) -> int:
+        """Return the count of grid cells across a pixel."""
+        if any(node.plan.by_points for node in self.nodes):
+            return 1  # the kernels of these plans are integrated over pixels
+        return parts_of(self.camera, min(node.plan.wavelength for node in self.nodes), self.accuracy < FINE)
+
+    def sums(
+        self,
+        spp: int,
+        seed: int,
+        runs: int,
+        kind: Callable[..., Sum],
+        light: SceneLight | None = None,
+        nodes: list[Node] | None = None,
+    ) -> list[Callable[[], Sum]]:
+        """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
+
+        They are functions so that the memory of one sum is freed before the next is made. Light and nodes are the
+        capture's own by default.
+        """
+        used = light or self.light, self.nodes if nodes is None else nodes
+        return [
+            self._sum(kind, *used, spp=-(-spp // runs), seed=own)
+            # Captures with neighbouring seeds must not share runs.
+            for own in np.random.SeedSequence([seed, runs]).generate_state(runs).tolist()
+        ]
+
+    def _sum(
+        self, kind: Callable[..., Sum], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
+    ) -> Callable[[], Sum]:
+        """Return a function that constructs one sum."""
+        return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
+
+    def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
+        """Capture the scene.
+
+        The result has the shape (rows, columns, channels).
+        """
+        runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
+        sums = self.sums(spp, seed, runs, SignedRaySum)
+        first = sums[0]()
+        found, items = first.probe(), int(first.items.sum())
+        if runs == 1:
+            sums = [lambda: first]
+        tasks = [SumTask(items, plan, partial(_part, runs)) for plan in sums]
+        if noise:
+            tasks = [keep_spread(task) for task in tasks]
+        channels = self.colours.spectrum.channels
+        shape = (*self.camera.shape, channels * (3 if noise else 1))
+        if not found.any():
+            warnings.warn(
+                "plenoptic_wave: none of some rays meets anything that shines; a nested integrator with "
+                "hide_emitters sees no emitters",
+                stacklevel=2,
+            )
+        image = job.run(tasks, shape, sum(task.items for task in tasks), lambda: {"scene_digest": digest(found)})
+        if noise:
+            image = with_spread(image, runs)
+        np.maximum(image[..., channels:], 0, out=image[..., channels:])
+        np.sqrt(image[..., channels:], out=image[..., channels:])
+        for channel, mended in self.mended(image).items():
+            image[..., channel] = mended.image
+        return image
+
+    def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
+        """Return the channels of an image that only noise can make negative, with negative values compensated."""
+        channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()
+        return {channel: Mended(image[..., channel]) for channel in channels}
+
+    def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
+        """Estimate the cost of `compute` from some of the rays."""
+        # Nodes whose rays follow the same paths cost nearly the same. The longest wavelength, whose kernels are the
+        # largest, stands for the others, so that tables and kernels are computed once.
+        longest = {
+            node.plan.system.lens.refraction: node.plan
+            for node in sorted(self.nodes, key=lambda node: node.plan.wavelength)
+        }
+        alike = [replace(node, plan=longest[node.plan.system.lens.refraction]) for node in self.nodes]
+        seconds, memory = self.sums(spp, seed, 1, SignedRaySum, nodes=alike)[0]().cost()
+        return Cost(0, 0, seconds, memory)
+
+
+def _part(runs: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the contribution of one of `runs` captures to their mean."""
+    return image * np.float32(1 / runs)
+
+
+class SignedRayAdjoint(SignedRaySum):
+    """The reverse pass of a signed-ray capture; its light is a `LightDerivatives`."""
+
+    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> None:
+        """Propagate the gradient of the sum, by channel (rows, columns), to Dr.Jit's gradients of scene parameters."""
+        for lot, felt in self._back(gradient):
+            self._vjp(lot, felt)
+
+    def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
+        """Propagate the gradients of the images through the rays of a lot; see `_back`."""
+        drawn, own = self._drawn_rays(lot.pixels, lot.key)
+        together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
+        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
+            replay = self._light.replay(*self._asked(pupil, drawn, own, lanes, lot.seed))
+            # Pixels of which no ray hits a surface are left out.
+            meets = dr.select(replay.active, mi.UInt32(1), 0) + dr.zeros(mi.UInt32, rays)
+            met = dr.compress(dr.block_sum(meets, self._together) > 0)
+            if not dr.width(met):
+                continue
+            lane = dr.arange(mi.UInt32, dr.width(met) * self._together)
+            place = dr.gather(mi.UInt32, met, lane // together) * together + lane % together
+            cotangent = dr.zeros(mi.Spectrum, rays)
+            for value, part in self._cotangents(lot, met, felt, nodes, lanes).items():
+                every = dr.zeros(mi.Float, rays)
+                dr.scatter(every, part, place)
+                cotangent[value] = every
+            dr.eval(cotangent)
+            replay.differentiate(dr.ADMode.Backward, cotangent)
+
+    def _cotangents(
+        self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
+    ) -> dict[int, Any]:
+        """Return the derivatives by the radiance values of each ray of the pixels `met` of a lot."""
+        drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
+        sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
+        cell = self._cell_of(own, sample, dr.width(met))
+        # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
+        totals: dict[int, tuple[Any, Any]] = {}
+        for number in nodes:
+            node = self._nodes[number]
+            values = self._coefficients[number](drawn.point, drawn.inner, drawn.chance, drawn.open)
+            direct, others = [], []
+            for total in felt[number]:
+                (parts,) = self._felt(total, number, lot, met)
+                parts = [dr.gather(mi.Float, part, cell, drawn.open) for part in parts]
+                by_ray = drawn.weight * mixed(values, parts)
+                direct.append(dr.select(drawn.open, by_ray, 0))
+                others.append(dr.select(drawn.open, (parts[0] - by_ray) * self._known_part, 0))
+            used, weights = node.mixture(lanes)
+            if lanes is not None:
+                each = dr.gather(mi.UInt32, met, own)
+                weights = [[dr.gather(mi.Float, weight, each) for weight in row] for row in weights]
+            for value, column in zip(used, zip(*weights, strict=True), strict=True):
+                before = totals.get(value, (0, 0))
+                totals[value] = before[0] + mixed(column, direct), before[1] + mixed(column, others)
+        seen = dr.select(drawn.open, mi.Float(1), 0)
+        dr.eval(seen, totals)
+        (even, odd), *sums = halves(seen, [total[1] for total in totals.values()], dr.width(met), self._together)[0]
+        by_mean = [
+            (dr.select(even > 0, of_odd / even, 0), dr.select(odd > 0, of_even / odd, 0)) for of_even, of_odd in sums
+        ]
+        dr.eval(by_mean)
+        is_even, scale = (
+            (sample & 1) == 0,
+            self._answer(drawn) / mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes)),
+        )
+        return {
+            value: (by_ray + seen * dr.select(is_even, *(dr.gather(mi.Float, half, own) for half in halves))) * scale
+            for (value, (by_ray, _)), halves in zip(totals.items(), by_mean, strict=True)
+        }
+
+
+@dataclass(frozen=True)
+class SignedGradients:
+    """The derivatives of a signed-ray capture, with the same rays as its `compute` draws."""
+
+    capture: SignedCapture
+    # The derivatives of its light; None means that the light does not change.
+    light: LightDerivatives | None
+    seed: int
+    spp: int
+
+    def forward(self, changes: Values) -> NDArray[np.float32]:
+        """Return the change of the capture, an array (rows, columns, channels)."""
+        with dr.suspend_grad():
+            change = np.zeros((*self.capture.camera.shape, self.capture.colours.spectrum.channels), np.float32)
+            if self.light is not None:
+                change += self._image(SignedRaySum, self.light)
+            if changes:
+                change += self._image(partial(CameraTangents, changes=changes))
+            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
+                change[..., channel] = mended.forward(change[..., channel])
+        return change
+
+    def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
+        """Return the gradients for the camera's parameters; those for the scene's are accumulated in Dr.Jit.
+
+        Shapes: `gradient` (rows, columns, channels).
+        """
+        with dr.suspend_grad():
+            linear = list(np.moveaxis(gradient, -1, 0))
+            for channel, mended in self.capture.mended(self._image(SignedRaySum)).items():
+                linear[channel] = mended.backward(linear[channel])
+            if self.light is not None:
+                self._sum(SignedRayAdjoint, self.light).backward(linear)
+            return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
+
+    def _sum(self, kind: Callable[..., Sum], light: LightDerivatives | None = None) -> Sum:
+        return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
+
+    def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:
+        """Return the image of a kind of sum, an array (rows, columns, channels)."""
+        work = self._sum(kind, light)
+        items = int(work.items.sum())
+        shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels
+        return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)

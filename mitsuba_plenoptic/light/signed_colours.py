@@ -1,0 +1,269 @@
+r"""The wavelengths at which signed-ray captures compute diffraction, and the weights of rays at each.
+
+Coefficients and kernels are computed at a few wavelengths, the nodes. Light of a wavelength between two nodes is
+distributed to both by linear interpolation; light beyond the outermost nodes goes to these. So each channel has an
+image at each node to which it responds, and records the sum of their convolutions.
+
+In spectral variants rays have wavelengths of their own, which are drawn from the channels' responses. The two rays that
+correct each other have the same wavelengths, so that light which is even over a lens has only the noise of the
+wavelengths. From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..optics.spectrum import Responses, Spectrum
+from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array
+from .optical_system import OpticalSystem
+from .phase_space import FINE, PhaseSpace, plan_of
+
+_PROBED, _LEAST_ERROR = 3.0, 1e-3
+"""Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
+
+_BLUR = 10.0
+"""Largest blur from one node to the next, in lenses, over the square root of the capture's error: the error of linear
+interpolation grows with the square of the step."""
+
+_TAIL = 0.01
+"""Fraction of the responses beyond the outermost node, on either side."""
+
+_MOST_NODES = 32
+"""Largest count of nodes of a band, unless `nodes` is given."""
+
+_DENSE = 33
+"""Wavelengths at which spots are compared, with linear interpolation between them."""
+
+_SPOTS = (4.0, 4)
+"""Half the width of the compared spots in diffraction widths, and samples per diffraction width."""
+
+_STRATA, _STEPS = 4096, 2**14
+"""Strata of equal probability from which wavelengths are drawn, and integration steps by which they are found."""
+
+_TURNS = tuple(int(part * 2**32) for part in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
+"""Steps of additive sequences, along rows and columns (the inverse of the plastic number, and its square) and from pass
+to pass (of the golden ratio), in units of 2^-32."""
+
+
+class Lanes(NamedTuple):
+    """Wavelengths that are drawn for cells."""
+
+    wavelengths: list[Any]
+    # Index of the stratum in which each lies, and its position there from 0 to 1.
+    stratum: list[Any]
+    part: list[Any]
+    # Reciprocal of the product of their count and the density.
+    weight: list[Any]
+
+
+class DrawnWavelengths:
+    """Random wavelengths with the density of the channels' responses, which are stratified."""
+
+    def __init__(self, responses: Responses) -> None:
+        steps = np.linspace(responses.low, responses.high, _STEPS + 1)
+        density = np.abs(responses.at(steps))
+        density = (density / density.sum(1, keepdims=True)).sum(0)
+        upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
+        self.edges: NDArray[np.float64] = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
+        self._edges = drjit_array(mi.Float, self.edges)
+
+    def draw(self, chance: Any, span: tuple[float, float]) -> Lanes:
+        """Draw the wavelengths of rays of the active variant from a range of the strata, by random numbers."""
+        count = dr.size_v(mi.UnpolarizedSpectrum)
+        low, high = (dr.opaque(mi.Float, end * _STRATA) for end in span)
+        lanes = Lanes([], [], [], [])
+        for lane in range(count):
+            place = low + (high - low) * (chance + lane) * (1 / count)
+            index = dr.minimum(mi.UInt32(place), _STRATA - 1)
+            first, last = (dr.gather(mi.Float, self._edges, index + end) for end in (0, 1))
+            part = place - mi.Float(index)
+            lanes.wavelengths.append(first + part * (last - first))
+            lanes.stratum.append(index)
+            lanes.part.append(part)
+            lanes.weight.append((last - first) * (high - low) * (1 / count))
+        return lanes
+
+
+def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
+    """Return random numbers for cells of a grid that are evenly spread among neighbouring cells and over passes."""
+    row = index // columns
+    turned = [
+        value * dr.opaque(mi.UInt32, turn) for value, turn in zip((index - row * columns, row), _TURNS, strict=False)
+    ]
+    offset = dr.opaque(mi.UInt32, (number * _TURNS[2] + seed) % 2**32)
+    return mi.Float((turned[0] + turned[1] + offset) >> 8) * 2.0**-24
+
+
+@dataclass(frozen=True)
+class Node:
+    """A wavelength at which diffraction is computed, and the light for which it is used."""
+
+    # Coefficients and kernels of the camera at this wavelength.
+    plan: Any
+    # Channels of the capture that have an image at this node.
+    channels: tuple[int, ...]
+    # Weights of the values of a ray's light in the image of each of these channels, an array (channels, values). For
+    # drawn wavelengths, the values are those at the edges of the strata.
+    weights: NDArray[np.float64]
+
+    def mixture(self, lanes: Lanes | None = None) -> tuple[list[int], list[list[Any]]]:
+        """Return the indices of the values used, and their weights for each channel; for drawn wavelengths, by cell."""
+        if lanes is None:
+            used = np.flatnonzero(self.weights.any(0)).tolist()
+            # Opaque values are kernel inputs, so that other values do not compile the kernels again.
+            return used, [[dr.opaque(mi.Float, weight) for weight in row] for row in self.weights[:, used].tolist()]
+        made = []
+        for row in self.weights:
+            table = drjit_array(mi.Float, row)
+            made.append(
+                [
+                    weight * dr.lerp(*(dr.gather(mi.Float, table, index + end) for end in (0, 1)), part)
+                    for index, part, weight in zip(lanes.stratum, lanes.part, lanes.weight, strict=True)
+                ]
+            )
+        dr.eval(made)
+        return list(range(len(lanes.weight))), made
+
+
+def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
+    """Return the weighted sum of values."""
+    return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
+
+
+def span(nodes: list[Node]) -> tuple[float, float]:
+    """Return the range of the strata, within 0 to 1, whose wavelengths contribute to the nodes."""
+    lit = np.flatnonzero(np.any([node.weights.any(0) for node in nodes], axis=0))
+    return max(int(lit[0]) - 1, 0) / _STRATA, min(int(lit[-1]) + 1, _STRATA) / _STRATA
+
+
+@dataclass(frozen=True)
+class SignedColours:
+    """The responses of a capture's channels."""
+
+    # Wavelengths, and the channels' responses.
+    spectrum: Spectrum
+    # Whether each channel has nodes of its own, as for lines and for bands of one width.
+    apart: bool
+    # Matrix (values, wavelengths) from the values of a ray's light to its spectrum; None if light has its own spectrum.
+    upsampling: NDArray[np.float64] | None
+    # Responses of the channels if light has its own spectrum.
+    responses: Responses | None = None
+    # Count of nodes, for each channel if they are apart; None means as many as `accuracy` needs.
+    nodes: int | None = None
+
+    @classmethod
+    def lines(cls, wavelengths: tuple[float, ...]) -> SignedColours:
+        """Return the responses for light that has one value, of one wavelength, for each channel."""
+        return cls(Spectrum.lines(*wavelengths), True, np.eye(len(wavelengths)))
+
+    @functools.cached_property
+    def drawn(self) -> DrawnWavelengths | None:
+        """Return the distribution from which rays' wavelengths are drawn, or None if light has no spectrum."""
+        return None if self.responses is None else DrawnWavelengths(self.responses)
+
+    def places(self, camera: PlenopticCamera, accuracy: float) -> list[float]:
+        """Return the wavelengths of the nodes.
+
+        The nodes of a band, or of channels with common nodes, are spaced evenly in the logarithm of the wavelength,
+        without the outermost 1 % of the responses on either side; a single node is the mean wavelength. Their count is
+        the smallest that gives each channel's spot of a microlens in even light to three times `accuracy`, and limits
+        the blur that a dispersive main lens causes between neighbouring nodes, at the usual accuracy to one lens.
+        """
+        wavelengths, responses = np.array(self.spectrum.wavelengths), np.abs(self.spectrum.matrix().astype(np.float64))
+        found: set[float] = set()
+        for rows in responses[:, None] if self.apart else responses[None]:
+            order = np.argsort(wavelengths, kind="stable")
+            order = order[rows[:, order].any(0)]
+            weights = rows[rows.any(1)][:, order]
+            if len(weights) and self.nodes is None:
+                found.update(_enough(camera, wavelengths[order], _even(weights), max(accuracy, _LEAST_ERROR)))
+            elif len(weights) and self.nodes is not None:
+                found.update(_divided(wavelengths[order], _even(weights), self.nodes))
+        return sorted(found)
+
+    def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
+        """Return the nodes, with their plans."""
+        found, fine = self.shared(camera, accuracy), accuracy < FINE
+        return [
+            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0]), channels, weights)
+            for place, channels, weights in found
+        ]
+
+    def shared(
+        self, camera: PlenopticCamera, accuracy: float
+    ) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
+        """Return the wavelength of each node, its channels, and the weights of a ray's values in these: see `Node`."""
+        places = self.places(camera, accuracy)
+        found = []
+        for number, place in enumerate(places):
+            if self.drawn is None or self.responses is None:
+                assert self.upsampling is not None
+                hat = _hats(np.array(self.spectrum.wavelengths), places)[number]
+                weights = (self.spectrum.matrix() * hat) @ self.upsampling.T
+            else:
+                weights = np.asarray(self.responses.at(self.drawn.edges)) * _hats(self.drawn.edges, places)[number]
+            channels = np.flatnonzero(weights.any(1))
+            if len(channels):
+                found.append((place, tuple(channels.tolist()), weights[channels]))
+        return found
+
+
+def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.float64]:
+    """Return the linear interpolation weights (nodes, wavelengths) of nodes."""
+    return np.stack([np.interp(wavelengths, places, unit) for unit in np.eye(len(places))])
+
+
+def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normalise the weights of each channel to the sum 1."""
+    return np.asarray(weights / weights.sum(1, keepdims=True))
+
+
+def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> list[float]:
+    """Return `count` nodes for normalised responses (channels, n) at rising wavelengths."""
+    weight = weights.mean(0)
+    if count == 1 or wavelengths[0] == wavelengths[-1]:
+        return [float(weight @ wavelengths)]
+    low, high = np.interp((_TAIL, 1 - _TAIL), np.cumsum(weight) - weight / 2, wavelengths).tolist()
+    return [float(place) for place in np.geomspace(low, high, count)]
+
+
+def _enough(
+    camera: PlenopticCamera, wavelengths: NDArray[np.float64], weights: NDArray[np.float64], error: float
+) -> list[float]:
+    """Return the fewest nodes that satisfy the conditions that `SignedColours.places` states."""
+    if wavelengths[0] == wavelengths[-1]:
+        return [float(wavelengths[0])]
+    dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
+    width = in_millimetres(dense[-1]) * camera.reduced_distance / float(camera.lattice.aperture_width)
+    step = width * dense[0] / dense[-1] / _SPOTS[1]
+    along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step
+    spots = np.stack([PhaseSpace(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)
+    true = weights @ _hats(wavelengths, dense.tolist()).T @ spots
+    places: list[float] = []
+    for count in range(1, _MOST_NODES + 1):
+        places = _divided(wavelengths, weights, count)
+        shares = weights @ _hats(wavelengths, places).T @ _hats(np.array(places), dense.tolist()).T
+        wrong = np.linalg.norm(shares @ spots - true, axis=1) / np.linalg.norm(true, axis=1)
+        apart = places if count > 1 else _divided(wavelengths, weights, 2)
+        powers = [_power(camera, place) for place in apart]
+        blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
+        if wrong.max() <= _PROBED * error and blur <= _BLUR * math.sqrt(error) * min(camera.mla_pitches):
+            break
+    return places
+
+
+def _power(camera: PlenopticCamera, wavelength: float) -> float:
+    """Return the reciprocal of the image distance behind the main lens for objects at the focus distance."""
+    lens = OpticalSystem(camera.at_wavelength(wavelength), wavelength).lens
+    return float(lens.vergence(camera.focus_distance))

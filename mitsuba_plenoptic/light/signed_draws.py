@@ -1,0 +1,423 @@
+"""Sampling of rays for signed-ray captures: from detector cells, through points around lenses and of the pupil.
+
+Points around microlenses are drawn with a density near that of the rays' light. At each node of a plan's table the
+window around a lens is divided into strips, and each strip into cells, all of which receive equally many rays. Cells
+are narrow where the first coefficient, which contains a ray's light, is large.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lenses.common import chief_points
+from ..lenses.main_lens import Pair
+from ..optics.waves import in_millimetres
+from ..runtime.backend import drjit_array, quotient
+from ..runtime.batches import Box
+from .lens_kinds import MOST_DEVIATIONS, LensKinds, chief_ray_shift
+from .optical_system import RayPupil
+from .phase_space import PhaseSpace, TableNodes
+from .signed_colours import Lanes
+
+_STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
+"""Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""
+
+_AIRY, _AIRY_REACH = 1024, 200.0
+"""Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
+
+ORDER = 2
+"""Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
+frequencies that the grid cannot represent."""
+
+_CELLS = 64
+"""Number of strips of a window, and of cells of a strip."""
+
+_LEAST = 0.05
+"""Fraction of the mean density that is added: other coefficients may be nonzero where the first is 0."""
+
+
+class Drawn(NamedTuple):
+    """Rays that are drawn for cells of the detector."""
+
+    # Their points on the pupil, and on the equivalent round pupil.
+    pupil: Pair
+    inner: Pair
+    # Their points on the array, relative to the centre of the lens, and in the camera frame.
+    point: Pair
+    place: Pair
+    # Their points on the detector, relative to the centre of the lens.
+    detector: Pair
+    # Distance by which the lens is nearer to the main lens than the lens on the axis.
+    height: Any
+    kind: Any
+    # Reciprocal of the density of the points, relative to the aperture.
+    weight: Any
+    # Random numbers by which each ray takes one of the table nodes around it.
+    chance: tuple[Any, Any, Any, Any]
+    # Whether the pupil transmits them.
+    open: Any
+
+    @property
+    def kept(self) -> Kept:
+        """What the coefficients of the rays depend on."""
+        return Kept(self.point, self.inner, self.weight, self.open)
+
+
+class Kept(NamedTuple):
+    """What the coefficients of rays depend on, in addition to random numbers that are drawn again: see `Drawn`."""
+
+    point: Pair
+    inner: Pair
+    weight: Any
+    open: Any
+
+    def at(self, lane: Any) -> Kept:
+        """Return that of some of the rays, which has been computed."""
+        point, inner = (
+            tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
+        )
+        return Kept(point, inner, dr.gather(mi.Float, self.weight, lane), dr.gather(mi.Bool, self.open, lane))
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Pixels of the detector, each with a lens."""
+
+    # A rectangle of pixels.
+    box: Box
+    # Indices in the rectangle, row by row.
+    index: Any
+    # Lattice indices (i, j) of the lenses relative to the lenses of the pixels' chief rays.
+    steps: NDArray[np.int64]
+
+    def take(self, which: Any) -> Pixels:
+        """Return some of the pixels."""
+        return replace(self, index=dr.gather(mi.UInt32, self.index, which))
+
+
+class Lot(NamedTuple):
+    """Pixels, each with a lens that lights it, whose rays are traced at once."""
+
+    # Their indices among all pixels.
+    some: Any
+    # The kind of all of the lenses.
+    kind: int
+    pixels: Pixels
+    # Wavelengths that are drawn for them, for each group of nodes.
+    lanes: list[Lanes | None]
+    seed: int
+
+    @property
+    def key(self) -> Any:
+        """The seed of the rays' points, whose lowest bits number the points."""
+        return dr.opaque(mi.UInt32, self.seed & ~15)
+
+
+class Aims(NamedTuple):
+    """Detector cells or pixels, and the lenses through which they see the pupil."""
+
+    # Centres of the cells or pixels.
+    middle: Pair
+    # Centres of the lenses.
+    centre: Pair
+    # Distance by which the lenses are nearer to the main lens than the lens on the axis.
+    height: Any
+    kind: Any
+
+    def at(self, own: Any) -> Aims:
+        """Return those of some of the cells or pixels, which are computed once for all of their rays."""
+        dr.eval(*self)
+        middle, centre = (
+            tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
+        )
+        height, kind = dr.gather(mi.Float, mi.Float(self.height), own), dr.gather(mi.UInt32, mi.UInt32(self.kind), own)
+        return Aims(middle, centre, height, kind)
+
+
+class Draws:
+    """Draws rays for the cells of a camera's detector.
+
+    The rays of a pixel and a lens are numbered, cell by cell. All those of even numbers, and all of odd ones, follow a
+    sequence that fills the lens evenly.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        plans: Sequence[PhaseSpace],
+        # Count of cells across a pixel.
+        parts: int = 1,
+    ) -> None:
+        self._camera, self._parts = camera, parts
+        self.pupil, self._lens = RayPupil(plans[0].system), plans[0].system.lens
+        self.kinds = LensKinds(camera)
+        # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
+        self.by_points = plans[0].by_points
+        self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+        # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
+        # Where rays land by their own points, the aberrations of a lens widen its spots, too.
+        self.enlargements = [
+            1.0 if self.by_points else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
+        ]
+        self._longest = max(plans, key=lambda plan: plan.wavelength)
+
+    @cached_property
+    def _points(self) -> LensPoints:
+        """Return the distribution of points around lenses for the longest wavelength, which is diffracted most."""
+        return LensPoints(self._longest)
+
+    @property
+    def widest(self) -> float:
+        """Return the radius in the pupil's plane within which the ray through a lit pixel's centre passes."""
+        camera = self._camera
+        # Other points of the pixel and around its cells see other points of the pupil.
+        wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
+        pixel = wide * camera.pupil_distance / camera.reduced_distance / math.sqrt(2)
+        # Snell's law spreads them most at the corner, along the radius.
+        corner = self._lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        pixel *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
+        lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
+        return self._lens.reach + pixel + lens
+
+    @cached_property
+    def candidates(self) -> NDArray[np.int64]:
+        """Return the lenses that can light a pixel, as lattice indices relative to the lens of its chief ray."""
+        camera = self._camera
+        # Irregularities displace lenses by at most this distance.
+        beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
+        return camera.lattice.neighbours(self._seen(self.widest) + beyond)
+
+    @property
+    def lit_lenses(self) -> float:
+        """Return the mean count of lenses that light a pixel."""
+        return float(math.pi * self._seen(self.widest) ** 2 / self._camera.lattice.cell_area)
+
+    def _seen(self, radius: float) -> float:
+        """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
+        camera = self._camera
+        farthest = radius * camera.reduced_distance / self._lens.pupil_distance_from(camera.reduced_distance)
+        return farthest * max(self.enlargements)
+
+    @property
+    def _step(self) -> float:
+        """The width of a cell in millimetres."""
+        return self._camera.pixel_size / self._parts
+
+    def aims(self, pixels: Pixels) -> Aims:
+        """Return the centres of pixels and of the lenses through which they are lit."""
+        camera, lattice = self._camera, self._camera.lattice
+        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
+        columns = dr.opaque(mi.UInt32, pixels.box.columns)
+        left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
+        row = quotient(pixels.index, pixels.box.columns)
+        x, y = (
+            (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
+            for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
+        )
+        z = camera.detector_distance + self.kinds.height(x, y)
+        chief = chief_points(self._lens, (x, y), z, camera.mla_medium)
+        i, j = lattice.cell(*(m - shift for m, shift in zip(chief, chief_ray_shift(camera, *chief), strict=True)))
+        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), pixels.steps, strict=True))
+        centre, height = self.kinds.place(i, j)
+        return Aims((x, y), centre, height, self.kinds.number(i, j, height))
+
+    def _cells(self, aims: Aims, place: Any) -> Aims:
+        """Return the aims of the cells at some places of pixels, numbered row by row, from those of the pixels."""
+        row = quotient(place, self._parts)
+        x, y = (
+            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
+            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
+        )
+        return aims._replace(middle=(x, y))
+
+    def seen(self, detector: Pair, aims: Aims) -> Pair:
+        """Return the pupil points whose light lands, in the mean over a lens, on detector points."""
+        chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
+        return self.pupil.seen(chief, aims.centre, self._camera.detector_distance, aims.height)
+
+    def evenness(self, drawn: Drawn) -> Any:
+        """Return the weights by which rays of all cells are even over the pupil."""
+        return self.pupil.evenness(
+            self._shrunk(drawn.detector, drawn.kind), self._camera.detector_distance + drawn.height
+        )
+
+    def _chief(self, detector: Pair, aims: Aims) -> Pair:
+        """Return where the light that lands on detector points lands if it passes the centres of lenses, from these."""
+        return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
+
+    def _shrunk(self, offset: Pair, kind: Any) -> Pair:
+        """Return places relative to the lenses' centres as if all light passed these: micro-images are enlarged."""
+        if len(self.enlargements) > 1:
+            larger = dr.gather(mi.Float, mi.Float(self.enlargements), kind)
+        else:
+            larger = dr.opaque(mi.Float, self.enlargements[0])
+        return tuple(value / larger for value in offset)
+
+    def cosines(self, pixels: Pixels) -> Pair:
+        """Return the direction cosines, in the lattice's frame, with which the light of pixels meets the array."""
+        camera, aims = self._camera, self.aims(pixels)
+        u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
+        # In the medium behind the lenses the sine is smaller by its index.
+        scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)
+        return u * scale, v * scale
+
+    def turns(self, kind: int) -> NDArray[np.float64]:
+        """Return the changes (places, 2) of `cosines` from a pixel to its cells, near the middle of a lens."""
+        camera = self._camera
+        along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
+        y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
+        scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
+        return np.column_stack(camera.lattice.to_frame(x, y)) * scale
+
+    def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
+        """Return rays of pixels; those of even and of odd numbers are independent.
+
+        For each ray, `own` is the position of its pixel among the pixels, `sample` its number in the pixel, and `place`
+        that of its cell.
+        """
+        aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
+        pixel = dr.gather(mi.UInt32, pixels.index, own)
+        half, index = sample & 1, mi.Float(sample >> 1)
+        random = []
+        chance = chances_of(pixel, seed ^ (sample << 4))
+        for axis, step in enumerate(_STEPS):
+            value = index * step + mi.sample_tea_float32(pixel, seed ^ (half * 8 + axis + 1))
+            random.append(value - dr.floor(value))
+        within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
+        x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
+        pupil = self.seen((x, y), aims)
+        if self.by_points:
+            point, aside = lattice.aperture_point(*random[:2]), self._diffracted(pixel, sample, seed)
+            weight = dr.ones(mi.Float, dr.width(sample))
+            turn = dr.gather(mi.Float, self._turns, aims.kind)
+            pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
+            inner = self.pupil.inner(pupil, aims.centre)
+        else:
+            inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
+            point, weight = self._points.draw(inner, chance, random[:2])
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.system.camera.pupil_radius**2
+        place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
+        detector = x - aims.centre[0], y - aims.centre[1]
+        return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
+
+    def _within(self, point: Pair) -> Pair:
+        """Return the nearest points on a lens."""
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
+        return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
+
+    def crossed(self, drawn: Drawn) -> Pair:
+        """Return how far light moves aside in the medium, and its depth; points outside a lens have its nearest's."""
+        x, y = self._within(drawn.point)
+        aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
+        return aside, self._camera.detector_distance + drawn.height
+
+    def _diffracted(self, pixel: Any, sample: Any, seed: Any) -> Pair:
+        """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""
+        first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
+        place = first * (_AIRY - 1)
+        low = mi.UInt32(place)
+        v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)
+        y, x = dr.sincos(2 * math.pi * second)
+        return v * x, v * y
+
+    @cached_property
+    def _airy(self) -> Any:
+        """Return the radii that encircle even steps of the Airy pattern's energy (Born and Wolf, section 8.5.2)."""
+        from scipy.special import j0, j1
+
+        camera = self._camera
+        v = np.linspace(0, _AIRY_REACH, 1 << 14)
+        energy = 1 - j0(v) ** 2 - j1(v) ** 2
+        radius = np.interp(np.linspace(0, energy[-1], _AIRY), energy, v)
+        wavelength = in_millimetres(self._longest.wavelength)
+        unit = wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius)
+        return drjit_array(mi.Float, radius * unit)
+
+
+def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
+    """Return four random numbers, of 16 bits each."""
+    words = mi.sample_tea_32(lane, key)
+    low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
+    high = [mi.Float(word >> 16) * 2.0**-16 for word in words]
+    return low[0], low[1], high[0], high[1]
+
+
+def tent(value: Any) -> Any:
+    """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
+    return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
+
+
+class LensPoints:
+    """Sampler of points around lenses, for rays with the coefficients of a plan's table."""
+
+    def __init__(self, plan: PhaseSpace) -> None:
+        self._lattice = plan.lattice
+        self._nodes = TableNodes(plan)
+        rows, columns = _edges(plan)
+        first = np.cumsum([0] + [len(part) for part in plan.table])[:-1]
+        self._first = drjit_array(mi.UInt32, first)
+        self._sides = [mi.Float([node.sides[axis] for node in plan.nodes]) for axis in (0, 1)]
+        self._rows, self._columns = (drjit_array(mi.Float, part) for part in (rows, columns))
+
+    def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
+        """Return points, and the reciprocals of their density over the aperture, for rays to points of the pupil."""
+        lattice = self._lattice
+        Pu, Pv = lattice.to_frame(*pupil)
+        _, radial = self._nodes.along(Pu, Pv, chance[0])
+        part = dr.gather(mi.UInt32, self._first, radial) + self._nodes.around(Pu, Pv, radial, chance[1])
+        places, weight = [], mi.Float(1 / float(lattice.lens_area))
+        for axis, edges in ((1, self._rows), (0, self._columns)):
+            number = mi.UInt32(random[axis] * _CELLS)
+            low, high = (dr.gather(mi.Float, edges, part * (_CELLS + 1) + number + end) for end in (0, 1))
+            side = dr.gather(mi.Float, self._sides[axis], radial)
+            places.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
+            weight *= (high - low) * side * _CELLS
+            part = part * _CELLS + number
+        v, u = (dr.select(P < 0, -place, place) for P, place in zip((Pv, Pu), places, strict=True))
+        return lattice.from_frame(u, v), weight
+
+
+@functools.lru_cache(maxsize=8)
+def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+    """Return the edges of the strips of all nodes and of their cells, in sides of the windows, as flat arrays."""
+    parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
+    return [np.ravel(each).astype(np.float32) - np.float32(0.5) for each in zip(*parts, strict=True)]
+
+
+def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the sampling density for samples of a coefficient, which may be negative."""
+    square = values.astype(np.float64) ** 2
+    # Between samples a ray takes one of the nearest ones.
+    for axis in (0, 1):
+        square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
+    root = np.sqrt(square)
+    return np.asarray(root + _LEAST * root.mean())
+
+
+def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Divide a window into parts over which a density, constant within each sample, has equal integrals.
+
+    Returns the edges of the strips, (n + 1,), and those of their cells, (n, n + 1).
+    """
+    rows, columns = density.shape
+    upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])
+    parts = np.linspace(0, 1, _CELLS + 1)
+    total = upto.sum(1)
+    edges = np.interp(parts * total[-1], total, np.arange(rows + 1))
+    low = np.minimum(edges.astype(int), rows - 1)
+    strips = np.diff(upto[low] + (edges - low)[:, None] * density[low], axis=0)
+    sums = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(strips, axis=1)], axis=1)
+    cells = [np.interp(parts * each[-1], each, np.arange(columns + 1)) for each in sums]
+    return edges / rows, np.stack(cells) / columns

@@ -1,0 +1,446 @@
+r"""Wave captures of scenes from the rays of a ray capture: signed coefficients for each ray, and convolutions.
+
+Rays start from each cell of the detector's grid, pass points around a lens that lights the cell, and continue through
+the pupil into the scene. `light.phase_space` gives the light that arrives with each ray, and its distribution on the
+detector. Only the radiance along rays is needed of the scene.
+
+Coefficients vary in sign and magnitude within a lens, so that their plain sum is noisy even for a uniform scene. With
+the mean c of the radiances that other, independent rays of the same cell and lens have found, the sum is therefore
+
+.. math:: \frac{1}{N} \sum_k \left[ w_k A_n(m_k, P_k)\, (L_k - c) + \delta_{n0}\, c \right] ,
+
+which has the same mean, because the coefficients' integral over m is known, and no noise where the radiance is uniform
+(a control variate: Owen, "Monte Carlo theory, methods and examples", section 8.9).
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lenses.main_lens import Pair
+from ..optics.rays import angular_response, transmittance
+from ..runtime.backend import drjit_array, quotient
+from ..runtime.batches import Box, PartialSum
+from ..runtime.fft import busy_drjit
+from .array_kernels import REACH
+from .control_variate import known_means
+from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
+from .optical_system import RayPupil
+from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
+from .pixel_kernels import PixelKernels
+from .scene_light import require_finite, require_light
+from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
+from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels, chances_of
+
+_BLOCK_BYTES = 2**29
+"""Bytes of the images of one block of the detector."""
+
+_LANES = 2**21
+"""Approximate count of rays that are traced at once."""
+
+_RAY_BYTES = 200
+"""Approximate bytes of a ray."""
+
+_PROBES, _CELLS = 2**10, 2**16
+"""Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
+
+_LEAST = 2
+"""Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
+
+
+class Brought(NamedTuple):
+    """What the rays of a lot bring."""
+
+    # For each node and image the mean values of cells, first those at the first place of each pixel.
+    values: list[list[list[Any]]]
+    # Direction cosines of the light of pixels.
+    cosines: Pair
+
+
+class SignedRaySum:
+    """A signed-ray capture, computed by blocks of the detector; a `runtime.jobs.LongSum`."""
+
+    arrays: Any = np
+    _sets = 1
+    """Values of a ray for each coefficient: 1, except for derivatives."""
+
+    def __init__(
+        self,
+        # The camera, whose recorded window may be a crop.
+        camera: PlenopticCamera,
+        # Radiance along rays, a `SceneLight`.
+        light: Any,
+        # The wavelengths at which diffraction is computed, and the channels that record each.
+        nodes: Sequence[Node],
+        # The distribution of the rays' wavelengths, if rays have wavelengths of their own.
+        drawn: DrawnWavelengths | None = None,
+        *,
+        # Count of grid cells across a pixel.
+        parts: int,
+        # Most rays per pixel, divided among the lenses that light it. Each of its cells gets at least one through each
+        # lens, and each pixel two.
+        spp: int,
+        seed: int,
+    ) -> None:
+        self._camera, self._light, self._nodes, self._drawn = camera, light, nodes, drawn
+        self._parts, self._seed = parts, seed
+        self._step = camera.pixel_size / parts
+        plans = [node.plan for node in nodes]
+        self._groups = _groups(nodes)
+        self._draws = Draws(camera, plans, parts)
+        # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
+        self._known_part = 0.0 if self._draws.by_points else 1.0
+        self._response = angular_response(camera.pixel_response)
+        least = -(-_LEAST // parts**2)
+        rays = max(least, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
+        # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
+        self._spp = rays if drawn is None else least
+        self._passes = round(rays / self._spp)
+        # Rays of a pixel and a lens in a pass.
+        self._together = self._spp * parts**2
+        self._channels = [channel for node in nodes for channel in node.channels]
+        self.channels = max(self._channels) + 1
+        rows, columns = camera.shape
+        self.box = Box(0, 0, columns, rows)
+        # Kernels are computed before the images, so that the peaks of their memory do not add up.
+        self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
+        values = sum(len(each) * len(node.channels) for each, node in zip(self._flat_kernels, nodes, strict=True))
+        self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
+        self.items = np.array([block.rows * block.columns for block in self._blocks])
+
+    def batches(self, first: int) -> Iterator[Block]:
+        """Trace the rays of the blocks from index `first`, and yield their images, which are to be convolved."""
+        for number, bins in enumerate(self._blocks[first:], first):
+            seeds = np.random.SeedSequence([self._seed, number])
+            # Dr.Jit's own threads rest while others compute the batches; here they are needed.
+            with busy_drjit():
+                sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
+            images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
+            yield Block(bins, images, self._convolutions, self._channels)
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Return the sum of all blocks."""
+        return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
+
+    @cached_property
+    def _kernels(self) -> list[list[list[PixelKernels]]]:
+        """Return the kernels of each node, each kind of lenses and each set of values of a ray."""
+        order = 0 if self._draws.by_points else ORDER - 1
+        return [
+            [
+                [
+                    PixelKernels(
+                        # A pixel is the mean of its cells. Larger micro-images are darker.
+                        kernels / (self._parts * larger) ** 2,
+                        *(plan.oblique, self._parts, self._draws.turns(kind) / plan.oblique.largest, order),
+                        *(plan.covariance, plan.tolerance),
+                    )
+                    for kernels in self._kernels_of(plan, kind)
+                ]
+                for kind, larger in enumerate(self._draws.enlargements)
+            ]
+            for plan in (node.plan for node in self._nodes)
+        ]
+
+    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        """Return the kernels (values, k, k) of cells for a kind of lenses, for each set of values of a ray."""
+        return [plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)]
+
+    @cached_property
+    def _flat_kernels(self) -> list[list[NDArray[np.float32]]]:
+        """Return the kernels of the images of each node."""
+        return [[kernel for sets in kinds for each in sets for kernel in each.kernels] for kinds in self._kernels]
+
+    def _rows(self, number: int, kind: int) -> list[slice]:
+        """Return which of a node's images are those of each set of values of a kind of lenses."""
+        counts = [[len(each.kernels) for each in sets] for sets in self._kernels[number]]
+        ends = sum(map(sum, counts[:kind])) + np.cumsum([0, *counts[kind]])
+        return [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
+
+    @cached_property
+    def _convolutions(self) -> list[Convolution]:
+        """Return the convolution of each image; the channels of a node share one."""
+        size = self._blocks[0].rows, self._blocks[0].columns
+        made = [Convolution(self._camera, kernels, size) for kernels in self._flat_kernels]
+        return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
+
+    @cached_property
+    def _coefficients(self) -> list[RayCoefficients | Polynomials]:
+        return [coefficients_of(node.plan) for node in self._nodes]
+
+    def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[NDArray[np.float32]]:
+        """Trace the rays of pixels of a box.
+
+        Return the images (kernels, pixels) of each channel of each node.
+        """
+        every = dr.width(pixels)
+        counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
+        sums = [np.zeros((count, every), np.float32) for count in counts]
+        dr.eval(pixels)
+        before: tuple[Lot, Brought] | None = None
+        for lot in self._lots(box, pixels, seeds):
+            brought = self._collect(lot)
+            # While a lot is added to the images, other threads sum the rays of the next one.
+            if before:
+                self._add(*before, sums)
+            before = lot, brought
+        if before:
+            self._add(*before, sums)
+        return sums
+
+    def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
+        """Add the light of a lot's rays to the images."""
+        images, some, shape = iter(sums), lot.some.numpy(), (self._parts**2, dr.width(lot.some))
+        cosines = np.array([value.numpy() for value in brought.cosines])
+        for number, node in enumerate(brought.values):
+            kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
+            for parts in node:
+                total, values = next(images)[rows[0].start : rows[-1].stop], [part.numpy() for part in parts]
+                values = [part.reshape(shape) for part in values]
+                for few in kernels[0].portions(len(some)):
+                    combined = self._combined(kernels, np.stack([v[:, few] for v in values]), cosines[:, few], number)
+                    # A lot contains each pixel at most once.
+                    total[:, some[few]] += combined
+
+    def _combined(
+        self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
+    ) -> NDArray[np.float32]:
+        """Return the images (n, pixels) of a node's values (values, places, pixels) of cells, for all sets.
+
+        `cosines` (2, pixels) are those of the light of the pixels.
+        """
+        terms, parts = self._nodes[number].plan.oblique.terms(cosines), np.split(values, len(kernels))
+        return np.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
+
+    def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
+        """Yield pixels of a box with each lens that lights them, in lots."""
+        size = max(1, _LANES // self._together)
+        for steps in self._draws.candidates:
+            aims = self._draws.aims(Pixels(box, pixels, steps))
+            pupil = self._draws.seen(aims.middle, aims)
+            seen = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2
+            for kind in range(len(self._draws.kinds.every)):
+                lit = dr.compress(seen & (aims.kind == kind))
+                for start in range(0, dr.width(lit), size):
+                    some = dr.gather(
+                        mi.UInt32,
+                        lit,
+                        dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start)),
+                    )
+                    chosen = Pixels(box, dr.gather(mi.UInt32, pixels, some), steps)
+                    own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
+                    for turn, seed in enumerate(own[1:]):
+                        yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
+
+    def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[NDArray[np.float32]]]]]:
+        """Yield the lots of all blocks, and the gradients with respect to the images that the lots make.
+
+        `gradient` is that with respect to the sum, by channel (rows, columns). A gradient (kernels, pixels) is yielded
+        for each image of each node.
+        """
+        for number, bins in enumerate(self._blocks):
+            convolutions, every = iter(self._convolutions), bins.rows * bins.columns
+            felt = [
+                [
+                    np.reshape(list(next(convolutions).adjoint(gradient[channel], bins)), (-1, every))
+                    for channel in node.channels
+                ]
+                for node in self._nodes
+            ]
+            seeds = np.random.SeedSequence([self._seed, number])
+            for lot in self._lots(bins, dr.arange(mi.UInt32, every), seeds):
+                yield lot, felt
+
+    def _felt(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
+        """Return the gradients with respect to each set of the functions' values of the cells of pixels of a lot.
+
+        They follow from `images`, those with respect to a node's images for one channel; see `_back`.
+        """
+        terms = self._nodes[number].plan.oblique.terms(self._cosines(lot, some))
+        own = images[:, dr.gather(mi.UInt32, lot.some, some).numpy()]
+        return [
+            [drjit_array(mi.Float, part) for part in kernels.adjoint(own[rows], terms)]
+            for kernels, rows in zip(self._kernels[number][lot.kind], self._rows(number, lot.kind), strict=True)
+        ]
+
+    def _cosines(self, lot: Lot, some: Any) -> NDArray[np.float32]:
+        """Return the direction cosines (2, pixels) of the light of pixels of a lot."""
+        return np.array([value.numpy() for value in self._draws.cosines(lot.pixels.take(some))])
+
+    def probe(self) -> NDArray[np.float32]:
+        """Return the light of some pixels, which identifies a scene and its camera."""
+        pixels = self._some(_PROBES // self._parts**2)
+        return np.concatenate([np.ravel(part) for part in self._trace(self._bins, pixels, np.random.SeedSequence(0))])
+
+    def cost(self) -> tuple[float, float]:
+        """Estimate from some of the pixels and tiles the time in seconds and the bytes that the sum takes."""
+        start = time.perf_counter()
+        convolutions = self._convolutions
+        made = time.perf_counter() - start
+        count = self._bins.rows * self._bins.columns
+        convolved, memory = cost_of(convolutions, self._blocks[0], count)
+        # The first run compiles the kernels, and is left out.
+        seconds = [self._timed(self._some(_CELLS // self._parts**2), seed) for seed in range(3)]
+        plans = [node.plan for node in self._nodes if not node.plan.by_points]
+        tables = sum(part.nbytes for plan in plans for part in plan.table)
+        return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
+
+    def _some(self, count: int) -> Any:
+        """Return the indices of `count` pixels, evenly spaced over all."""
+        every = self._bins.rows * self._bins.columns
+        return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
+
+    def _timed(self, pixels: Any, seed: int) -> float:
+        """Time the rays of pixels; return the seconds per pixel."""
+        with busy_drjit():
+            dr.sync_thread()
+            start = time.perf_counter()
+            self._trace(self._bins, pixels, np.random.SeedSequence(seed))
+            dr.sync_thread()
+            return (time.perf_counter() - start) / dr.width(pixels)
+
+    def _lanes(self, pixels: Pixels, turn: int, seed: int) -> list[Lanes | None]:
+        """Return the wavelengths of the rays of pixels in one of the passes, for each group of nodes."""
+        if self._drawn is None:
+            return [None for _ in self._groups]
+        chance = chances(dr.opaque(mi.UInt32, pixels.box.columns), pixels.index, turn, seed)
+        lanes: list[Lanes | None] = [
+            self._drawn.draw(chance, span([self._nodes[number] for number in group])) for _, group in self._groups
+        ]
+        # Dr.Jit does not look into named tuples.
+        dr.eval([tuple(each) for each in lanes if each])
+        return lanes
+
+    def _collect(self, lot: Lot) -> Brought:
+        """Trace the rays of a lot; return the sums over the rays of its cells, which are about to be computed."""
+        count = dr.width(lot.some)
+        drawn, own = self._drawn_rays(lot.pixels, lot.key)
+        counted = dr.select(drawn.open, mi.Float(1), 0)
+        sums: list[list[list[Any]]] = []
+        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
+            radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
+            radiance = [light * self._answer(drawn) for light in radiance]
+            require_finite(radiance, counted, *drawn.kept)
+            # Any function may be the light; derivatives and band-limited light may be negative.
+            if getattr(self._light, "is_radiance", False):
+                require_light(radiance)
+            known, lit = known_means(radiance, counted, count, self._together)
+            for number in nodes:
+                sums.append(self._bring(lot, drawn, radiance, known, lit, number, lanes))
+        cosines = self._draws.cosines(lot.pixels)
+        dr.eval(sums, cosines)
+        return Brought(sums, cosines)
+
+    def _drawn_rays(self, pixels: Pixels, key: Any) -> tuple[Drawn, Any]:
+        """Return all rays of pixels, one per lane, and for each ray the position of its pixel among these."""
+        lane = dr.arange(mi.UInt32, dr.width(pixels.index) * self._together)
+        own = quotient(lane, self._together)
+        sample = lane - own * dr.opaque(mi.UInt32, self._together)
+        return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
+
+    def _cell_of(self, own: Any, sample: Any, pixels: int) -> Any:
+        """Return the position of the cell of rays among the cells of some pixels, first those at their first place."""
+        return quotient(sample, self._spp) * dr.opaque(mi.UInt32, pixels) + own
+
+    def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
+        """Return the arguments of the light: see `SceneLight`."""
+        start, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
+        # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
+        seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
+        if lanes is None:
+            return start, direction, seen, seed
+        return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
+
+    def _answer(self, drawn: Drawn) -> Any:
+        """Return the pixels' response to rays by their paths behind the lenses, times the rays' weights in a medium."""
+        absorption, even = self._camera.mla_absorption, self._draws.evenness(drawn)
+        if self._response is None and not absorption:
+            return even
+        aside, depth = self._draws.crossed(drawn)
+        response = 1 if self._response is None else self._response(dr.atan(aside / depth))
+        return response * transmittance(absorption, aside, depth) * even
+
+    def _bring(
+        self,
+        lot: Lot,
+        drawn: Drawn,
+        radiance: list[Any],
+        known: list[Pair],
+        lit: Any,
+        number: int,
+        lanes: Lanes | None,
+    ) -> list[list[Any]]:
+        """Return, for each image of a node, the mean coefficients of the rays of each cell."""
+        (first, start), kept = self._first(lot.pixels), drawn.kept
+        pixel, key = self._spread(lot.pixels.index), lot.key
+        # Computed before the recorded loop, so as not to become a part of it.
+        node, coefficients = self._nodes[number], self._coefficients[number]
+        used, weights = node.mixture(lanes)
+        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
+        if lanes is not None:
+            weights = self._spread(weights)
+
+        def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
+            ray, even = kept.at(first + k), ((start + k) & 1) == 0
+            others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in known]
+            changes = [
+                dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
+            ]
+            active = ray.open & dr.any([change != 0 for change in changes], axis=0)
+            values = coefficients(ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), active)
+            result = []
+            for row, before in zip(weights, brought, strict=True):
+                change = ray.weight * mixed(row, changes)
+                after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
+                after[0] += dr.select(ray.open, mixed(row, others), 0)
+                result.append(after)
+            return k + 1, result
+
+        return self._mean_of(bring, lit, number)
+
+    def _first(self, pixels: Pixels) -> Pair:
+        """Return the number of the first ray of all cells of pixels: among the rays of all, and of each pixel."""
+        places, count = self._parts**2, dr.width(pixels.index)
+        lane, every = dr.arange(mi.UInt32, count * places), dr.opaque(mi.UInt32, count)
+        place = quotient(lane, count)
+        start = place * dr.opaque(mi.UInt32, self._spp)
+        return (lane - place * every) * dr.opaque(mi.UInt32, self._together) + start, start
+
+    def _spread(self, values: Any) -> Any:
+        """Return values of pixels, or sequences of these, for each of their cells."""
+        if self._parts == 1:
+            return values
+        if isinstance(values, Sequence):
+            return [self._spread(value) for value in values]
+        count = dr.width(values)
+        return dr.gather(
+            type(values), values, dr.arange(mi.UInt32, count * self._parts**2) % dr.opaque(mi.UInt32, count)
+        )
+
+    def _mean_of(self, bring: Callable[..., Any], lit: Any, number: int) -> list[list[Any]]:
+        """Return the mean values of each cell of lit pixels, over its rays in a loop, for each image of a node."""
+        node, functions = self._nodes[number], self._nodes[number].plan.functions.count
+        nothing = [[mi.Float(0) for _ in range(self._sets * functions)] for _ in node.channels]
+        end = dr.select(self._spread(lit), dr.opaque(mi.UInt32, self._spp), 0)
+        _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
+        rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
+        return [[part / rays for part in parts] for parts in brought]
+
+
+def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:
+    """Group the nodes whose rays follow the same paths; return the main lens and the node indices of each group."""
+    found: dict[float, tuple[RayPupil, list[int]]] = {}
+    for number, node in enumerate(nodes):
+        pupil = RayPupil(node.plan.system)
+        found.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
+    return list(found.values())

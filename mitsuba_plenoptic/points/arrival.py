@@ -1,0 +1,368 @@
+"""The field of one scene point behind the exit pupil, and just before the microlenses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if
+from ..lenses.collimated import CollimatedLens
+from ..lenses.exit_pupil import ExitPupil
+from ..lenses.main_lens import PointLight
+from ..lenses.telecentric import TelecentricLens
+from ..lenses.thin import ThinLens
+from ..light.microlenses import diffraction, scattering
+from ..light.optical_system import OpticalSystem, is_paraxial
+from ..light.sampling import Footprint, bundle_footprint, check_memory, footprint
+from ..optics import guards
+from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
+from ..runtime.backend import backend
+from ..runtime.fft import Field, as_field, fast_length, fft, fft2, pack, resting_drjit, rows_and_columns
+from .pupil_weights import PupilWeights
+
+_WINDOW_MARGIN = 1.2
+"""Width of the window between pupil and MLA over the extent that it must contain."""
+
+_AIRY_WIDTHS = 110
+r"""Least width of that window in units of :math:`\lambda b / D_1`, to contain diffraction by the pupil's edge."""
+
+_WINDOW_PER_BLUR = 20
+"""Least width of the window behind an objective, over the radius of a point's defocused image."""
+
+_PUPIL_BAND = 1.5
+"""Sampled directions between pupil and MLA over the steepest ray, to contain diffraction by the pupil's edge."""
+
+_PUPIL_SAMPLES = 250
+"""Least samples across the pupil's radius: an edge softened over one sample loses a third of a sample's light."""
+
+_KEPT_BENDS = 3.3
+"""Lower bound of the band retained behind the microlenses, over the scattering of a wide microlens."""
+
+_KEPT_ORDERS = 20
+"""Lower bound of the same band, in diffraction orders of the aperture of a microlens."""
+
+BLOCK = 512
+"""Number of rows that are transformed together."""
+
+
+@dataclass(frozen=True)
+class FieldGrids:
+    """Sizes and positions of the grids; pairs are along x and y."""
+
+    pitch: float  # behind the MLA: an integer fraction of a pixel
+    per_pixel: int
+    wide_origin: tuple[float, float]  # of the window that contains pupil, image and detector
+    wide_pupil: int  # samples across it, at the pupil's pitch
+    wide_mla: int  # samples across it, at the MLA's pitch
+    offset: tuple[int, int]  # of the detector's window in the wide window, in MLA samples
+    count: tuple[int, int]  # samples of the detector's window
+    bend: float  # largest change of direction cosine by a microlens that the grid represents
+    margin: int  # pixels between the window's edge and the first recorded pixel
+
+
+def field_grids(
+    system: OpticalSystem,
+    position: NDArray[np.float64],
+    refinement: float,
+    growth: float,
+) -> FieldGrids:
+    """Choose the grids of one scene point's field, with the parameters of `full_field`."""
+    lens = system.waves_of_one(position)
+    if isinstance(lens, ExitPupil):
+        positions, cosines = lens.bundle
+        image = bundle_footprint(positions.T[:, None], cosines.T[:, None], lens.pupil_distance)
+    else:
+        image = footprint(system.lens, position[None])
+    what = f"full field of position = ({position[0]:g}, {position[1]:g}, {position[2]:g})"
+    return grids_around(system, lens, image, position[None], what, refinement, growth)
+
+
+def grids_around(
+    system: OpticalSystem,
+    lens: PointLight,
+    image: Footprint,
+    positions: NDArray[np.float64],
+    what: str,
+    refinement: float = 1.0,
+    growth: float = 1.0,
+) -> FieldGrids:
+    """Choose grids that hold the fields of all scene points (n, 3) with these footprints; `what` names the work."""
+    camera, wavelength = system.camera, system.wavelength
+    p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
+    steepest = float((np.abs(image.cosine) + image.half_cosine).max())
+    bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
+    per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
+    pitch = p / per_pixel
+    # The recorded window on the detector, with a margin for light that travels sideways between MLA and detector.
+    sine = bent / camera.mla_medium
+    reach = growth * camera.detector_distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
+    margin = math.ceil(reach / p)
+    width = np.array([camera.detector_width, camera.detector_height])
+    pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
+    # The window between pupil and MLA, which is square and aligned with the pixels.
+    low = np.minimum((image.centre - image.half_width).min(0), start)
+    high = np.maximum((image.centre + image.half_width).max(0), start + np.array(pixels) * p)
+    if camera.lens_data.converges:
+        low, high = np.minimum(-radius, low), np.maximum(radius, high)
+        diffracted = _AIRY_WIDTHS * lam * lens.pupil_distance / (2 * radius)
+    elif camera.lens_data.images_stop:
+        # The field is sampled in the image of the stop itself.
+        diffracted = 0.0
+    else:
+        # The number of samples of the stop is that of waves of the steepest direction across the window. Softening its
+        # edge over one sample reduces the light that the edge diffracts far from the point's image.
+        blur = _WINDOW_PER_BLUR * float(image.half_width.max())
+        diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(positions[:, 2]), blur)
+    held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
+    wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
+    before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
+    finest = max(2 * _PUPIL_BAND * steepest / lam, _PUPIL_SAMPLES / radius)
+    coarse = min(wide, fast_length(wide * pitch * finest * refinement))
+    detector_samples = pixels[0] * pixels[1] * per_pixel**2
+    check_memory(
+        # at the pupil, during propagation to the MLA, or with the doubled grid of the detector
+        8.0 * max(4 * coarse**2, 2 * coarse**2 + pixels[1] * per_pixel * coarse, 5 * detector_samples)
+        + 32.0 * BLOCK * wide,
+        what,
+    )
+    return FieldGrids(
+        pitch=pitch,
+        per_pixel=per_pixel,
+        wide_origin=(float(start[0] - before[0] * p), float(start[1] - before[1] * p)),
+        wide_pupil=coarse,
+        wide_mla=wide,
+        offset=(int(before[0]) * per_pixel, int(before[1]) * per_pixel),
+        count=(pixels[0] * per_pixel, pixels[1] * per_pixel),
+        bend=lam / (2 * pitch) - steepest,
+        margin=margin,
+    )
+
+
+@dataclass(frozen=True)
+class SampledField:
+    r"""A complex field on a square grid in a plane of the camera."""
+
+    # The sum of squared moduli times the squared pitch is the fraction of the power through the pupil. The carrier
+    # :math:`\exp(i k d)` of the path from the main lens is omitted. The shape is (rows, columns).
+    samples: Field
+    # Camera-frame x and y of the first sample, in millimetres.
+    origin: tuple[float, float]
+    # Distance between samples in millimetres.
+    pitch: float
+
+    @property
+    def power(self) -> float:
+        """Fraction of the power through the pupil that is on the grid."""
+        return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
+
+
+def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
+    """Return a field on a grid of another pitch, of either sign, as its samples determine it by their band limit."""
+    arrays = backend().arrays
+    # Along y, then along x.
+    matrices = []
+    for start, first, size, count in zip(origin[::-1], field.origin[::-1], shape, field.samples.shape, strict=True):
+        at, given = start + pitch * np.arange(size), first + field.pitch * np.arange(count)
+        matrices.append(arrays.asarray(np.sinc((at[:, None] - given) / field.pitch).astype(np.float32)))
+    rows, columns = matrices
+    return arrays.ascontiguousarray(rows @ arrays.asarray(field.samples.astype(np.complex64)) @ columns.T)
+
+
+def pupil_field(
+    system: OpticalSystem,
+    position: NDArray[np.float64],
+    grids: FieldGrids,
+    weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
+) -> SampledField:
+    """Return the field of a scene point behind the exit pupil, with the parameters of `full_field`."""
+    types = backend().types
+    count = grids.wide_pupil
+    pitch = grids.pitch * grids.wide_mla / count
+    row, column = rows_and_columns(types, count, count)
+    step = dr.opaque(types.Float64, pitch)
+    Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
+    Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
+    X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
+    lens, pupil, point = system.waves_of_one(position), (Px, Py), (X, Y, g)
+    if incident is not None:
+        if isinstance(lens, ThinLens) and is_paraxial(system.camera):
+            waves = lens.paraxial_path(pupil, g, system.wavelength)
+        else:
+            waves = lens.path(pupil, point, system.wavelength)
+        turned = as_field(pack(phasor(waves)), (count, count))
+        entering = interpolated(incident, grids.wide_origin, pitch, (count, count)) / np.float32(incident.power**0.5)
+        guards.check(guards.APERTURE, 1 - power(entering) * pitch**2)
+        return SampledField(entering * turned, grids.wide_origin, pitch)
+    # The edge is softened over one sample to make it round; the normalisation is that of the hard edge.
+    cover = types.Float(soft_edge(lens.inside(pupil) / step))
+    bright = types.Float(lens.amplitude(pupil, point))
+    density = types.Float64(bright * bright * cover)
+    if weights is not None:
+        passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
+        density *= types.Float64(passed)
+        cover *= amplitude
+    passing = dr.sum(density)[0] * pitch**2
+    refuse_if(
+        not 0 < passing < math.inf,
+        f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart",
+    )
+    field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(passing))
+    return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
+
+
+def at_mla(
+    camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField, paraxial: bool = False
+) -> SampledField:
+    """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
+    spectrum = backend().empty(pupil.samples.shape, np.complex64)
+    spectrum[...] = pupil.samples
+    with resting_drjit():
+        spectrum = fft2(spectrum)
+    guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
+    spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength, paraxial=paraxial)
+    return onto_window(spectrum, grids)
+
+
+def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
+    """Transform the spectrum of a field at the MLA to the finer grid there, and crop it to the detector's window."""
+    (left, top), (columns, rows) = grids.offset, grids.count
+    samples = backend().empty((rows, columns), np.complex64)
+    with resting_drjit():
+        # one axis at a time, so that rows and columns outside the spectrum and the window are not transformed
+        partial = backend().arrays.empty((rows, spectrum.shape[1]), np.complex64)
+        width, in_rim = rim(grids.wide_mla), 0.0
+        for block in blocks(spectrum.shape[1]):
+            tall = interpolate(spectrum[:, block], grids.wide_mla, axis=0)
+            partial[:, block] = tall[top : top + rows]
+            in_rim += power(tall[:width]) + power(tall[-width:])
+        for block in blocks(rows):
+            wide = interpolate(partial[block], grids.wide_mla, axis=1)
+            samples[block] = wide[:, left : left + columns]
+    guards.check_window(fraction(in_rim, power(spectrum) * grids.wide_mla / spectrum.shape[0] ** 2))
+    origin = (grids.wide_origin[0] + left * grids.pitch, grids.wide_origin[1] + top * grids.pitch)
+    return SampledField(samples, origin, grids.pitch)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Divide a range into slices, which limits the memory of their intermediate results."""
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(count, start + BLOCK))
+
+
+def interpolate(spectrum: Field, count: int, axis: int) -> Field:
+    """Transform a spectrum back along one axis to `count` samples of the same window, by zero padding."""
+    size = spectrum.shape[axis]
+    shape = list(spectrum.shape)
+    shape[axis] = count
+    arrays = backend().arrays
+    padded = arrays.zeros(shape, np.complex64)
+    source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
+    positive = (size + 1) // 2
+    target[:positive] = source[:positive]
+    target[count - (size - positive) :] = source[positive:]
+    padded *= np.float32(count / size)
+    return fft(padded, axis=axis, inverse=True)
+
+
+def telecentric_arrival(
+    lens: TelecentricLens,
+    position: NDArray[np.float64],
+    wavelength: float,
+    grids: FieldGrids,
+    weights: PupilWeights | None = None,
+) -> tuple[SampledField, SampledField]:
+    """Return the field on the stop, and that in the native image just before the microlenses, for a scene point (3,).
+
+    Both have the power 1, except for light that misses the detector's window.
+    """
+    types, count = backend().types, grids.wide_pupil
+    pitch = grids.pitch * grids.wide_mla / count
+    step = in_millimetres(wavelength) / (count * pitch)
+    frequencies = []
+    row, column = rows_and_columns(types, count, count)
+    for sample in (column, row):
+        # Zero frequency comes first, as in transforms.
+        index = types.Float64(sample)
+        frequencies.append(dr.select(index < (count + 1) // 2, index, index - count))
+    reach = lens.pupil_distance * step
+    pupil = -frequencies[0] * dr.opaque(types.Float64, reach), -frequencies[1] * dr.opaque(types.Float64, reach)
+    field = _stop_field(lens, position, wavelength, pupil, reach, weights)
+    # The first sample is at the corner of the grid.
+    to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.wide_origin]
+    spectrum = field * phasor(frequencies[0] * to_corner[0] + frequencies[1] * to_corner[1])
+    # The field on the stop is a density in position; the density in direction is larger by the focal length.
+    scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
+    shape = count, count
+    packed = as_field(pack(spectrum * types.Float(scale)), shape)
+    guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
+    mla = onto_window(packed, grids)
+    stop = backend().arrays.fft.fftshift(as_field(pack(field), shape))[::-1, ::-1]
+    half = (count - 1) // 2
+    return SampledField(stop, (-half * reach, -half * reach), reach), mla
+
+
+def stop_image_arrival(
+    lens: TelecentricLens | CollimatedLens,
+    position: NDArray[np.float64],
+    wavelength: float,
+    grids: FieldGrids,
+    weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
+) -> tuple[SampledField, SampledField]:
+    """Return the fields of `telecentric_arrival` for an array in the image of the stop."""
+    types, (columns, rows) = backend().types, grids.count
+    scale = lens.stop_scale
+    origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    row, column = rows_and_columns(types, rows, columns)
+    pupil = tuple(
+        (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * scale
+        for sample, start in zip((column, row), origin, strict=True)
+    )
+    sample = grids.pitch * abs(scale)
+    if incident is None:
+        field = as_field(pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))
+    else:
+        point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
+        turned = as_field(pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
+        first, pitch = (origin[0] * scale, origin[1] * scale), grids.pitch * scale
+        field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
+        with resting_drjit():
+            guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft2(field.copy())))
+    mla = SampledField(field * np.float32(abs(scale)), (origin[0], origin[1]), grids.pitch)
+    stop = SampledField(
+        field[::-1, ::-1],
+        (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample),
+        sample,
+    )
+    return stop, mla
+
+
+def _stop_field(
+    lens: TelecentricLens | CollimatedLens,
+    position: NDArray[np.float64],
+    wavelength: float,
+    pupil: tuple[Any, Any],
+    sample: float,
+    weights: PupilWeights | None,
+) -> Any:
+    """Return the field at positions on the stop, with power 1 and an edge that is softened over one sample."""
+    types = backend().types
+    point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
+    cover = types.Float(soft_edge(lens.inside(pupil) / sample))
+    amplitude = types.Float(lens.amplitude(pupil, point))
+    power = lens.power_through(position)
+    if weights is not None:
+        count = dr.width(pupil[0])
+        passed, relative = weights.at(dr.zeros(types.UInt32, count), *pupil, lens.pupil_radius, sample)
+        power = float(dr.sum(types.Float64(amplitude * amplitude * cover * passed))[0]) * sample**2
+        cover *= relative
+    return phasor(lens.path(pupil, point, wavelength)) * (amplitude * cover / math.sqrt(power))

@@ -1,0 +1,195 @@
+"""The complex field of many mutually coherent points in the planes of the camera, and its adjoint.
+
+The field on the pupil is a sum over layers of distance (see `pupil_sums`). From there it goes through the camera as
+that of a single point does (see `full_field`): by its angular spectrum to the array, through the microlenses by their
+diffraction orders, and by its angular spectrum to the detector. All of this is linear; the adjoint applies the adjoints
+of the steps in opposite order. Transfer functions and transmissions then are conjugated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, refuse_if, require_choice
+from ..lenses.main_lens import MainLens
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import Footprint, check_memory, footprint
+from ..optics.waves import advance
+from ..runtime.backend import backend
+from ..runtime.fft import Field, fft, fft2, resting_drjit
+from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
+from .carriers import PupilGrid
+from .full_field import detector_spectrum, pass_microlenses, pixel_integrals
+from .nonuniform import POINT_BYTES
+from .pupil_sums import Layer, layers, memory
+
+PLANES = ("pupil", "array", "detector")
+"""Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
+
+_TOGETHER = 2**14
+"""Number of points whose rays are traced together."""
+
+
+def require_coherent(camera: PlenopticCamera) -> None:
+    """Refuse a camera whose points do not all see the same pupil."""
+    refuse_if(
+        not camera.lens_data.is_thin,
+        f"main_lens = {camera.lens_data.label}: coherent fields need a thin main lens, whose pupil all points see",
+    )
+
+
+class CoherentFields:
+    """Fields of scene points (n, 3) of a camera with a thin main lens, each of unit power through the pupil.
+
+    The phase of a point's amplitude is that of its field at the centre of the pupil.
+    """
+
+    def __init__(self, system: OpticalSystem, points: NDArray[np.float64]) -> None:
+        require_coherent(system.camera)
+        refuse_if(not len(points), "points: coherent fields need at least one")
+        lens: Any = system.waves_of(points)
+        self.system, self._lens, self._points = system, lens, points
+        what = f"coherent field of {len(points)} points"
+        self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
+        self._pupil = PupilGrid(lens, self.grids.wide_origin, self._pupil_pitch)
+        self._parts = layers(system, lens, points)
+        sums = max(memory(lens, points[part], self._pupil) for part in self._parts)
+        check_memory(POINT_BYTES * len(points) + sums + 8.0 * self.grids.wide_pupil**2, what)
+
+    def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
+        """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
+        pupil = self._on_pupil(amplitudes)
+        if plane == "pupil":
+            return pupil
+        array = at_mla(self.system.camera, self.system.wavelength, self.grids, pupil)
+        if plane == "array":
+            return array
+        spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
+        with resting_drjit():
+            return SampledField(fft2(spectrum, inverse=True), array.origin, array.pitch)
+
+    def intensity(self, amplitudes: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """Integrate the intensity of the field on the detector over the recorded pixels."""
+        array = self.at(amplitudes, "array")
+        spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
+        del array
+        dr.flush_malloc_cache()
+        return backend().to_host(pixel_integrals(self.system.camera, spectrum, self.grids))
+
+    def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
+        """Return for each point the inner product of its field with samples of one of the planes."""
+        arrays = backend().arrays
+        field = arrays.array(samples, np.complex64)
+        if plane == "detector":
+            field = self._before_microlenses(field)
+        if plane != "pupil":
+            field = self._behind_pupil(field)
+        field = np.ascontiguousarray(backend().to_host(field[self._pupil.rows, self._pupil.columns]))
+        result = np.empty(len(self._points), np.complex64)
+        for part, layer in self._layers:
+            result[part] = layer.adjoint(field)
+        return result
+
+    def shape(self, plane: str) -> tuple[int, int]:
+        """Return the rows and columns of the samples in a plane."""
+        columns, rows = (self.grids.wide_pupil,) * 2 if plane == "pupil" else self.grids.count
+        return rows, columns
+
+    @property
+    def transforms(self) -> int:
+        """Number of transforms of the pupil that a field takes, in all layers."""
+        return sum(layer.rank for _, layer in self._layers)
+
+    @property
+    def _pupil_pitch(self) -> float:
+        return self.grids.pitch * self.grids.wide_mla / self.grids.wide_pupil
+
+    @cached_property
+    def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
+        return [(part, Layer(self.system, self._lens, self._points[part], self._pupil)) for part in self._parts]
+
+    def _on_pupil(self, amplitudes: NDArray[np.complex64]) -> SampledField:
+        grid = self._pupil
+        inner = np.zeros((grid.count, grid.count), np.complex64)
+        for part, layer in self._layers:
+            layer.add(amplitudes[part], inner)
+        field = backend().arrays.zeros(self.shape("pupil"), np.complex64)
+        field[grid.rows, grid.columns] = backend().arrays.asarray(inner)
+        return SampledField(field, self.grids.wide_origin, self._pupil_pitch)
+
+    def _before_microlenses(self, field: Field) -> Field:
+        """Apply the adjoint of the microlenses and of the propagation to the detector."""
+        camera = self.system.camera
+        with resting_drjit():
+            spectrum = fft2(field)
+        wavelength = camera.medium_wavelength(self.system.wavelength)
+        spectrum = advance(spectrum, self.grids.pitch, -camera.detector_distance, wavelength)
+        with resting_drjit():
+            field = fft2(spectrum, inverse=True).conj()
+        pass_microlenses(self.system, self.grids, field)
+        return field.conj()
+
+    def _behind_pupil(self, field: Field) -> Field:
+        """Apply the adjoint of the propagation from the pupil to the array."""
+        grids, camera = self.grids, self.system.camera
+        with resting_drjit():
+            spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
+        spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
+        with resting_drjit():
+            return fft2(spectrum, inverse=True)
+
+
+def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
+    """Return the footprints of points, computed for some of them at a time."""
+    parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
+    names = [field.name for field in dataclasses.fields(Footprint)]
+    return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
+    """Transform the detector's window along one axis to the spectrum of the wide window: adjoint of `onto_window`."""
+    arrays, count = backend().arrays, grids.wide_pupil
+    start, size = grids.offset[1 - axis], field.shape[axis]
+    positive = (count + 1) // 2
+    kept = np.r_[0:positive, grids.wide_mla - (count - positive) : grids.wide_mla]
+    parts = []
+    for block in blocks(field.shape[1 - axis]):
+        part = field[block] if axis == 1 else field[:, block]
+        shape = list(part.shape)
+        shape[axis] = grids.wide_mla
+        padded = arrays.zeros(shape, np.complex64)
+        padded[(slice(None),) * axis + (slice(start, start + size),)] = part
+        parts.append(arrays.take(fft(padded, axis=axis), arrays.asarray(kept), axis))
+    return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))
+
+
+def require_plane(plane: Any) -> str:
+    """Return the name of a plane, or refuse it."""
+    return require_choice("plane", plane, PLANES)
+
+
+def check_amplitudes(amplitudes: Any, count: int) -> NDArray[np.complex64]:
+    """Return amplitudes as an array (n,), or refuse them."""
+    return _complex("amplitudes", amplitudes, (count,), "one complex number for each point")
+
+
+def check_samples(samples: Any, shape: tuple[int, int], plane: str) -> NDArray[np.complex64]:
+    """Return samples of a field in a plane as an array, or refuse them."""
+    return _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
+
+
+def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+    try:
+        array = np.asarray(values, np.complex64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}: they must be complex numbers") from None
+    refuse_if(array.shape != shape, f"{name} of shape {array.shape}: it must be {shape}, {meaning}")
+    refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
+    return np.ascontiguousarray(array)

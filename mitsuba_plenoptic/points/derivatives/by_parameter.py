@@ -1,0 +1,223 @@
+"""The parameters of a camera by which captures are differentiated, as Dr.Jit arrays that carry gradients."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from functools import cache, partial
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...camera.entry import Captures
+from ...camera.vector import change_of, parts_of, size_of, with_gradient
+from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
+from ...lattice import make_lattice, turn
+from ...lenses.thin import Wavefront, zernike
+from ...light.microlens_orders import VaryingArrayFactor
+from ...light.optical_system import OpticalSystem
+from ...optics.waves import in_millimetres
+from ...runtime.backend import array_module, backend, drjit_array, is_zero
+from ..field_grid import Grid
+from ..patch_factors import Elements
+from ..units import brightness
+
+_BLOCK = 2**14
+"""Number of samples for which powers are computed together."""
+
+
+def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
+    """Return the path that changes of coefficients add at points of the pupil: zero, with gradients."""
+    return dr.custom(_VaryingPath, coefficients, radius, dr.detach(x), dr.detach(y))
+
+
+class _VaryingPath(dr.CustomOp):
+    """A sum of Zernike polynomials with coefficients that are zero except for their changes."""
+
+    def eval(self, coefficients: Any, radius: float, x: Any, y: Any) -> Any:
+        self._count, self._radius, self._points = len(coefficients), radius, (x, y)
+        return dr.zeros(type(x), dr.width(x))
+
+    def forward(self) -> None:
+        changes = np.asarray(self.grad_in("coefficients").numpy(), np.float64)
+        kind = type(self._points[0])
+        some = [dr.opaque(kind, change) for change in changes[: np.flatnonzero(changes).max(initial=-1) + 1].tolist()]
+        self.set_grad_out(Wavefront(some, self._radius).path(*self._points) + dr.zeros(kind, dr.width(self._points[0])))
+
+    def backward(self) -> None:
+        gradient, x, y = (backend().to_host(backend().from_drjit(part)) for part in (self.grad_out(), *self._points))
+        found = np.array(_gradients(self._count, gradient, x, y, self._radius))
+        self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), found))
+
+    def name(self) -> str:
+        return "aberrations"
+
+
+def _gradients(count: int, gradient: NDArray[Any], x: NDArray[Any], y: NDArray[Any], radius: float) -> list[float]:
+    """Return the sums over the samples of each polynomial times the gradient of the path."""
+    polynomials = [zernike(j) for j in range(1, count + 1)]
+    size = max(len(polynomial) for polynomial in polynomials)
+    moments = np.zeros((size, size))
+    for first in range(0, len(gradient), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        moments += (_powers(x[block] / radius, size) * gradient[block]) @ _powers(y[block] / radius, size).T
+    unit = in_millimetres(WAVEFRONT_UNIT)
+    return [unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials]
+
+
+def _powers(values: NDArray[Any], count: int) -> NDArray[np.float64]:
+    """Return the powers 0 ... count - 1 of some values, (count, n)."""
+    result = np.ones((count, len(values)))
+    for lower, power in itertools.pairwise(result):
+        np.multiply(lower, values, out=power)
+    return result
+
+
+WAVELENGTH = "wavelength"
+"""By it captures can be differentiated like by the parameters of the camera."""
+
+DIFFERENTIABLE = (*with_gradient(Captures.POINTS), WAVELENGTH)
+"""Parameters of a camera, and the wavelength, by which captures can be differentiated."""
+
+MOVES = ("detector_width", "mla_rotation", "wavelength")
+"""Those that move the pixels against the samples of the light."""
+
+
+def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
+    """Return the present parts of a parameter: two pitches, each focal length, 36 aberrations or more."""
+    if name == WAVELENGTH:
+        return np.array([wavelength])
+    parts = parts_of(camera, name)
+    return np.pad(parts, (0, size_of(camera, name) - len(parts)))
+
+
+def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
+    """Return names of parameters with derivatives, all for None; others are refused."""
+    names = DIFFERENTIABLE if names is None else (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        if name not in DIFFERENTIABLE:
+            raise InputError(
+                f"{short_repr(name)}: it is none of the parameters with a derivative: {', '.join(DIFFERENTIABLE)}"
+                f"{did_you_mean(name, DIFFERENTIABLE)}"
+            )
+    return tuple(names)
+
+
+def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
+    """Return changes of parameters by name, each of all parts that `values_of` returns; others are refused."""
+    if not isinstance(changes, dict):
+        raise InputError(f"changes = {short_repr(changes)}: they must be numbers by name")
+    check_names(changes)
+    checked = {}
+    for name, change in changes.items():
+        size = len(values_of(camera, 1.0, name))
+        parts = np.array([require_number(name, part) for part in np.ravel(np.asarray(change, object)).tolist()])
+        checked[name] = parts if name == WAVELENGTH else change_of(camera, name, parts)
+        if len(checked[name]) != size:
+            raise InputError(f"{name} = {short_repr(change)}: its change must be {size} number{'s' * (size > 1)}")
+    return checked
+
+
+def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the derivatives of the logarithm of `units.brightness` by all parts of each parameter.
+
+    The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
+    """
+    parameters = VaryingParameters(camera, 1.0, names)
+    value = dr.log(parameters.brightness(camera))
+    if dr.grad_enabled(value):
+        dr.backward(value)
+    return parameters.gradients()
+
+
+def light_slopes(
+    system: OpticalSystem, names: Iterable[str], points: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """Return the derivatives of the logarithm of `units.brightness_at` by each parameter.
+
+    The arrays are (components, points).
+    """
+    slopes = brightness_slopes(system.camera, names)
+    found = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
+    return found | system.waves_of(points).open_slopes(found, points)
+
+
+class VaryingParameters:
+    """The parameters of a camera, and the wavelength, as Dr.Jit arrays; those in `names` carry gradients."""
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
+        self.types = array_module().ad
+        self._parameters: dict[str, list[Any]] = {}
+        self._varies = set(names)
+        for name in DIFFERENTIABLE:
+            fixed = name not in self._varies and name != WAVELENGTH
+            values = parts_of(camera, name) if fixed else values_of(camera, wavelength, name)
+            self._parameters[name] = [dr.opaque(self.types.Float64, value) for value in values.tolist()]
+            if name in self._varies:
+                dr.enable_grad(self._parameters[name])
+
+    def elements(self, grid: Grid, lanes: int) -> Elements:
+        """Return the elements of the camera in the frame of a grid.
+
+        Each varying parameter is repeated for each of several lanes, so that one kernel scatters the gradients of all
+        of them. Single values would each need a kernel of their own, which would recompute everything.
+        """
+        get = {name: [self._over(name, part, lanes) for part in self._parameters[name]] for name in DIFFERENTIABLE}
+        (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
+        angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
+        # The array stays where it is in the frame of the grid, and the scene turns.
+        turned = angle - dr.opaque(self.types.Float64, grid.rotation) if "mla_rotation" in self._varies else 0.0
+
+        def lens() -> Any:
+            held = [dr.detach(coefficient) for coefficient in get["wavefront"][: len(grid.camera.wavefront)]]
+            values = {name: get[name][0] for name in ("focal_length", "aperture_radius", "mla_distance", "wavelength")}
+            return grid.lens.varying(values | {"wavefront": held}, self._varies, turned)
+
+        def array(cosine: float) -> list[VaryingArrayFactor]:
+            x, y = get["mla_offset"]
+            if not is_zero(angle):
+                x, y = turn(x, y, -angle if dr.is_array_v(angle) else dr.opaque(self.types.Float64, -angle))
+            lattice = self._lattice(get, grid.camera, (x, y))
+            factors = grid.microlenses.factors(cosine)
+            lengths = [length / grid.camera.mla_medium for length in get["mla_focal_length"]]
+            return [VaryingArrayFactor(factor, lattice, lengths, wavelength) for factor in factors]
+
+        growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
+        aberration = None
+        if "wavefront" in self._varies:
+            aberration = partial(varying_path, dr.concat(self._parameters["wavefront"]), grid.camera.pupil_radius)
+        return Elements(cache(lens), cache(array), wavelength, distance, turned, growth, aberration)
+
+    def _over(self, name: str, value: Any, lanes: int) -> Any:
+        """Return a value for each lane, if it varies."""
+        if name not in self._varies or name == "wavefront":
+            return value
+        return dr.gather(self.types.Float64, value, dr.zeros(self.types.UInt32, lanes))
+
+    def brightness(self, camera: PlenopticCamera) -> Any:
+        """Return `units.brightness` for these parameters."""
+        get = self._parameters
+        lattice = self._lattice(get, camera, (0.0, 0.0))
+        pixel = get["detector_width"][0] / camera.resolution[0]
+        return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0] / camera.mla_medium, pixel)
+
+    def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:
+        """Return the upright lattice with an offset."""
+        pitches, fill = tuple(get["mla_pitch"]), get["mla_fill"][0]
+        return make_lattice(camera.mla_lattice, pitches, offset=offset, aperture=camera.mla_aperture, fill=fill)
+
+    def set_tangents(self, changes: dict[str, NDArray[np.float64]]) -> None:
+        """Set the direction in which the parameters change."""
+        for name, change in changes.items():
+            for value, tangent in zip(self._parameters[name], change.tolist(), strict=True):
+                dr.set_grad(value, tangent)
+
+    def gradients(self) -> dict[str, NDArray[np.float64]]:
+        """Return the gradients that have been gathered."""
+        return {
+            name: np.array([float(dr.grad(value)[0]) for value in self._parameters[name]])
+            for name in sorted(self._varies)
+        }

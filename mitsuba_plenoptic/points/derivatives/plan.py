@@ -1,0 +1,320 @@
+"""The derivatives of a sum of point spreads at one wavelength, forward and in reverse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import InputError
+from ...lattice import turn
+from ...light.optical_system import OpticalSystem
+from ...light.sampling import MEMORY_LIMIT
+from ...optics import guards
+from ...runtime.backend import backend
+from ...runtime.batches import BatchMap, PartialSum, Threads, add
+from ...runtime.jobs import Job, SumTask
+from ...runtime.limits import largest_fitting, memory_limit, single_threaded_blas
+from ..accuracy import derivative_band_for, derivatives_share
+from ..mixing import WavelengthPlans, groups, mix
+from ..patch_factors import Fields
+from ..patch_plan import PatchPlan
+from ..pupil_weights import PupilWeights
+from ..recorder import STEPS, Recorder
+from ..tile import reached
+from .by_parameter import MOVES, VaryingParameters
+from .point_batches import (
+    MOVED_COPIES,
+    MOVED_LENSES,
+    SHIFTED_COPIES,
+    JvpBatch,
+    SpreadCopies,
+    VjpBatch,
+    copy_slopes,
+    varying_factors,
+)
+
+Direction = dict[str, NDArray[np.float64]]
+"""Changes of parameters, by name."""
+
+_LEFT_OUT = 0.1
+"""Fraction of the effect of a moved lattice on copies that may be neglected, over the accuracy."""
+
+
+class DerivativePlan(PatchPlan):
+    """Point spreads and their copies, with the differences between their changes.
+
+    In sums of many points, points share spreads as they do for images; otherwise each has a spread of its own, whose
+    intensity is sampled twice as finely as its field. Its bandwidth is twice that of the field, and frequencies that
+    would be aliased change fastest; in sums of many points they average out.
+    """
+
+    def __init__(
+        self,
+        system: OpticalSystem,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        accuracy: float,
+    ) -> None:
+        # Behind a real lens the changes of copies differ from each other.
+        shared = system.lens.changes_evenly and derivatives_share(accuracy, len(points))
+        band = derivative_band_for(accuracy, len(points))
+        super().__init__(system, points, pupil_weights, accuracy, band=band, shared=shared)
+        camera, self._wavelength = system.camera, system.wavelength
+        self._accuracy, self._finer = accuracy, 1 if shared else 2
+        low, size = self._finer * self._placement.corner, self._finer * self._placement.samples[:, None]
+        pattern = np.repeat(np.arange(len(self._first)), self._last - self._first)
+        low, size = low[pattern] + self._finer * self._shifts, size[pattern]
+        fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
+        self._recorder = Recorder(camera, fine, low, low + size)
+        # From samples of the patch between copies to the distance of their lenses.
+        self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
+
+    def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
+        """Return the derivatives, not yet computed, of the sum with weights (n, channels) in some directions."""
+        return JvpSum(self, weights, directions)
+
+    def vjp(
+        self,
+        weights: NDArray[np.float64],
+        image: NDArray[np.float32],
+        names: tuple[str, ...],
+        job: Job,
+        done: int,
+        total: int,
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return the gradients by parameters from the gradient of the image, (rows, columns, channels).
+
+        `done` of the `total` points of a job are already complete.
+        """
+        parameters = VaryingParameters(self._camera, self._wavelength, names)
+        moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
+        shifted = self._shifted(names)
+        summed = 3 if shifted else bool(moves)
+        samples = self._recorder.spread(image)
+        chunks, items = self.lit_chunks(weights)
+        moving = self.moving(weights)
+        offset = self.offset_for(names)
+        varies = varying_factors(self._fields(chunks[0][:1]), parameters) if chunks else ()
+        batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
+        waiting: list[VjpBatch] = []
+
+        def remembered() -> Iterator[VjpBatch]:
+            for batch in batches:
+                waiting.append(batch)
+                yield batch
+
+        products, box = np.zeros((2, 2, 2)), self._recorder.box
+        sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
+        for result in job.each(remembered(), items.tolist(), done + self._count - int(items.sum()), total):
+            waiting.pop(0).gather(result, parameters)
+            products[0] += result.products
+            if result.spreads is not None:
+                add(result.spreads, box, sums)
+        plain, *placed = np.split(sums, summed) if summed else [sums]
+        if placed:
+            stepped = [self._recorder.spread(image, move) for move in STEPS]
+            for axis, part in enumerate(placed):
+                x, y = (float((step * part).sum(dtype=np.float64)) for step in stepped)
+                products[1, :, axis] = turn(x, y, -self._grid.rotation)
+        gradients = parameters.gradients()
+        for name in copied:
+            slopes = copy_slopes(self._camera, self._wavelength, name)
+            gradients[name] = gradients[name] + np.einsum("cijk,ijk->c", slopes, products)
+        for name in moves:
+            change = self._recorder.record(plain, name)
+            gradients[name] = gradients[name] + float(np.einsum("ijk,ijk->", change, image, dtype=np.float64))
+        return gradients
+
+    def _shifted(self, names: Iterable[str]) -> bool:
+        """Return whether copies shift with some parameters."""
+        return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
+
+    def offset_for(self, names: Iterable[str]) -> VaryingParameters | None:
+        """Return the parameters with a varying ``mla_offset``, if the changes of copies by `names` depend on it."""
+        if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
+            return None
+        return VaryingParameters(self._camera, self._wavelength, ["mla_offset"])
+
+    def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return a mask of the spreads for whose copies the motion of the lattice against their points is included.
+
+        The effect is proportional to their weights and distances. Spreads with few or near copies take as long as
+        others, so that those with the least effect, together a small fraction of the total, are omitted.
+        """
+        distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
+        amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
+        order = np.argsort(amounts, kind="stable")
+        counted = np.zeros(len(amounts), bool)
+        counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
+        return counted
+
+    def lit(
+        self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
+    ) -> tuple[Fields, list[SpreadCopies]]:
+        """Describe those spreads of a chunk that have any weight, and their copies; `moving` is as from there."""
+        used, copies = [], []
+        for pattern, shifts, factors in self._lit_copies(chunk, weights):
+            used.append(pattern)
+            positions = shifts * self._per_sample
+            copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, bool(moving[pattern])))
+        return self._fields(np.array(used, np.int64)), copies
+
+    def _vjp_batch(
+        self,
+        chunk: NDArray[np.int64],
+        weights: NDArray[np.float64],
+        moving: NDArray[np.bool_],
+        offset: VaryingParameters | None,
+        samples: Any,
+        summed: int,
+        varies: tuple[bool, ...],
+    ) -> VjpBatch:
+        """Describe a batch, with the samples that it covers; samples outside the recorded ones are zero."""
+        fields, copies = self.lit(chunk, weights, moving)
+        placement = fields.placement
+        box = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
+        return VjpBatch(fields, copies, self._finer, offset, self._tile(samples, box), summed, varies)
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
+        return super().check_memory(batch_map, self._kept(channels))
+
+    def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
+        """Return the number of directions in which sums of some channels are differentiated at once: 1 at least."""
+
+        def memory(count: int) -> float:
+            return self.memory(batch_map, self._kept(count * channels))
+
+        return max(1, largest_fitting(memory, min(MEMORY_LIMIT, memory_limit()), directions))
+
+    def _kept(self, channels: int) -> int:
+        """Return the number of images in memory for the derivatives of some channels."""
+        return channels + 3 if self._finer == 1 else 4 * channels
+
+
+class JvpSum:
+    """Changes of a sum in several directions, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+
+    def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
+        self._plan, self._weights, self._directions = plan, weights, directions
+        self._chunks, self.items = plan.lit_chunks(weights)
+        self.arrays: Any = backend().arrays
+        self._placed = plan._shifted(name for changes in directions for name in changes)
+        self.box = plan._recorder.box
+        self.channels = (len(directions) + (3 if self._placed else 1)) * weights.shape[1]
+        self._slopes = [
+            sum(
+                (
+                    np.tensordot(change, copy_slopes(plan._camera, plan._wavelength, name), 1)
+                    for name, change in changes.items()
+                    if name in MOVED_COPIES
+                ),
+                start=np.zeros((2, 2, 2)),
+            )
+            for changes in directions
+        ]
+
+    def batches(self, first: int) -> Iterator[JvpBatch]:
+        """Yield the batches from one on, in their order."""
+        plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
+        offset = plan.offset_for(name for changes in self._directions for name in changes)
+        moving = plan.moving(self._weights)
+        for chunk in self._chunks[first:]:
+            varied = tuple(VaryingParameters(plan._camera, plan._wavelength, changes) for changes in self._directions)
+            for varying, changes in zip(varied, self._directions, strict=True):
+                varying.set_tangents(changes)
+            fields, copies = plan.lit(chunk, self._weights, moving)
+            yield JvpBatch(fields, copies, plan._finer, varied, slopes, offset, self._placed)
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Integrate over the recorded pixels, and add the changes by the motion of the pixels."""
+        recorder, channels = self._plan._recorder, self._weights.shape[1]
+        count = len(self._directions) * channels
+        image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
+        for first, (changes, (_, shifts)) in enumerate(zip(self._directions, self._slopes, strict=True)):
+            own = image[..., first * channels : (first + 1) * channels]
+            for name in MOVES:
+                change = changes.get(name, np.zeros(1))
+                if change.any():
+                    own += float(change[0]) * recorder.record(plain, name)
+            if self._placed and shifts.any():
+                placed = np.split(total.sums[count + channels :], 2)
+                turned = np.array(turn(shifts[0], shifts[1], self._plan._grid.rotation))
+                for move, factors in zip(STEPS, turned, strict=True):
+                    along_x, along_y = (float(factor) * part for factor, part in zip(factors, placed, strict=True))
+                    own += recorder.record(along_x + along_y, move)
+        return image
+
+
+class Differentials:
+    """The derivatives of the sum of all point spreads, planned for each wavelength when they are first asked for."""
+
+    def __init__(self, camera: PlenopticCamera, points: int, plans: WavelengthPlans) -> None:
+        self._camera, self._points, self._plans = camera, points, plans
+
+    @single_threaded_blas()
+    def jvp(
+        self,
+        weights: NDArray[np.float64],
+        directions: list[Direction],
+        wavelengths: tuple[float, ...],
+        matrix: NDArray[np.float32],
+        job: Job,
+    ) -> NDArray[np.float32]:
+        """Return the changes of the image in some directions, (rows, columns, directions times channels).
+
+        The columns of `weights` have the `wavelengths` given, and `matrix` leads from them to the image's channels.
+        """
+        _require_threads(job)
+
+        # Process as many directions together as fit into memory.
+        parts: list[tuple[float, list[int], list[int]]] = []
+        for wavelength, some in groups(wavelengths):
+            step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
+            every = list(range(len(directions)))
+            parts += [(wavelength, some, every[first : first + step]) for first in range(0, len(directions), step)]
+
+        def tasks() -> Iterator[SumTask]:
+            for wavelength, some, which in parts:
+                plan = self._plans.checked(wavelength, job, len(which) * len(some))
+                change = partial(plan.jvp, weights[:, some], [directions[index] for index in which])
+                own = np.kron(np.eye(len(directions), dtype=np.float32)[:, which], matrix[:, some])
+                yield SumTask(self._points, change, partial(mix, matrix=own))
+
+        with guards.watch():
+            shape = (*self._camera.shape, len(directions) * len(matrix))
+            return job.run(tasks(), shape, len(parts) * self._points)
+
+    @single_threaded_blas()
+    def vjp(
+        self,
+        weights: NDArray[np.float64],
+        image: NDArray[np.float32],
+        names: tuple[str, ...],
+        wavelengths: tuple[float, ...],
+        matrix: NDArray[np.float32],
+        job: Job,
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return the gradients by parameters, by name, from the gradient of the image, (rows, columns, channels)."""
+        _require_threads(job)
+        total: dict[str, NDArray[np.float64]] = {}
+        with guards.watch():
+            for done, (wavelength, some) in enumerate(groups(wavelengths)):
+                given = mix(image, matrix[:, some].T)
+                plan = self._plans.checked(wavelength, job, len(some))
+                counted = done * self._points, len(set(wavelengths)) * self._points
+                found = plan.vjp(weights[:, some], given, names, job, *counted)
+                total = {name: found[name] + total.get(name, 0.0) for name in names}
+        return total
+
+
+def _require_threads(job: Job) -> None:
+    """Refuse jobs that derivatives do not support."""
+    if not isinstance(job.workers, Threads):
+        raise InputError("job: derivatives are computed by threads of this process only")

@@ -1,0 +1,197 @@
+"""Sampling of point spreads: the common grid, and the size and position of each patch.
+
+All intensities are sampled on one grid of the detector, so that they can be added and integrated over the pixels once,
+at the end. The grid lies in the frame that is rotated with the microlens lattice about the axis. An integer number of
+its samples separates neighbouring micro-images, so that a point spread can be moved from lens to lens.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import turn
+from ..lenses.main_lens import MainLens
+from ..light.microlens_orders import MicrolensArray
+from ..light.microlenses import diffraction, scattering, upright
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import footprint
+from ..optics.waves import in_millimetres
+from ..runtime.fft import check_samples, fast_length
+
+_PITCH_PER_PIXEL = 1.1
+"""Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""
+
+_FINER = 1.2
+_WIDTH_PER_BLUR = 1.2
+_WIDTH_STEP = 1.06
+_RIM_ANGLES = 16
+_BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class Band:
+    """The extent of the diffracted light that a patch represents."""
+
+    cone: float
+    """Least directions represented on the detector over those of the geometric cone, pupil plus microlens."""
+    margin: float
+    r"""Width of the patch of a point in focus, in units of :math:`\lambda b / D_1`, the scale of its Airy pattern."""
+    bends: float
+    """Least directions represented besides the pupil's cone, over those to which a wide microlens scatters."""
+    orders: float
+    """The same, in diffraction orders of a microlens's aperture (see `microlenses.diffraction`)."""
+    beyond: float = math.inf
+    """Most directions represented beyond the geometric cone, in the same orders, where lenses leave no gaps."""
+    edge: float = 1.0
+    """Samples over which the edges of the pupil, and of occluders of it, are softened. Light that a hard edge diffracts
+    beyond the patch is aliased into it; with an edge softened over one sample that light is lost. A single spread is
+    more accurate without that light. A sum of many is more accurate with it, since points exchange such light: the
+    total power
+    and the rims of micro-images are then right."""
+    smooth: bool = False  # whether the softened edges have no kinks, which reduces aliasing
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The grid of the detector on which intensities are sampled, and the data common to patches on it."""
+
+    camera: PlenopticCamera  # in the frame of its lattice
+    lens: MainLens  # for wave propagation from the points
+    microlenses: MicrolensArray  # in the frame of the lattice
+    rotation: float  # rotation of that frame in degrees, counter-clockwise
+    wavelength: float
+    band: Band
+    cosine: float  # half the range of direction cosines of one scene point's light at the MLA
+    pitch: NDArray[np.float64]  # distances between samples along x and y, in millimetres
+    origin: NDArray[np.float64]  # x and y of sample (0, 0)
+    means: bool = False  # whether a sample is the mean over its cell, not the value in the middle
+
+    @property
+    def lens_samples(self) -> NDArray[np.int64]:
+        """Samples along x and y (columns) between adjacent micro-images along either lattice vector (rows)."""
+        camera = self.camera
+        growth = camera.micro_image_pitch / camera.mla_pitch
+        return np.rint(np.array(camera.lattice.basis) * growth / self.pitch).astype(np.int64)
+
+    @classmethod
+    def of(
+        cls,
+        system: OpticalSystem,
+        band: Band,
+        positions: NDArray[np.float64],
+        together: int = 1,
+    ) -> Grid:
+        """Choose the grid of a camera for some scene points.
+
+        Its pitch represents the directions of the band, and an integer number of samples, a multiple of `together`,
+        lies between neighbouring micro-images along both axes.
+        """
+        rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
+        lens = system.waves_of(positions)
+        cosine = lens.cone(positions[:, 2])
+        bent = scattering(camera)
+        beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
+        half_band = max(band.cone * (cosine + bent), cosine + beside)
+        if camera.lattice.fills:
+            half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
+        largest = in_millimetres(wavelength) / (2 * half_band)
+        largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
+        steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
+        check_samples(float((steps / largest).max()), "from lens to lens")
+        origin = -np.array([camera.detector_width, camera.detector_height]) / 2
+        return cls(
+            camera,
+            lens,
+            system.upright_microlenses,
+            rotation,
+            wavelength,
+            band,
+            cosine,
+            steps / (np.ceil(steps / (largest * together)) * together),
+            origin,
+        )
+
+    def merged(self, together: int) -> Grid:
+        """Return the grid of the means of `together` x `together` samples."""
+        if together == 1:
+            return self
+        origin = self.origin + (together - 1) / 2 * self.pitch
+        return replace(self, pitch=self.pitch * together, origin=origin, means=True)
+
+    def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Transform scene points (n, 3) from the camera frame to the frame of the lattice."""
+        if self.rotation == 0:
+            return positions
+        return np.column_stack([*turn(positions[:, 0], positions[:, 1], -self.rotation), positions[:, 2]])
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Sizes and positions of patches. Arrays have the shape (n,) or, for x and y, (n, 2)."""
+
+    samples: NDArray[np.int64]  # across each patch, on the detector and of its spectrum
+    corner: NDArray[np.int64]  # index of each patch's first sample on the grid
+    image: NDArray[np.float64]  # centre of the geometric image on the MLA
+    first: NDArray[np.int64]  # index of the first direction from the pupil
+    last: NDArray[np.int64]  # index of the last direction
+
+    def take(self, which: NDArray[Any]) -> Placement:
+        """Return a selection of the patches."""
+        return Placement(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
+    """Choose the size and position of the patches of points in the frame of the lattice."""
+    # Rays are traced for a limited number of points at a time, which limits the memory.
+    starts = range(0, max(1, len(positions)), _BLOCK)
+    parts = [_place(grid, positions[start : start + _BLOCK]) for start in starts]
+    return Placement(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Placement)}
+    )
+
+
+def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
+    camera, lens, lam = grid.camera, grid.lens, in_millimetres(grid.wavelength)
+    image = footprint(lens, positions)
+    a, b = lens.pupil_radius, lens.pupil_distance
+    # Between MLA and detector the light moves sideways: the patch is centred half-way.
+    aside = camera.reduced_distance * lens.chief_slope(image.centre)
+    airy = lam * b / (2 * a)
+    blur = 2 * image.half_width.max(1)
+    spread = grid.band.margin * airy
+    # A margin on both sides contains the light that moves sideways between MLA and detector.
+    reach = camera.reduced_distance * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
+    width = np.maximum(_WIDTH_PER_BLUR * blur + max(spread / 3, 2 * reach), spread) + np.abs(aside).max(1)
+    check_samples(
+        float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
+        "from the axis",
+    )
+    samples = _ladder(width / grid.pitch.min())
+    corner = np.rint((image.centre + aside / 2 - grid.origin) / grid.pitch).astype(np.int64)
+    step = lam / (samples[:, None] * grid.pitch)
+    angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
+    rim = a * np.stack([np.cos(angle), np.sin(angle)], -1)
+    cosine = lens.to_array(rim, image.centre[:, None])
+    return Placement(
+        samples=samples,
+        corner=corner - samples[:, None] // 2,
+        image=image.centre,
+        first=np.floor(cosine.min(1) / step).astype(np.int64) - 1,
+        last=np.ceil(cosine.max(1) / step).astype(np.int64) + 1,
+    )
+
+
+def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Round sample counts up to one of few fast FFT lengths, so that points share them."""
+    counts = [fast_length(16)]
+    while counts[-1] < minimum.max(initial=0):
+        length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
+        # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
+        counts.append(length if length % 256 else fast_length(length + 1))
+    return np.array(counts)[np.searchsorted(counts, minimum)]

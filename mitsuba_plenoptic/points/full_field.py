@@ -1,0 +1,324 @@
+r"""The field of one scene point through the whole camera, computed in full: the reference for the other methods.
+
+Behind the main lens, at the pupil point P, a point source at X has the field
+
+.. math:: U(P) = \frac{g}{|P - X|^2} \exp\left(i k \left(|P - X| + \Phi(P)\right)\right)
+
+(the first Rayleigh-Sommerfeld solution of a point source, and the phase of the lens: Goodman, "Introduction to
+Fourier Optics", sections 3.5 and 5.1; `lenses.thin` states :math:`\Phi` for both models of a thin lens). It goes to
+the MLA by its angular spectrum, through the microlenses by
+:math:`\exp(-i \pi |m - c|^2 / \lambda f_2)` in each cell, and to the detector by its angular spectrum.
+
+Sampling: while the half widths of pupil and destination together fit the window, no band limit but the
+evanescent one is needed (Matsushima and Shimobaba 2009, "Band-limited angular spectrum method"). The pitch holds
+the steepest rays. The intensity has twice the field's bandwidth, so the grid is doubled before squaring; a
+pixel's integral is the intensity's spectrum times the sinc of the pixel.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lenses.collimated import CollimatedLens
+from ..lenses.telecentric import TelecentricLens
+from ..light.cost import Cost
+from ..light.microlens_orders import ArrayFactor
+from ..light.microlenses import transmission
+from ..light.optical_system import OpticalSystem, is_paraxial
+from ..light.sampling import check_memory
+from ..optics import guards
+from ..optics.waves import advance, in_millimetres, power
+from ..runtime.backend import backend
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
+from ..runtime.jobs import Job
+from .arrival import (
+    FieldGrids,
+    SampledField,
+    at_mla,
+    blocks,
+    field_grids,
+    interpolate,
+    pupil_field,
+    stop_image_arrival,
+    telecentric_arrival,
+)
+from .pupil_weights import PupilWeights
+
+_FINER = 6
+"""Samples of an irregular array along an axis in a sample of the field; they limit the accuracy of its edges."""
+
+
+@dataclass(frozen=True)
+class PointFields:
+    """Fields of one scene point in the planes of the camera: behind the pupil, before the MLA, on the detector."""
+
+    pupil: SampledField
+    mla: SampledField
+    detector: SampledField
+
+
+def full_field(
+    system: OpticalSystem,
+    position: NDArray[np.float64],
+    *,
+    pupil_weights: PupilWeights | None = None,
+    microlenses: bool = True,
+    refinement: float = 1.0,
+    growth: float = 1.0,
+    grids: FieldGrids | None = None,
+    incident: SampledField | None = None,
+) -> NDArray[np.float32]:
+    """Integrate one scene point's intensity over the recorded pixels.
+
+    `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
+    `grids` may be those of a camera that hardly differs, so that differences are free of the grids'. `incident` is a
+    field on the pupil of a thin lens or a collimator that replaces a far point's light, with its own aperture. It may
+    be the light of many far points, to which an ideal thin lens is a parabola in paraxial propagation to the array.
+    """
+    grids = grids or field_grids(system, position, refinement, growth)
+    paraxial = incident is not None and is_paraxial(system.camera)
+    _, mla = _arrival(system, position, grids, pupil_weights, incident, paraxial)
+    # Microlenses are thin phases of direction cosines, whatever the main lens is.
+    spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
+    del mla
+    dr.flush_malloc_cache()
+    return backend().to_host(pixel_integrals(system.camera, spectrum, grids))
+
+
+def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
+    """Propagate one scene point's field, as `full_field` does, and return it at every plane."""
+    grids = field_grids(system, position, 1.0, 1.0)
+    pupil, mla = _arrival(system, position, grids)
+    spectrum = detector_spectrum(system, grids, mla.samples.copy(), microlenses)
+    with resting_drjit():
+        detector = fft2(spectrum, inverse=True)
+    planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
+    return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
+
+
+def _arrival(
+    system: OpticalSystem,
+    position: NDArray[np.float64],
+    grids: FieldGrids,
+    weights: PupilWeights | None = None,
+    incident: SampledField | None = None,
+    paraxial: bool = False,
+) -> tuple[SampledField, SampledField]:
+    """Return the field behind the pupil, and that before the MLA."""
+    lens = system.lens
+    if isinstance(lens, (TelecentricLens, CollimatedLens)) and system.camera.lens_data.images_stop:
+        return stop_image_arrival(lens, position, system.wavelength, grids, weights, incident)
+    if isinstance(lens, TelecentricLens):
+        return telecentric_arrival(lens, position, system.wavelength, grids, weights)
+    pupil = pupil_field(system, position, grids, weights, incident)
+    return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
+
+
+def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
+    """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
+    if microlenses:
+        before = _passed_power(system, grids, samples)
+        pass_microlenses(system, grids, samples)
+        if before > 0:
+            guards.check(guards.MICROLENS, 1 - power(samples) / before)
+    camera = system.camera
+    with resting_drjit():
+        spectrum = fft2(samples)
+    wavelength = camera.medium_wavelength(system.wavelength)
+    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
+
+
+def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
+    """Multiply a field just before the array by the transmission of the microlenses, in its own memory."""
+    if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
+        samples *= _irregular(system, grids)
+    else:
+        _apply(system.microlenses.factors(grids.bend), grids, samples)
+
+
+def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:
+    """Multiply a field by the factors of the microlenses."""
+    for factor in factors:
+        if len(factor.axes) == 2:
+            for block, x, y in _places(grids):
+                samples[block] *= as_field(pack(factor.at(x, y)), samples[block].shape)
+            continue
+        (axis,) = factor.axes
+        count, start = grids.count[axis], grids.wide_origin[axis] + grids.offset[axis] * grids.pitch
+        position = backend().types.Float64(dr.arange(backend().types.UInt32, count)) * grids.pitch + start
+        line = as_field(pack(factor.at(position)), (count,))
+        samples *= line if axis == 0 else line[:, None]
+
+
+def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
+    """Return the transmission of an irregular array, which has no orders, without directions that the grid aliases."""
+    types, (columns, rows) = backend().types, grids.count
+    pitch, shape = grids.pitch / _FINER, (_FINER * rows, _FINER * columns)
+    check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
+    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    row, column = rows_and_columns(types, *shape)
+    x, y = types.Float64(column) * pitch + left, types.Float64(row) * pitch + top
+    fine = as_field(pack(transmission(system.camera, system.wavelength, x, y)), shape)
+    lam = in_millimetres(system.wavelength)
+    with resting_drjit():
+        spectrum = fft2(fine)
+        held = np.ix_(*(np.rint(np.fft.fftfreq(size) * size).astype(int) for size in (rows, columns)))
+        cosines = [np.fft.fftfreq(size, grids.pitch) * lam for size in (rows, columns)]
+        spectrum = spectrum[held] * backend().arrays.asarray(np.hypot(cosines[0][:, None], cosines[1]) <= grids.bend)
+        return fft2(backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
+
+
+def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: Field) -> float:
+    """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
+    if system.lattice.fills:
+        return power(samples)
+    total, cosine = 0.0, in_millimetres(system.wavelength) / (2 * grids.pitch)
+    for block, x, y in _places(grids):
+        passed = backend().from_drjit(system.microlenses.open_fraction(cosine, x, y))
+        intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
+        total += float((intensity * passed).sum(dtype=np.float64))
+    return total
+
+
+def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield blocks of rows of the detector's window, with x and y of their samples."""
+    types = backend().types
+    left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
+    columns = grids.count[0]
+    for block in blocks(grids.count[1]):
+        row, column = rows_and_columns(types, block.stop - block.start, columns)
+        x = types.Float64(column) * grids.pitch + dr.opaque(types.Float64, left)
+        y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
+        yield block, x, y
+
+
+def pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
+    """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
+    arrays = backend().arrays
+    height, width = camera.shape
+    with resting_drjit():
+        partial = interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
+        rows = arrays.empty((partial.shape[0], width), np.float32)
+        for block in blocks(partial.shape[0]):
+            parts = interpolate(partial[block], 2 * partial.shape[1], axis=1).view(np.float32)
+            arrays.multiply(parts, parts, out=parts)
+            rows[block] = _along_pixels(parts[:, 0::2] + parts[:, 1::2], grids, width)
+        del partial
+        psf = arrays.empty((height, width), np.float32)
+        for block in blocks(width):
+            psf[:, block] = _along_pixels(arrays.ascontiguousarray(rows[:, block].T), grids, height).T
+    return psf
+
+
+def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
+    """Integrate rows of the doubled grid over the recorded pixels: multiply their spectrum by the pixel's sinc."""
+    size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
+    spectrum = rfft(intensity, axis=1)
+    pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
+    spectrum *= backend().arrays.asarray(pixel.astype(np.float32))
+    integrals = irfft(spectrum, size, axis=1)
+    first = grids.margin * per_pixel + grids.per_pixel
+    return integrals[:, first::per_pixel][:, :count]
+
+
+@dataclass(frozen=True)
+class _FullField:
+    """A batch of a single point."""
+
+    system: OpticalSystem
+    position: NDArray[np.float64]
+    factors: NDArray[np.float32]  # of the channels
+    pupil_weights: PupilWeights | None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples on the detector."""
+        return math.prod(self.system.camera.shape)
+
+    def prepare(self) -> Callable[[], Part]:
+        """Compute the whole batch."""
+        psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
+        part = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
+        return lambda: part
+
+
+def recorded_pixels(camera: PlenopticCamera) -> Box:
+    """Return the recorded pixels as a box of the detector's."""
+    return Box(*camera.crop_offset, *camera.crop_size)
+
+
+class FullFieldPlan:
+    """The operator by full fields, with the parameters of `PatchPlan`, of which `accuracy` is not used."""
+
+    def __init__(
+        self,
+        system: OpticalSystem,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        accuracy: float,
+    ) -> None:
+        self._system, self._camera, self._points, self._pupil_weights = system, system.camera, points, pupil_weights
+
+    def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
+        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+        return FullFieldSum(self, weights)
+
+    def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
+        """Describe the point spread of one point."""
+        weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
+        return _FullField(self._system, self._points[point], factors, weights)
+
+    @property
+    def box(self) -> Box:
+        """The recorded pixels."""
+        return recorded_pixels(self._camera)
+
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+        """Return for every point the image weighted by its point spread; see `PatchPlan.gather`."""
+        one, count = np.ones(1, np.float32), len(self._points)
+        batches = (self.batch(point, one) for point in range(count))
+        spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
+        return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the memory in bytes of the image, or refuse it; the fields are checked point by point."""
+        memory = 8.0 * channels * math.prod(self._camera.shape)
+        check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
+        return memory
+
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate the cost of a sum from its first point."""
+        count, memory = len(self._points), self.check_memory(batch_map)
+        start = time.perf_counter()
+        if count:
+            self.batch(0, np.ones(1, np.float32)).prepare()()
+        return Cost(count, count, (time.perf_counter() - start) * count, memory)
+
+
+class FullFieldSum:
+    """A sum of full fields, with the interface of `runtime.jobs.LongSum`."""
+
+    def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
+        self._plan, self._weights = plan, weights.astype(np.float32)
+        self._lit = np.flatnonzero(weights.any(1))
+        self.arrays: Any = np
+        self.box, self.channels = plan.box, weights.shape[1]
+        self.items = np.ones(len(self._lit), np.int64)
+
+    def batches(self, first: int) -> Iterator[_FullField]:
+        """Yield one batch for each point."""
+        return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Move the channels to the last axis; the loss of a full field is checked where it is computed."""
+        return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

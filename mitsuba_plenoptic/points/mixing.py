@@ -1,0 +1,173 @@
+"""Weights of points for each wavelength, the image channels that record them, and the plans for all wavelengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import NO_ARRAY, InputError, refuse_if, refusing
+from ..light.optical_system import OpticalSystem
+from ..optics.spectrum import Spectrum
+from ..runtime.jobs import Job
+from .pupil_weights import PupilWeights
+
+_LEFT_OUT, _ROUNDING = 0.1, 1e-6
+"""Fraction of the accuracy used for simplifying spectra, and relative rounding error of single precision."""
+
+
+@dataclass(frozen=True)
+class SpectralSum:
+    """A sum of point spreads at one wavelength, several of which make an image."""
+
+    wavelength: float  # in nanometres
+    before: NDArray[np.float64]  # factors on the columns of the weights, (columns, k)
+    after: NDArray[np.float32]  # factors from the sum's channels to those of the image, (channels, k)
+
+    def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
+        """Return it with the fewest columns that determine the weights of some points: one if all have one spectrum.
+
+        Spectra that change little between nodes give channels with weights that are nearly proportional, and every
+        column costs one addition for each copy.
+
+        `errors` are the allowed root sum square errors of the weights in each channel of the image.
+        """
+        given = weights @ self.before
+        # The order is fixed, because a checkpoint of a sum in progress refers to these very columns.
+        powers, vectors = np.linalg.eigh(np.einsum("ni,nj->ij", given, given))
+        left = np.cumsum(np.maximum(powers, 0) * (self.after.astype(np.float64) @ vectors) ** 2, axis=1)
+        dropped = int(np.argmin(np.append(np.all(np.sqrt(left) <= errors[:, None], axis=0), False)))
+        retained = vectors[:, min(dropped, len(vectors) - 1) :]
+        if retained.shape[1] == len(vectors):
+            return self
+        return SpectralSum(self.wavelength, self.before @ retained, (self.after @ retained).astype(np.float32))
+
+
+class WeightChannels:
+    """The wavelengths of columns of weights, from one wavelength or a spectrum, and the channels of the image."""
+
+    def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
+        self._wavelength, self.spectrum = wavelength, spectrum
+
+    @property
+    def light(self) -> Any:
+        """The wavelength or the spectrum, as plain data."""
+        return self._wavelength if self.spectrum is None else asdict(self.spectrum)
+
+    @property
+    def sums(self) -> int:
+        """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
+        return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
+
+    def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
+        """Return the wavelength of each column of weights, and the matrix (channels, columns) to image channels."""
+        if self.spectrum is None:
+            return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
+        return self.spectrum.wavelengths, self.spectrum.matrix()
+
+    def parts(self, columns: int) -> Iterator[SpectralSum]:
+        """Yield the sums that make an image, for `columns` columns of weights (channels without a spectrum)."""
+        wavelengths, matrix = self.mixing(columns)
+        if self.spectrum is None or not self.spectrum.nodes:
+            for wavelength, some in groups(wavelengths):
+                yield SpectralSum(wavelength, np.eye(len(wavelengths))[:, some], matrix[:, some])
+            return
+        channels, columns = matrix.shape
+        for node, share in zip(self.spectrum.nodes, self.spectrum.shares(), strict=True):
+            if channels <= columns:
+                before = share[:, None] * matrix.T.astype(np.float64)
+                yield SpectralSum(node, before, np.eye(channels, dtype=np.float32))
+            else:
+                yield SpectralSum(node, np.diag(share), matrix)
+
+    def reduced_parts(self, weights: NDArray[np.float64], accuracy: float) -> Iterator[SpectralSum]:
+        """Yield the sums for weights (n, columns), simplified at nodes within an allowed error."""
+        _, matrix = self.mixing(weights.shape[1])
+        whole = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
+        errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * whole
+        for part in self.parts(weights.shape[1]):
+            yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
+
+    def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
+        """Return an image of shape (rows, columns, ...) as (rows, columns, channels), or refuse it."""
+        with refusing("image: it must be numbers, (rows, columns) or (rows, columns, channels)", *NO_ARRAY):
+            pixels = np.asarray(image, dtype)
+        rows, columns = shape
+        refuse_if(
+            pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all(),
+            f"image of shape {pixels.shape}: it must be finite and have {rows} rows, {columns} columns",
+        )
+        channels = pixels.reshape(rows, columns, -1)
+        if self.spectrum is not None and channels.shape[2] != self.spectrum.channels:
+            raise InputError(f"image of shape {pixels.shape}: the spectrum has {self.spectrum.channels} channels")
+        return channels
+
+    def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
+        """Return the weights of `count` points as (count, columns), or refuse them."""
+        with refusing(f"weights: they must be numbers, ({count},) or ({count}, channels)", *NO_ARRAY):
+            factors = np.asarray(weights, np.float64)
+        refuse_if(
+            factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0),
+            f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)",
+        )
+        refuse_if(not np.isfinite(factors).all(), "weights: they must be finite")
+        wavelengths = 1 if self.spectrum is None else len(self.spectrum.wavelengths)
+        if factors.ndim == 1:
+            return np.repeat(factors[:, None], wavelengths, axis=1)
+        if self.spectrum is not None and factors.shape[1] != wavelengths:
+            raise InputError(f"weights of shape {factors.shape}: the spectrum has {wavelengths} wavelengths")
+        return factors
+
+
+class WavelengthPlans:
+    """The plans of some points at each wavelength, computed on first use."""
+
+    def __init__(
+        self,
+        make: Callable[..., Any],
+        camera: PlenopticCamera,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        accuracy: float,
+        systems: dict[float, OpticalSystem],
+    ) -> None:
+        self._make, self._camera, self._systems = make, camera, systems
+        self._planned_for = points, pupil_weights, accuracy
+        self._plans: dict[float, Any] = {}
+
+    def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
+        """Return the plans of another kind for the same points."""
+        return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
+
+    def system_at(self, wavelength: float) -> OpticalSystem:
+        """Return the camera's optical system at a wavelength."""
+        if wavelength not in self._systems:
+            self._systems[wavelength] = OpticalSystem(self._camera.at_wavelength(wavelength), wavelength)
+        return self._systems[wavelength]
+
+    def at(self, wavelength: float) -> Any:
+        """Return the plan at a wavelength."""
+        if wavelength not in self._plans:
+            self._plans[wavelength] = self._make(self.system_at(wavelength), *self._planned_for)
+        return self._plans[wavelength]
+
+    def checked(self, wavelength: float, job: Job, channels: int) -> Any:
+        """Return the plan at a wavelength, or refuse it if it needs too much memory."""
+        plan = self.at(wavelength)
+        plan.check_memory(job.workers, channels)
+        return plan
+
+
+def mix(image: NDArray[Any], matrix: NDArray[np.float32]) -> NDArray[Any]:
+    """Mix the channels of an image, (..., channels), by a matrix (new channels, channels)."""
+    return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
+
+
+def groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:
+    """Yield each distinct wavelength and its columns, which share point spreads."""
+    for wavelength in dict.fromkeys(wavelengths):
+        yield wavelength, [column for column, other in enumerate(wavelengths) if other == wavelength]

@@ -1,0 +1,432 @@
+"""The wave camera as a linear operator from weights of incoherent points to the detector's image, with its adjoint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
+from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
+from ..io.checkpoints import digest
+from ..light.cost import Cost
+from ..light.lens_kinds import regular_array
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import check_positions
+from ..optics import guards
+from ..optics.spectrum import Spectrum
+from ..runtime.backend import one_at_a_time
+from ..runtime.jobs import Job, LongSum, SumTask
+from .accuracy import chosen_accuracy
+from .coherent import CoherentFields
+from .coherent_points import CoherentPoints
+from .derivatives import DerivativePlan, Differentials, check_changes, check_names
+from .full_field import FullFieldPlan
+from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
+from .patch_plan import PatchPlan
+from .pupil_weights import PupilWeights
+
+PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
+"""Methods of computing point spreads at one wavelength, by name: the types of their plans.
+
+A plan is made for an optical system, points, their pupil weights and an accuracy. It offers `sum`, `gather`,
+`check_memory` and `cost`, as `PatchPlan` does.
+"""
+
+METHODS = tuple(PLANS)
+
+
+class CaptureOperator(CoherentPoints):
+    r"""The image that a camera's detector records from incoherent point sources, which is linear in their weights.
+
+    .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
+
+    where psf is the fraction of the power through the visible pupil that falls on the pixel p. All data that do not
+    depend on the weights are planned on first use, and cached.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; its recorded window may be a crop.
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres, in front of the main lens.
+    wavelength : float, optional
+        Wavelength in nanometres, the same for all channels of the weights. Give either this or `spectrum`.
+    spectrum : Spectrum, optional
+        Wavelengths, and the channels that record them. Weights then have a value for each wavelength. Point spreads are
+        computed for each wavelength, or for each of the spectrum's nodes.
+    method : {"patch", "full_field"}
+        Method of computing point spreads: each on the part of the array that its point lights, or each on the whole
+        field, without shortcuts.
+    accuracy : float, optional
+        Allowed relative error (L2, over the image) of the method "patch", below 1; 0.01 by default. Points of nearly
+        the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
+        own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
+    pupil_weights : array (n, m, m), optional
+        For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
+        along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
+        still sums to its weight.
+    virtual : bool
+        Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
+        after a lens of the scene.
+    system : OpticalSystem, optional
+        The camera bound to the wavelength, if other sums use it, too, so that its data are computed only once.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    >>> points = [(0.0, 0.0, 236.0), (0.05, 0.02, 240.0)]  # millimetres
+    >>> operator = mp.CaptureOperator(camera, points, wavelength=633)
+    >>> image = operator.forward([1.0, 2.0])
+    >>> image.shape, operator.adjoint(image).shape
+    ((64, 64), (2,))
+    """
+
+    # Of the images.
+    _dtype = np.dtype(np.float32)
+
+    @suggest_keywords
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        points: Any,
+        *,
+        wavelength: float | None = None,
+        spectrum: Spectrum | None = None,
+        method: str = "patch",
+        accuracy: float | None = None,
+        pupil_weights: Any = None,
+        virtual: bool = False,
+        system: OpticalSystem | None = None,
+    ) -> None:
+        if (wavelength is None) == (spectrum is None):
+            raise InputError("wavelength, spectrum: give one of the two")
+        camera = regular_array(camera)
+        require_ideal(camera, in_full=method == "full_field")
+        if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
+            raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
+        self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
+        self.spectrum = spectrum
+        self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
+        refuse_if(method == "bank", "method = bank: it is gone since version 2.0; use patch")
+        require_choice("method", method, METHODS)
+        refuse_if(
+            method != "full_field" and camera.lens_data.images_stop,
+            f"method = {method}: light covers all of the stop's image, in which the array stands; use full_field",
+        )
+        self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
+        self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
+        if system is not None:
+            _require_bound(system, camera, wavelength)
+        systems = {} if system is None else {system.wavelength: system}
+        planned_for = self.points, self._pupil_weights, self._accuracy
+        self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
+        self._differentials: Differentials | None = None
+
+    def _coherent_fields(self) -> CoherentFields:
+        """Return the fields of the points at the operator's only wavelength, or refuse them."""
+        wavelengths = [part.wavelength for part in self._channels.parts(1)]
+        refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
+        refuse_if(
+            self.spectrum is not None and self.spectrum.matrix().tolist() != [[1]],
+            "spectrum: a coherent field has no channels and no response; give the wavelength",
+        )
+        refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
+        return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
+
+    @one_at_a_time
+    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
+        """Add the point spreads of all points, each with a weight.
+
+        The bits of the result do not depend on the number of threads or workers, or on whether the sum was resumed.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            Factors on the point spreads, of any sign. With a spectrum of several wavelengths one column for each of
+            them, or one for all.
+        job : Job, optional
+            Executor of the work, progress report and checkpoint. Default: threads of this process.
+
+        Returns
+        -------
+        float32 array (rows, columns) or (rows, columns, channels)
+            Integrals over the recorded pixels.
+
+        Raises
+        ------
+        InputError
+            If the weights have a wrong shape or value, or the work would need too much memory.
+        PhysicsError
+            If too much of the light is lost (see `optics.guards`).
+        """
+        factors = self._check(weights)
+        _, matrix = self._channels.mixing(factors.shape[1])
+        job = job or Job()
+        with guards.watch():
+            shape, items = (*self.camera.shape, len(matrix)), self._items
+            image = job.run(self.tasks(factors, job), shape, items, lambda: self._facts(factors))
+        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+
+    @one_at_a_time
+    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+        """Apply the transpose of `forward`: weigh an image by the point spread of every point.
+
+        Parameters
+        ----------
+        image : array (rows, columns) or (rows, columns, channels)
+            Values of the recorded pixels.
+        job : Job, optional
+            Executor of the work and progress report.
+
+        Returns
+        -------
+        float64 array (n,) or (n, channels)
+            Products with the point spreads; with a spectrum of several wavelengths one column for each of them.
+
+        Raises
+        ------
+        InputError
+            If the image has another shape or is not finite, or the work would need too much memory.
+        """
+        channels = self._channels.check_image(image, self.camera.shape)
+        wavelengths, _ = self._channels.mixing(channels.shape[2])
+        job = job or Job()
+        result = np.zeros((len(self.points), len(wavelengths)))
+        with guards.watch():
+            done = 0
+            for part in self._channels.parts(channels.shape[2]):
+                given = mix(channels, part.after.T)
+                plan = self._plans.checked(part.wavelength, job, given.shape[2])
+                result += plan.gather(given, job, done, self._items) @ part.before.T
+                done += len(self.points)
+        return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+
+    @one_at_a_time
+    def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
+        """Differentiate `forward` in the direction of changes of the camera's parameters.
+
+        Points, weights, the relative power over each pupil and the total power through it are fixed. Behind a real main
+        lens, for up to 512 points, or at accuracies below 0.004, each point has a spread of its own; otherwise points
+        share spreads as in `forward`, and each copy includes the changes by its own lenses. The method must be "patch",
+        and cameras with an objective are not supported.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `forward`.
+        changes : dict
+            Change of each parameter that changes, by name: ``focal_length``, ``aperture_radius``, ``mla_distance``,
+            ``mla_focal_length`` (one, or each of three), ``mla_pitch`` (of both, or of each), ``mla_rotation`` (in
+            degrees), ``mla_offset`` (two), ``mla_fill``, ``detector_distance``, ``detector_width``, ``wavelength`` (in
+            nanometres, of all) and ``wavefront`` (the first of its coefficients, or all; behind a real main lens over
+            the ``pupil_radius`` of its exit pupil).
+        job : Job, optional
+            Progress report; the work is done by threads of this process.
+
+        Returns
+        -------
+        float32 array
+            Derivative, of the shape of the image.
+
+        Raises
+        ------
+        InputError
+            If an input has a wrong shape or value, the method has no derivatives, or the work would need too much
+            memory.
+        """
+        return np.asarray(self.jacobian(weights, [changes], job=job)[0])
+
+    @one_at_a_time
+    def jacobian(
+        self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
+    ) -> NDArray[np.float32]:
+        """Differentiate `forward` in several directions at once, for which the fields are computed once.
+
+        Parameters
+        ----------
+        weights, job
+            As for `derivative`.
+        directions : sequence of dict
+            For each direction the changes of the camera's parameters, as for `derivative`.
+
+        Returns
+        -------
+        float32 array (directions, ...)
+            The derivatives, each of the shape of the image.
+
+        Raises
+        ------
+        InputError
+            As for `derivative`, or if there is no direction.
+        """
+        factors, checked = self._check(weights), [check_changes(self.camera, changes) for changes in directions]
+        refuse_if(not checked, "directions: give at least one")
+        wavelengths, matrix = self._channels.mixing(factors.shape[1])
+        image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
+        made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
+        flat = np.ndim(weights) == 1 and len(matrix) == 1
+        return np.ascontiguousarray(made[..., 0] if flat else made)
+
+    @one_at_a_time
+    def gradient(
+        self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """Apply the transpose of `derivative`: propagate the gradient of a scalar back from the image to the camera.
+
+        All parameters together take one reverse pass through all point spreads.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `forward`.
+        image_gradient : array
+            Derivatives of the scalar by the pixels, of the shape of the image.
+        names : iterable of str, optional
+            The parameters. Default: all.
+        job : Job, optional
+            Progress report; the work is done by threads of this process.
+
+        Returns
+        -------
+        dict
+            The derivatives of the scalar by name, float64 arrays: two for ``mla_pitch`` (along the rows and across
+            them; add the two if both pitches are one parameter) and for ``mla_offset``, one for each
+            ``mla_focal_length``, 36 or more for ``wavefront``, and one for all others. `adjoint` gives the derivatives
+            by the weights.
+
+        Raises
+        ------
+        InputError
+            As for `derivative`.
+        """
+        factors, chosen = self._check(weights), check_names(names)
+        channels = self._channels.check_image(image_gradient, self.camera.shape)
+        wavelengths, matrix = self._channels.mixing(factors.shape[1])
+        if channels.shape[2] != len(matrix):
+            raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
+        return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
+
+    def _for_derivatives(self) -> Differentials:
+        """Return the derivatives of the sums, or refuse methods that do not support them."""
+        refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
+        self.camera.require_no_objective("derivatives of wave captures are found")
+        require_no_shape(self.camera, "derivatives of wave captures are found")
+        require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
+        if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
+            raise InputError(
+                f"spectrum: nodes = {spectrum.nodes}: there are no derivatives between nodes; leave them out"
+            )
+        if self._differentials is None:
+            self._differentials = Differentials(self.camera, len(self.points), self._plans.made_by(DerivativePlan))
+        return self._differentials
+
+    def estimate(self, job: Job | None = None) -> Cost:
+        """Estimate the cost of `forward` from a small part of it at the middle wavelength.
+
+        Parameters
+        ----------
+        job : Job, optional
+            Executor of the work.
+
+        Raises
+        ------
+        InputError
+            If the work would need too much memory.
+        PhysicsError
+            If too much of the light would be lost.
+        """
+        wavelengths, workers = sorted(each.wavelength for each in self._channels.parts(1)), (job or Job()).workers
+        wavelength = wavelengths[len(wavelengths) // 2]
+        cost = self._plans.at(wavelength).cost(workers)
+        return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
+
+    def as_linear_operator(self) -> Any:
+        """Return the operator of one channel for SciPy's solvers, between flat arrays.
+
+        Returns
+        -------
+        scipy.sparse.linalg.LinearOperator
+            Of shape (pixels, n), of the type of the images. Without a spectrum several columns are multiplied at once.
+
+        Raises
+        ------
+        InputError
+            If there is more than one wavelength or channel.
+        """
+        from scipy.sparse.linalg import LinearOperator
+
+        spectrum = self._channels.spectrum
+        if spectrum is not None and (len(spectrum.wavelengths), spectrum.channels) != (1, 1):
+            raise InputError(
+                f"spectrum of {len(spectrum.wavelengths)} wavelengths and {spectrum.channels} channels: a "
+                "linear operator between flat arrays has one of each"
+            )
+        shape, together = self.camera.shape, dict[str, Any]()
+        if spectrum is None:
+            # Several columns share the spreads; with a spectrum they would be wavelengths.
+            together["matmat"] = lambda weights: self.forward(weights).reshape(-1, weights.shape[1])
+            together["rmatmat"] = lambda pixels: self.adjoint(np.reshape(pixels, (*shape, -1)))
+        return LinearOperator(
+            (math.prod(shape), len(self.points)),
+            matvec=lambda weights: self.forward(np.ravel(weights)).ravel(),
+            rmatvec=lambda pixels: self.adjoint(np.reshape(pixels, shape)),
+            dtype=self._dtype,
+            **together,
+        )
+
+    @property
+    def sums(self) -> int:
+        """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
+        return self._channels.sums
+
+    def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
+        """Yield the sum at each distinct wavelength, for weights (n, channels or wavelengths)."""
+        for part in self._channels.reduced_parts(weights, self._accuracy):
+
+            def plan(part: SpectralSum = part) -> LongSum:
+                given = weights @ part.before
+                return self._plans.checked(part.wavelength, job, given.shape[1]).sum(given)
+
+            yield SumTask(len(self.points), plan, partial(mix, matrix=part.after))
+
+    @property
+    def _items(self) -> int:
+        """Number of point spreads in all sums."""
+        return self.sums * len(self.points)
+
+    def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the data that identify a sum."""
+        pupils = self._pupil_weights
+        arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
+        return {
+            "camera": self.camera.to_dict(),
+            "spectrum": self._channels.light,
+            "method": self._method,
+            "accuracy": self._accuracy,
+            "points_digest": digest(self.points, factors, *arrays),
+        }
+
+    def _check(self, weights: Any) -> NDArray[np.float64]:
+        """Return weights as (n, columns)."""
+        return self._channels.check_weights(weights, len(self.points))
+
+
+def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:
+    """Refuse a system of another camera or wavelength."""
+    bound = system.wavelength
+    refuse_if(
+        bound != wavelength or system.camera != camera.at_wavelength(bound),
+        f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}",
+    )

@@ -1,0 +1,278 @@
+"""The factors of fields on a patch, from pupil to detector: pupil, microlens array with curvature, free space.
+
+Besides these, a field depends only on Fourier transforms of fixed sizes (see `patch`). The camera parameters that enter
+the factors may be floats or Dr.Jit arrays with gradients, while grids and positions are fixed.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lattice import turn
+from ..lenses.lens_changes import VaryingLens, VaryingLight
+from ..lenses.main_lens import Light, MainLens
+from ..light.microlens_orders import ArrayFactor, VaryingArrayFactor
+from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
+from ..runtime.backend import array_module, drjit_array, is_zero
+from ..runtime.fft import fast_length, split
+from .field_grid import Grid, Placement
+from .pupil_weights import PupilWeights
+
+
+@dataclass(frozen=True)
+class Elements:
+    """The optical elements that a field passes, with float parameters or Dr.Jit arrays, which may carry gradients.
+
+    A Dr.Jit array has one entry for each parameter, or one for each lane of the factor that depends on it. The lens and
+    the array are functions, since not every factor depends on them.
+    """
+
+    lens: Callable[[], MainLens | VaryingLens]
+    array: Callable[[float], Sequence[ArrayFactor | VaryingArrayFactor]]
+    """From the largest direction cosine of the microlenses to their factors, in the frame of the lattice."""
+    wavelength: Any  # in nanometres
+    detector_distance: Any  # in millimetres
+    turned: Any = 0.0  # counter-clockwise rotation of the lattice relative to its frame, in degrees
+    growth: Any = 1.0
+    """Factor on all sample distances on the MLA and the detector, and on the positions of patches. It follows the
+    wavelength, so that directions and points of the pupil are fixed."""
+    aberration: Callable[[Any, Any], Any] | None = None
+    """An additional path of the main lens, in millimetres, at points x and y of its pupil in the camera frame."""
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The data from which the fields of points with patches of one size are computed."""
+
+    grid: Grid
+    placement: Placement
+    positions: NDArray[np.float64]  # scene points in the frame of the lattice, (n, 3)
+    pupil_weights: PupilWeights | None
+
+    @property
+    def samples(self) -> int:
+        """Total number of samples of all patches."""
+        return int((self.placement.samples**2).sum())
+
+
+class PatchFactors:
+    """The factors of fields on patches of one size, in the order in which the fields pass them.
+
+    These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on the
+    array's samples along their `axes`; and the transfer function to the detector, for the directions of all points.
+    """
+
+    def __init__(
+        self,
+        fields: Fields,
+        amplitudes: NDArray[np.float64],
+        elements: Callable[[int], Elements] | None = None,
+        types: Any = None,
+    ) -> None:
+        """Prepare the factors of fields with some amplitudes.
+
+        `elements` is a function from the number of lanes to the elements; the default is those of the grid's camera.
+        `types` is the module of Dr.Jit's arrays, by default without gradients.
+        """
+        self._grid, self._placement, self._positions = fields.grid, fields.placement, fields.positions
+        self._amplitudes, self._weights = amplitudes, fields.pupil_weights
+        self._types = types or array_module()
+        grid, placement = fields.grid, fields.placement
+        self._elements_of = functools.cache(elements or (lambda lanes: self._own))
+        self.samples = int(placement.samples[0])
+        finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
+        half = 2 * grid.cosine / finest
+        # Orders that would be aliased into the band are omitted; a few more samples represent the others.
+        self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
+        self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
+        # Each axis has a factor: the curvature and the microlenses' factor of its coordinate. A factor of both is
+        # separate.
+        self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
+        self.chief = (placement.first + placement.last) // 2  # index of the central direction of each point, (n, 2)
+        directions = int((placement.last - placement.first).max()) + 1
+        self._low, count = self.chief.min(0), len(self._positions)
+        columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
+        on_array = [(count, *[self.mla_samples] * len(axes)) for axes in self.axes]
+        self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
+
+    @functools.cached_property
+    def _own(self) -> Elements:
+        """The elements of the grid's camera."""
+        grid = self._grid
+        lens = functools.cache(lambda: grid.lens.opaque(self._constant))
+        return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
+
+    def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
+        """Return one point's part of each factor, or of data of the same layout; None where there is none."""
+        *own, transfer = parts
+        mine = [None if part is None else part[point] for part in own]
+        return [*mine, None if transfer is None else transfer[self.directions_of(point)]]
+
+    def directions_of(self, point: int) -> tuple[slice, slice]:
+        """Return the range of directions of the transfer function, along y and x, that one point's field contains."""
+        x, y = (self.chief[point] - self._low).tolist()
+        return slice(y, y + self.samples), slice(x, x + self.samples)
+
+    def values(self) -> Iterator[Any]:
+        """Yield the factors as flat Dr.Jit arrays Complex2f."""
+        pupil, power = self._pupil(self._elements(self.shapes[0]))
+        dr.schedule(power)  # together with the pupil, since it is a sum over it
+        yield pupil
+        scale = self._scale(self._elements(self.shapes[0][:1]), power)
+        for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
+            elements = self._elements(shape)
+            yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
+        yield self._transfer(self._elements(self.shapes[-1]))
+
+    def _elements(self, shape: tuple[int, ...]) -> Elements:
+        """Return the elements for a factor of the given shape."""
+        return self._elements_of(math.prod(shape))
+
+    @property
+    def _steps(self) -> list[float]:
+        """Distances of directions along x and y."""
+        return (in_millimetres(self._grid.wavelength) / (self.samples * self._grid.pitch)).tolist()
+
+    def _constant(self, value: Any) -> Any:
+        """Return a value that is not compiled into kernels."""
+        return value if dr.is_array_v(value) else dr.opaque(self._types.Float64, value)
+
+    def _each(self, values: Any, patch: Any) -> Any:
+        """Return for each lane the value of its patch's point."""
+        if isinstance(values, np.ndarray):
+            values = drjit_array(self._types.Float64, values)
+        return dr.gather(self._types.Float64, values, patch)
+
+    def _pupil(self, elements: Elements) -> tuple[Any, Any]:
+        """Return plane waves from the pupil, (n, along y, along x), and the power of each point through it."""
+        types, lens, grid, placement = self._types, elements.lens(), self._grid, self._placement
+        _, size, _ = self.shapes[0]
+        index = dr.arange(types.UInt32, len(self._positions) * size * size)
+        patch, row, column = split(types, index, size, size)
+
+        def value(values: NDArray[Any]) -> Any:
+            return self._each(values, patch)
+
+        steps, growth = self._steps, elements.growth
+        start = grid.origin + placement.corner * grid.pitch - placement.image
+        nx = types.Float64(column) + value(placement.first[:, 0])
+        ny = types.Float64(row) + value(placement.first[:, 1])
+        sx, sy = nx * self._constant(steps[0]), ny * self._constant(steps[1])
+        b = self._constant(lens.pupil_distance)
+        image = value(placement.image[:, 0]) * growth, value(placement.image[:, 1]) * growth
+        pupil, R, length = lens.from_array((sx, sy), image)
+        X, Y = turn(value(self._positions[:, 0]), value(self._positions[:, 1]), -elements.turned)
+        point, light = (X, Y, value(self._positions[:, 2])), lens.bind(self._positions, patch)
+        waves = self._path(elements, lens.is_round, light, pupil, point)
+        waves += length / self._constant(in_millimetres(elements.wavelength))
+        start[:, 1] *= grid.pitch[0] / grid.pitch[1]
+        waves += (nx * value(start[:, 0]) + ny * value(start[:, 1])) / self._constant(self.samples * grid.pitch[0])
+        # The power is that of the hard edge; the width of the soft edge depends on the grid.
+        width = math.sqrt(math.prod(steps)) * grid.band.edge
+        sample = dr.detach(R) * self._constant(width)
+        soften = smooth_edge if grid.band.smooth else soft_edge
+        cover = soften(types.Float(light.inside(pupil) / sample))
+        bright = types.Float(light.amplitude(pupil, point) * R * R / b)
+        power = types.Float64(bright * bright * cover)
+        if self._weights is not None:
+            in_camera = self._in_camera(elements, *pupil)
+            passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil_radius, sample)
+            power *= types.Float64(passed)
+            cover *= types.Float(amplitude)
+        return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
+
+    def _path(
+        self,
+        elements: Elements,
+        is_round: bool,
+        light: Light | VaryingLight,
+        pupil: tuple[Any, Any],
+        point: tuple[Any, Any, Any],
+    ) -> Any:
+        """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
+        if is_round and elements.aberration is None:
+            return light.path(pupil, point, elements.wavelength)
+        in_camera = self._in_camera(elements, *pupil)
+        if is_round:
+            waves = light.path(pupil, point, elements.wavelength)
+        else:
+            X, Y = self._in_camera(elements, *point[:2])
+            waves = light.path(in_camera, (X, Y, point[2]), elements.wavelength)
+        if elements.aberration is None:
+            return waves
+        return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
+
+    def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
+        """Transform a vector from the frame of the lattice to that of the camera."""
+        angle = self._grid.rotation + elements.turned
+        return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))
+
+    def _scale(self, elements: Elements, power: Any) -> Any:
+        """Return the factor on each field that makes its intensity a density of the fraction of the power."""
+        lit = power > 0
+        steps = self._constant(math.prod(self._steps))
+        lam = self._constant(in_millimetres(elements.wavelength))
+        scale = drjit_array(self._types.Float64, self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
+        return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
+
+    def _position(self, patch: Any, sample: Any, axis: int) -> Any:
+        """Return the coordinate on the MLA of samples of points."""
+        grid = self._grid
+        corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
+        step = float(self.samples * grid.pitch[axis] / self.mla_samples)
+        return self._each(corner, patch) + self._types.Float64(sample) * self._constant(step)
+
+    def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
+        """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
+
+        The tilt of the chief ray is omitted.
+        """
+        types, placement = self._types, self._placement
+        shape = len(self._positions), self.mla_samples
+        _, patch, sample = split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
+        m = self._position(patch, sample, axis)
+        image, growth = self._each(placement.image[:, axis], patch), elements.growth
+        mu = (m - image) * growth
+        # path from the pupil: (mu^2 - (s mu)^2) / 2 R, where the part along the other axis is negligible
+        lens = elements.lens()
+        b = self._constant(lens.pupil_distance)
+        square = self._each((placement.image**2).sum(1), patch) * growth * growth + b * b
+        own = image * image * growth * growth
+        spread = (1 - own / square) / (2 * self._constant(in_millimetres(elements.wavelength)))
+        curvature = spread * lens.curvature(square)
+        shift = ((placement.first - self.chief)[:, axis] + self.samples // 2) / self.mla_samples
+        product = phasor(mu * mu * curvature + types.Float64(sample) * self._each(shift, patch))
+        for factor in elements.array(self._highest):
+            if factor.axes == (axis,):
+                product *= factor.at(m * growth)
+        return product * types.Float(self._each(scale, patch)) if axis else product
+
+    def _on_plane(self, elements: Elements) -> Any:
+        """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
+        types, size, (factor,) = self._types, self.mla_samples, elements.array(self._highest)
+        patch, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
+        x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
+        return factor.at(x, y)
+
+    def _transfer(self, elements: Elements) -> Any:
+        """Return the transfer function from MLA to detector."""
+        types = self._types
+        rows, columns = self.shapes[-1]
+        _, row, column = split(types, dr.arange(types.UInt32, rows * columns), rows, columns)
+        sx, sy = (
+            (types.Float64(index) + self._constant(float(self._low[axis] - self.samples // 2)))
+            * self._constant(self._steps[axis])
+            for axis, index in ((0, column), (1, row))
+        )
+        # In the medium both direction cosines and wavelength are smaller by its index.
+        medium = self._constant(self._grid.camera.mla_medium)
+        distance = self._constant(elements.detector_distance)
+        return transfer(sx / medium, sy / medium, distance, elements.wavelength / medium)

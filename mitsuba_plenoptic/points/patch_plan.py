@@ -1,0 +1,348 @@
+"""Plan of the point spreads to compute for some points: their batches, and the shifts of their copies."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..light.cost import Cost
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import check_memory
+from ..optics import guards
+from ..runtime.backend import backend
+from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.fft import resting_drjit
+from ..runtime.jobs import Job
+from .accuracy import ZONES, band_for, find_patterns, wavefront_step
+from .field_grid import Band, Grid, place
+from .patch_factors import Fields
+from .pupil_weights import PupilWeights
+from .recorder import Recorder
+from .tile import Copies, Gather, Scatter, aperture_power, reached
+
+_CHUNK = 64
+"""Largest number of point spreads that are computed together and added into one tile."""
+
+_FEW, _CHUNKS = 4, 32
+"""Smallest limit on the point spreads of a chunk, and the least number of chunks if there are few point spreads, so
+that all threads have work."""
+
+_PATCH_LIMIT = 2**26
+"""Bytes of one point's field above which many are refused: if each covers thousands of pixels, they take days."""
+
+_CHUNK_BYTES = 2**26
+
+_TILE = 1024
+"""Approximate number of samples across the region in which the corners of a chunk's patches lie."""
+
+_FIRST, _TRIAL_SECONDS = 2, 0.1
+"""Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
+
+_JUDGED = 16
+"""Number of patterns from which the loss is estimated if microlenses have gaps, and from which `PatchPlan.gain` is."""
+
+
+class PatchPlan:
+    """Points grouped into patterns, and patterns into chunks of one patch size and neighbourhood.
+
+    A pattern is a point spread that several points share; each point has a copy at its own position. Each chunk is a
+    batch, which is added into a tile of its own, in the order of its patterns.
+
+    Unless `shared` is false, points may share patterns within the allowed error `accuracy`; the default `band` is that
+    of images for this error.
+    """
+
+    def __init__(
+        self,
+        system: OpticalSystem,
+        points: NDArray[np.float64],
+        pupil_weights: PupilWeights | None,
+        accuracy: float,
+        *,
+        band: Band | None = None,
+        shared: bool = True,
+    ) -> None:
+        camera, wavelength = system.camera, system.wavelength
+        self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
+        self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
+        upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
+        step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
+        patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
+        placement = place(self._grid, patterns.positions)
+        shifts = patterns.shift @ self._grid.lens_samples
+        low = placement.corner[patterns.pattern] + shifts
+        high = low + placement.samples[patterns.pattern, None]
+        self._recorder = Recorder(camera, self._grid, low, high)
+        box = self._recorder.box
+        start, size = np.array([box.left, box.top]), np.array([box.columns, box.rows])
+        # The points whose light reaches the recorded window, pattern by pattern.
+        order = np.flatnonzero(((high > start) & (low < start + size)).all(1))
+        self._order = order = order[np.argsort(patterns.pattern[order], kind="stable")]
+        self._shifts = shifts[order]
+        used, self._first = np.unique(patterns.pattern[order], return_index=True)
+        self._last = np.append(self._first[1:], len(order))
+        self._positions, self._placement = patterns.positions[used], placement.take(used)
+        self._slant = None if patterns.slant is None else patterns.slant[used]
+        self._chunks = self._sort()
+
+    def _sort(self) -> list[NDArray[np.int64]]:
+        """Divide the patterns into chunks."""
+        samples, corner = self._placement.samples, self._placement.corner
+        if not len(samples):
+            return []
+        area = _areas(samples)
+        alone = self._last - self._first == 1
+        keys = corner[:, 0] // area, corner[:, 1] // area, samples, alone
+        order = np.lexsort(keys)
+        changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
+        most, chunks = min(_CHUNK, max(_FEW, len(samples) // _CHUNKS)), []
+        for group in np.split(order, np.flatnonzero(changes) + 1):
+            first = group[0]
+            across = (self._placement.last[first] - self._placement.first[first]).max() + 2
+            if (0, 1) in self._grid.microlenses.axes:
+                across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
+            size = int(min(most, max(1, _CHUNK_BYTES // (8 * across**2))))
+            chunks += [group[start : start + size] for start in range(0, len(group), size)]
+        return chunks
+
+    # -- forward ---------------------------------------------------------------------------------------
+
+    def sum(self, weights: NDArray[np.float64]) -> PatchSum:
+        """Return the sum, not yet computed, of the point spreads with weights (n, channels)."""
+        return PatchSum(self, weights)
+
+    def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
+        """Describe a chunk: fields are scaled by their largest weights, and copies have weights relative to these.
+
+        Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
+        """
+        used, amplitudes, copies = [], [], []
+        for pattern, shifts, factors in self._lit_copies(chunk, weights):
+            largest = float(np.abs(factors).max()) or 1.0
+            used.append(pattern)
+            amplitudes.append((largest * self.gain) ** 0.5)
+            copies.append(Copies(shifts, (factors / largest).astype(np.float32)))
+        return Scatter(self._fields(np.array(used, np.int64)), np.array(amplitudes), copies)
+
+    def _lit_copies(
+        self, chunk: NDArray[np.int64], weights: NDArray[np.float64]
+    ) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+        """Yield the patterns of a chunk with nonzero weights, and the shifts and summed weights of their copies."""
+        for pattern in chunk.tolist():
+            members = slice(self._first[pattern], self._last[pattern])
+            given = weights[self._order[members]]
+            if len(given) == 1 and given.any():
+                yield pattern, self._shifts[members], given  # as most are, more quickly
+            elif given.any():
+                shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
+                factors = np.zeros((len(shifts), weights.shape[1]))
+                np.add.at(factors, copy.reshape(-1), given)
+                yield pattern, shifts, factors
+
+    @cached_property
+    def gain(self) -> float:
+        """Factor on all power that compensates for light diffracted beyond the patches.
+
+        In sums of many points that light is a uniform background, exchanged between neighbouring patches. The factor is
+        that of open pupils, since it differs little from pattern to pattern. It is 1 where bands for few points or high
+        accuracy are used.
+        """
+        if math.isinf(self._grid.band.beyond) or not self._camera.lattice.fills or not len(self._positions):
+            return 1.0
+        whole = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
+        some, arrived = _some(len(self._positions)), 0.0
+        with resting_drjit():
+            for pattern in some:
+                fields = Fields(self._grid, self._placement.take(pattern), self._positions[pattern], None)
+                arrived += float(Scatter(fields, np.ones(1), whole).prepare()().sums.sum(dtype=np.float64))
+        return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
+
+    def _fields(self, which: NDArray[np.int64]) -> Fields:
+        """Describe the fields of a selection of patterns."""
+        weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
+        if weights is not None and self._slant is not None:
+            weights = replace(weights, slant=self._slant[which])
+        return Fields(self._grid, self._placement.take(which), self._positions[which], weights)
+
+    def lit_chunks(self, weights: NDArray[np.float64]) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
+        """Return the chunks that have nonzero weights, and the number of points in each of them."""
+        if not self._chunks:
+            return [], np.zeros(0, np.int64)
+        lit = np.add.reduceat(weights[self._order].any(1), self._first) > 0
+        members = self._last - self._first
+        chunks = [chunk for chunk in self._chunks if lit[chunk].any()]
+        return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
+
+    def loss(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64], arrived: float) -> float | None:
+        """Return the fraction of the power behind the microlenses' apertures that falls outside the patches.
+
+        If there are gaps between the apertures, it is estimated from a few patterns.
+
+        `arrived` is the sum of all samples, without the `gain`. The result is None if there is nothing to sum or a
+        weight is negative.
+        """
+        if not chunks or weights.min() < 0:
+            return None
+        if not self._camera.lattice.fills:
+            patterns = np.concatenate(chunks)
+            chunks = [patterns[some] for some in _some(len(patterns))]
+            arrived = sum(float(self._sum_of(chunk, weights).sums.sum(dtype=np.float64)) for chunk in chunks)
+        sent = self._sent(chunks, weights)
+        return 1 - arrived / sent if sent else None
+
+    def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
+        """Compute a chunk immediately, in this thread."""
+        with resting_drjit():
+            return self.scatter(chunk, weights).prepare()()
+
+    def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
+        """Compute a chunk, and return the part and the seconds that it took."""
+        backend().synchronize()
+        start = time.perf_counter()
+        part = self._sum_of(chunk, weights)
+        backend().synchronize()
+        return part, time.perf_counter() - start
+
+    def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
+        """Return the sum of all samples for the case that all power behind the apertures falls on the patches."""
+        power = weights[self._order].sum(1)
+        if self._pupil_weights is not None:
+            power = power * self._pupil_weights.lit()[self._order]
+        per_pattern = np.add.reduceat(power, self._first)
+        if not self._camera.lattice.fills:
+            for chunk in chunks:
+                per_pattern[chunk] *= aperture_power(self._fields(chunk))
+        return float(per_pattern[np.concatenate(chunks)].sum() / self._grid.pitch.prod())
+
+    # -- adjoint ---------------------------------------------------------------------------------------
+
+    def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
+        """Return for every point the image weighted by its point spread.
+
+        `done` of the `total` points of a job are already complete.
+        """
+        samples = self._recorder.spread(image)
+        result = np.zeros((self._count, image.shape[2]))
+        gain = self.gain
+        copies = [
+            [np.unique(self._shifts[self._first[p] : self._last[p]], axis=0, return_inverse=True) for p in chunk]
+            for chunk in self._chunks
+        ]
+        batches = (
+            self._gather(chunk, [shifts for shifts, _ in some], samples)
+            for chunk, some in zip(self._chunks, copies, strict=True)
+        )
+        members = [int((self._last - self._first)[chunk].sum()) for chunk in self._chunks]
+        results = job.each(batches, members, done + self._count - sum(members), total)
+        for chunk, some, products in zip(self._chunks, copies, results, strict=True):
+            for pattern, (_, copy), product in zip(chunk, some, products, strict=True):
+                result[self._order[self._first[pattern] : self._last[pattern]]] = gain * product[copy.reshape(-1)]
+        return result
+
+    def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
+        """Describe a chunk with the samples of its tile; samples outside the recorded ones are zero."""
+        fields = self._fields(chunk)
+        placement = fields.placement
+        copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
+        box = reached(placement.corner, int(placement.samples[0]), copies)
+        return Gather(fields, copies, self._tile(samples, box))
+
+    def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
+        """Extract a rectangle of the grid from recorded samples (channels, rows, columns), padded with zeros."""
+        own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
+        top, left = box.top - own.top, box.left - own.left
+        rows = slice(max(top, 0), min(top + box.rows, own.rows))
+        columns = slice(max(left, 0), min(left + box.columns, own.columns))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+            tile[(slice(None), *inner)] = backend().to_host(samples[:, rows, columns])
+        return tile
+
+    # -- cost ------------------------------------------------------------------------------------------
+
+    def memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the memory in bytes that a sum takes in this process."""
+        samples = float(self._placement.samples.max(initial=0))
+        across = samples + float(_areas(samples)) + ZONES[-1] * float(self._grid.lens_samples.max())
+        tile = 4 * channels * across**2
+        # No more batches are under way than there are.
+        workers, threads = (min(count, len(self._chunks)) for count in (batch_map.workers, batch_map.threads))
+        fields = (threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
+        tiles = workers + 1
+        if (self._last - self._first > 1).any():
+            tiles += 2 * threads  # with cells: buffers of patterns and of their sum
+        return channels * self._recorder.memory + tiles * tile + fields
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
+        """Return the memory in bytes that a sum takes, or refuse it."""
+        memory = self.memory(batch_map, channels)
+        largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
+        what = f"{self._count} points by patches of {largest} x {largest} samples"
+        check_memory(memory, what)
+        each = 8.0 * largest**2
+        if patterns > _CHUNK and each > _PATCH_LIMIT:
+            raise InputError(
+                f"{what}: {patterns} patches, the largest of {each / 2**30:.2f} GiB, {memory / 2**30:.1f} GiB at a "
+                f"time; for more than {_CHUNK} patches each may take {_PATCH_LIMIT / 2**30:.2f} GiB"
+            )
+        return memory
+
+    def cost(self, batch_map: BatchMap) -> Cost:
+        """Estimate the cost of a sum from a few patterns of each patch size."""
+        memory = self.check_memory(batch_map)
+        samples = self._placement.samples
+        ones = np.ones((self._count, 1))
+        seconds = arrived = sent = 0.0
+        for size in np.unique(samples):
+            of_size = [chunk for chunk in self._chunks if samples[chunk[0]] == size]
+            upto = np.cumsum([len(chunk) for chunk in of_size])
+            chunk = of_size[int(np.searchsorted(upto, upto[-1] / 2))]  # the chunk of the median pattern
+            self._timed(chunk[:_FIRST], ones)  # compiles the kernels, which differ from those of a single pattern
+            _, taken = self._timed(chunk[:_FIRST], ones)
+            # Overheads of a chunk are small relative to a whole chunk.
+            some = chunk[: max(_FIRST, math.ceil(_FIRST * _TRIAL_SECONDS / taken))]
+            part, taken = self._timed(some, ones)
+            arrived += float(part.sums.sum(dtype=np.float64))
+            sent += self._sent([some], ones)
+            seconds += taken / len(some) * int(upto[-1]) / batch_map.workers
+        guards.require(guards.PATCH, 1 - arrived / (self.gain * sent) if sent else 0.0)
+        return Cost(len(self._order), len(samples), seconds, memory)
+
+
+def _areas(samples: Any) -> Any:
+    """Return the width in samples of the region of patch corners that are added into one tile, by patch size."""
+    return np.clip(_TILE, samples // 3, 4 * samples)
+
+
+def _some(count: int) -> list[NDArray[np.int64]]:
+    """Return a few of `count` patterns at regular intervals, each in its own array."""
+    return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
+
+
+class PatchSum:
+    """A sum of point spreads, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+
+    def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
+        self._plan, self._weights = plan, weights
+        self._chunks, self.items = plan.lit_chunks(weights)
+        self.arrays: Any = backend().arrays
+        self.box, self.channels = plan._recorder.box, weights.shape[1]
+
+    def batches(self, first: int) -> Iterator[Scatter]:
+        """Yield the batches from index `first` on, in order."""
+        return (self._plan.scatter(chunk, self._weights) for chunk in self._chunks[first:])
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Check the fraction of light that has arrived, and integrate the sum over the recorded pixels."""
+        loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
+        if loss is not None:
+            guards.check(guards.PATCH, loss)
+        return self._plan._recorder.record(total.sums)

@@ -1,0 +1,82 @@
+"""Point spread of one scene point through the camera, and its fields at the planes in between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera, require_camera
+from ..errors import refuse_if, require_wavelength, suggest_keywords
+from ..light.lens_kinds import regular_array
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import check_positions
+from ..optics import guards
+from ..runtime.backend import one_at_a_time
+from ..runtime.batches import Threads
+from ..runtime.jobs import Job
+from . import full_field
+from .full_field import PointFields
+from .operator import CaptureOperator
+
+
+@suggest_keywords
+@one_at_a_time
+def point_spread_function(
+    camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"
+) -> NDArray[np.float32]:
+    """Integrate the light of one scene point over the recorded pixels.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera; its recorded window may be a crop.
+    position : (float, float, float)
+        Scene point (X, Y, g) in the camera frame, in millimetres; g is its distance from the main lens.
+    wavelength : float
+        Wavelength in nanometres.
+    method : {"patch", "full_field"}
+        "patch" propagates the lit part of the field only, in milliseconds; "full_field" takes no shortcut and
+        seconds. They agree to 0.5 % (relative L2) or better.
+
+    Returns
+    -------
+    float32 array (rows, columns)
+        Fractions of the power through the pupil.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range or the work would need too much memory.
+    PhysicsError
+        If too much of the light is lost.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    >>> spread = mp.point_spread_function(camera, (0.0, 0.0, 236.0), wavelength=633)
+    >>> spread.shape
+    (64, 64)
+    """
+    operator = CaptureOperator(camera, _check(camera, position)[None], wavelength=wavelength, method=method, accuracy=0)
+    # What interpolation leaves below zero between the samples is not light.
+    return np.maximum(operator.forward([1.0], job=Job(batch_map=Threads(1))), 0)
+
+
+@one_at_a_time
+def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
+    """Propagate the light of one scene point and return its complex field at the pupil, the MLA and the detector."""
+    with guards.watch():
+        wavelength = require_wavelength(wavelength)
+        point = _check(camera, position)
+        camera = regular_array(camera).at_wavelength(wavelength)
+        return full_field.point_fields(OpticalSystem(camera, wavelength), point)
+
+
+def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
+    require_camera(camera)
+    point = np.asarray(position, object)
+    refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")
+    return check_positions(point[None], camera)[0]

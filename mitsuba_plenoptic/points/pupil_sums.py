@@ -1,0 +1,252 @@
+r"""The field on the pupil of many scene points with complex amplitudes, layer by layer of distance.
+
+At the point P of the pupil, the field of the point X is the amplitude of X times
+
+.. math:: B(P, X) \, e^{2 \pi i p(P, X)}, \qquad p(P, X) = p_0(P) + c(P, X) + r(P, X)
+
+with the path p in waves as in `lenses`, that to the pupil's centre being 0. :math:`p_0` is common to a layer, and c are
+waves of which sums over points are convolutions or transforms (see `carriers`): spheres of one radius behind an ideal
+main lens, tilts behind a parabolic one. What is left, r, is small and smooth: the defocus within the layer and, with
+tilts, the non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a
+few products of a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and
+a singular value decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier
+integral operators", 2009, use the same separation). The cost is one convolution or transform for each of these
+products, whatever the count of points, and no step is paraxial.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..lenses.thin import ThinLens
+from ..light.optical_system import OpticalSystem
+from ..optics.waves import in_millimetres, phasor, soft_edge
+from ..runtime.backend import array_module
+from ..runtime.fft import Field, as_field, pack, rows_and_columns
+from .arrival import blocks
+from .carriers import Carrier, PupilGrid, Spheres, Tilts
+
+_LAYER = 2.0
+"""Largest range of the defocus of a layer's points at the pupil's edge, in waves."""
+
+_TOLERANCE = 5e-6
+"""Error of the separated field, relative to its modulus: about that of single precision."""
+
+_NODES = range(6, 49, 2)
+"""Numbers of Chebyshev nodes across the pupil that are tried, one after another."""
+
+_TRIED = 64
+"""Points of a layer for which the interpolation is tried, and positions on the pupil."""
+
+_BASIS = 2048
+"""Largest number of points of a layer from which its products are found."""
+
+_TOGETHER = 2**22
+"""Number of factors that are computed together, which limits their memory."""
+
+_MISSED = 5e-5
+"""Error of a single point's separated field beyond which products are added for it."""
+
+_ADDED = 256
+"""Largest number of such points from which products are found together."""
+
+_WIDEST = 4.0
+"""Largest width of the window in which spheres are summed, over that of the pupil."""
+
+_RINGS, _SPOKES = 8, 24
+"""Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
+
+
+class Layer:
+    """Points of similar distance, (n, 3), with unit power each through the pupil, on the samples of a grid."""
+
+    def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
+        self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
+        made: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
+        self._carrier = made
+        nodes = self._nodes(points)
+        self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
+        x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
+        some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
+        basis = _principal(self._remainder(x, y, points, some))
+        parts = []
+        step = max(1, _TOGETHER // len(x))
+        for first in range(0, len(points), step):
+            part = slice(first, first + step)
+            factors = self._remainder(x, y, points, part)
+            basis, found = _completed(basis, factors)
+            parts.append(found)
+        self.rank = basis.shape[1]
+        self._on_pupil = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
+        # Points before the last completion do without the products that came later.
+        padded = [np.pad(part, ((0, self.rank - len(part)), (0, 0))) for part in parts]
+        self._of_points = (np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)
+
+    def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
+        """Add the field of points with these amplitudes (n,) to samples of the grid."""
+        common = self._common()
+        for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
+            for rows, waves in self._carrier.forward(amplitudes * of_points):
+                waves *= self._values(on_pupil, rows)
+                waves *= common[rows]
+                field[rows] += waves
+
+    def adjoint(self, field: Field) -> NDArray[np.complex64]:
+        """Return for each point the inner product of its field with samples of the grid."""
+        given = self._common().conj() * field
+        total = np.zeros(self._of_points.shape[1], np.complex64)
+        for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
+
+            def products(on_pupil: Field = on_pupil) -> Iterator[tuple[slice, Field]]:
+                for rows in blocks(self._grid.count):
+                    yield rows, given[rows] * self._values(on_pupil, rows).conj()
+
+            total += of_points.conj() * self._carrier.adjoint(products())
+        return total
+
+    @property
+    def _half(self) -> float:
+        """Half the side of the square between whose nodes the fields are interpolated."""
+        return self._grid.pitch * (self._grid.count // 2 + 1)
+
+    def _common(self) -> Field:
+        """Return what the fields of all points have in common on the samples, with modulus 1 in the pupil."""
+        types, grid = array_module(), self._grid
+        row, column = rows_and_columns(types, grid.count, grid.count)
+        x, y = (
+            (types.Float64(index) - grid.count // 2) * dr.opaque(types.Float64, grid.pitch)
+            + dr.opaque(types.Float64, float(start))
+            for index, start in zip((column, row), grid.middle, strict=True)
+        )
+        cover = types.Float(soft_edge(self._lens.inside((x, y)) / grid.pitch))
+        light = phasor(self._carrier.common((x, y))) * cover
+        return as_field(pack(light), (grid.count, grid.count))
+
+    def _values(self, on_pupil: Field, rows: slice) -> Field:
+        """Return a function of P, given at the nodes, at rows of the samples."""
+        along_x, along_y = self._interpolation
+        return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
+
+    def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return as many Chebyshev nodes between -1 and 1 as the layer needs."""
+        some = _extremes(points)
+        radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
+        # A sunflower's pattern covers the pupil evenly.
+        angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        exact = self._remainder(x * self._lens.pupil_radius, y * self._lens.pupil_radius, points, some)
+        scale = self._lens.pupil_radius / self._half
+        for count in _NODES:
+            nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
+            given = [part.ravel() * self._half for part in np.meshgrid(nodes, nodes)]
+            factors = self._remainder(given[0], given[1], points, some)
+            across, down = (_interpolation(nodes, place * scale, np.float64) for place in (x, y))
+            found = np.einsum("pj,pi,jin->pn", down, across, factors.reshape(count, count, -1), optimize=True)
+            if np.all(np.abs(found - exact) <= _TOLERANCE * np.abs(exact).max(0)):
+                return nodes
+        x, y, g = points.mean(0)
+        raise InputError(
+            f"points about ({x:g}, {y:g}, {g:g}): the wavefronts of their field differ too much across the pupil to be "
+            "computed together; use a smaller field or aperture_radius"
+        )
+
+    def _remainder(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], which: Any
+    ) -> NDArray[np.complex128]:
+        """Return B exp(2 pi i r) at m positions on the pupil for some of the points, (m, n)."""
+        point = tuple(points[which].T)
+        waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
+        waves = self._carrier.remainder(waves, x, y, which)
+        amplitude = self._lens.amplitude((x[:, None], y[:, None]), point)
+        amplitude = amplitude / np.sqrt(passed_power(self._lens, points[which]))
+        return np.asarray(amplitude * np.exp(2j * math.pi * waves))
+
+
+def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
+    """Return the waves from which the fields of points differ least: spheres behind an ideal lens, else tilts."""
+    spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
+    return Spheres if spheres else Tilts
+
+
+def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Return the indices of the points (n, 3) of each layer of distance."""
+    defocus = lens.pupil_radius**2 / (2 * in_millimetres(system.wavelength)) / points[:, 2]
+    order = np.argsort(defocus, kind="stable")
+    span = defocus[order] - defocus[order[0]]
+    count = max(1, math.ceil(span[-1] / _LAYER))
+    which = np.minimum(span * (count / max(span[-1], 1e-300)), count - 1).astype(int)
+    return np.split(order, np.flatnonzero(np.diff(which)) + 1)
+
+
+def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
+    """Return an upper bound of the memory in bytes of the field of a layer's points (n, 3), besides that of each."""
+    return carrier_type(lens, points, grid).memory(lens, points, grid)
+
+
+def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the integral (n,) over the pupil of the squared amplitude of each point's light."""
+    nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
+    radius = lens.pupil_radius * np.sqrt((nodes + 1) / 2)
+    angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
+    x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
+    amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
+    area = math.pi * lens.pupil_radius**2
+    return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
+
+
+def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the orthonormal functions (m, k) that represent some factors (m, n) within the tolerance."""
+    basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
+    tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
+    return np.asarray(basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))])
+
+
+def _completed(
+    basis: NDArray[np.complex128], factors: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return a basis with the functions added that single ones of some factors (m, n) need, and their coefficients.
+
+    Points that are far from most others have such factors.
+    """
+    power = _squares(factors)
+    while True:
+        found = basis.conj().T @ factors
+        error = 1 - _squares(found) / power
+        worst = np.argsort(error)[-_ADDED:]
+        worst = worst[error[worst] > _MISSED**2]
+        if not len(worst):
+            return basis, found
+        missed = factors[:, worst] - basis @ found[:, worst]
+        added, strength, _ = np.linalg.svd(missed, full_matrices=False)
+        added = added[:, strength > 0.5 * _MISSED * math.sqrt(power[worst].min())]
+        # Orthogonal to the others in spite of rounding; those stay as they are.
+        basis = np.hstack([basis, np.linalg.qr(added - basis @ (basis.conj().T @ added))[0]])
+
+
+def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Return the squared norm of each column."""
+    return np.asarray((columns.real**2 + columns.imag**2).sum(0))
+
+
+def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the indices of some points, with those on the edges of the layer along all of its diagonals."""
+    tilt = points[:, :2] / points[:, 2:]
+    directions = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
+    values = np.column_stack([tilt, 1 / points[:, 2]])
+    along = ((values - values.mean(0)) / np.maximum(np.ptp(values, axis=0), 1e-300)) @ directions.T
+    some = np.linspace(0, len(points) - 1, min(len(points), _TRIED)).astype(np.int64)
+    return np.unique(np.concatenate([along.argmin(0), along.argmax(0), some]))
+
+
+def _interpolation(nodes: NDArray[np.float64], at: NDArray[np.float64], kind: type = np.float32) -> NDArray[Any]:
+    """Return the matrix of polynomial interpolation from Chebyshev nodes to positions between -1 and 1."""
+    degree = len(nodes) - 1
+    chebyshev = np.polynomial.chebyshev.chebvander
+    return np.asarray(chebyshev(at, degree) @ np.linalg.inv(chebyshev(nodes, degree)), kind)

@@ -1,0 +1,183 @@
+"""From samples of the intensity on a grid to the recorded pixels, and back."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lattice import turn
+from ..runtime.backend import backend
+from ..runtime.batches import Box
+from .field_grid import Grid
+from .pixels import PixelIntegrals, TurnedSamples
+
+STEPS = ("x", "y")
+"""Moves of all pixels by a millimetre along x, and along y."""
+
+_EDGE = 8
+"""Samples around a window that its pixels' integrals feel."""
+
+
+class Recorder:
+    """The recorded pixels that some patches reach, and the samples that these pixels feel: `box`, on a grid.
+
+    `low` and `high`, (n, 2), are the first sample of each patch along x and y, and the one after its last. `whole` is a
+    recorder of these patches and others, whose data are used.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        grid: Grid,
+        low: NDArray[np.int64],
+        high: NDArray[np.int64],
+        whole: Recorder | None = None,
+    ) -> None:
+        self._camera, self._grid, self._whole = camera, grid, whole
+        pitch, p = grid.pitch, camera.pixel_size
+        start = np.array(camera.crop_offset)
+        stop = start + np.array(camera.crop_size)
+        if len(low):
+            reached = self._turned(low.min(0) * pitch, high.max(0) * pitch, grid.rotation)
+            start = np.clip(np.floor(reached[0] / p).astype(np.int64) - _EDGE, start, stop)
+            stop = np.clip(np.ceil(reached[1] / p).astype(np.int64) + _EDGE, start, stop)
+        felt = self._turned(start * p, stop * p, -grid.rotation)
+        first = np.floor(felt[0] / pitch).astype(np.int64) - _EDGE
+        last = np.ceil(felt[1] / pitch).astype(np.int64) + _EDGE
+        self._pixels, self.box = Box.between(start, stop), Box.between(first, last)
+
+    def _turned(
+        self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Bound a rectangle, given from the detector's corner, after a turn about the axis."""
+        if degrees == 0:
+            return low, high
+        x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self._grid.origin[axis] for axis in (0, 1))
+        corners = np.stack(turn(x, y[[0, 2, 0, 2]], degrees), -1) - self._grid.origin
+        return corners.min(0), corners.max(0)
+
+    @property
+    def count(self) -> int:
+        """Number of the pixels."""
+        return self._pixels.rows * self._pixels.columns
+
+    @property
+    def memory(self) -> float:
+        """Bytes that a channel takes while it is recorded."""
+        image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
+        return image + (12.0 * self.box.rows * self.box.columns if self._grid.rotation != 0 else 0)
+
+    def record(self, sums: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+        """Integrate samples of the box over the pixels, or return how the integrals change where the pixels move.
+
+        `sums` (channels, rows, columns) are per square millimetre, the result (rows, columns, channels) is of all
+        recorded pixels. `move` is what changes by 1 while the samples are fixed: "detector_width", "mla_rotation" (the
+        detector's angle against the lattice), "wavelength" (with which the samples' distances grow), or "x" or "y" (the
+        detector's position).
+        """
+        image = np.zeros((*self._camera.shape, len(sums)), np.float32)
+        target = image[self.window]
+        for channel, samples in enumerate(sums):
+            target[..., channel] = self.integrate(samples, move)
+        return image
+
+    def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+        """Integrate one channel as `record` does, but return the pixels in the `window` only, (rows, columns)."""
+        upright = samples if self._upright is None else self._upright.forward(samples)
+        return backend().to_host(self._pixels_of(move).forward(upright))
+
+    def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
+        """Apply the adjoint of `record`."""
+        arrays = backend().arrays
+        channels = []
+        for channel in np.moveaxis(image[self.window], -1, 0):
+            samples = self._pixels_of(move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
+            channels.append(samples if self._upright is None else self._upright.adjoint(samples))
+        return arrays.stack(channels)
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the pixels in the image."""
+        left, top = (self._pixels.left, self._pixels.top)
+        left, top = left - self._camera.crop_offset[0], top - self._camera.crop_offset[1]
+        return slice(top, top + self._pixels.rows), slice(left, left + self._pixels.columns)
+
+    @property
+    def _edge(self) -> tuple[float, float]:
+        """X and y of the first pixel's corner, from the detector's."""
+        p = self._camera.pixel_size
+        return self._pixels.left * p, self._pixels.top * p
+
+    @property
+    def _origin(self) -> tuple[float, float]:
+        """X and y of the first sample, in the frame of the lattice, from the detector's corner."""
+        pitch, size = self._grid.pitch, (self._camera.detector_width, self._camera.detector_height)
+        x, y = np.array([self.box.left, self.box.top]) * pitch + (self._grid.origin + np.array(size) / 2)
+        return float(x), float(y)
+
+    def _pixels_of(self, move: str | None) -> PixelIntegrals:
+        """Return the integrals over the pixels, or their changes where these move."""
+        if move is None:
+            return self._integrals
+        if move in STEPS:
+            return self._integrals.shifted(STEPS.index(move))
+        width = self._camera.detector_width
+        axis = width / 2, self._camera.detector_height / 2
+        if move == "mla_rotation":
+            return self._integrals.turned(axis)
+        if move == "wavelength":
+            return self._integrals.shrunk(axis, self._grid.wavelength)
+        return self._integrals.widened(axis, width)
+
+    @cached_property
+    def _integrals(self) -> PixelIntegrals:
+        if self._whole is not None and self._grid.rotation == 0:
+            whole = self._whole
+            return whole._integrals.cut(_slices(self._pixels, whole._pixels), _slices(self.box, whole.box))
+        x, y = self._grid.pitch.tolist()
+        pitch, origin, samples = (x, y), self._origin, (self.box.rows, self.box.columns)
+        if self._grid.rotation != 0:
+            step = min(pitch)
+            pitch, origin, samples = (step, step), self._upright_origin, self._upright_shape
+        shape = self._pixels.rows, self._pixels.columns
+        return PixelIntegrals.of(samples, pitch, origin, self._camera.pixel_size, self._edge, shape, self._grid.means)
+
+    @cached_property
+    def _upright(self) -> TurnedSamples | None:
+        """From the lattice's frame to samples in the camera's; None if the two are one."""
+        grid = self._grid
+        if grid.rotation == 0:
+            return None
+        x, y = grid.pitch.tolist()
+        # The turn is about the axis.
+        corner = grid.origin.tolist()
+        return TurnedSamples(
+            (self.box.rows, self.box.columns),
+            (x, y),
+            (self._origin[0] + corner[0], self._origin[1] + corner[1]),
+            grid.rotation,
+            min(x, y),
+            (self._upright_origin[0] + corner[0], self._upright_origin[1] + corner[1]),
+            self._upright_shape,
+        )
+
+    @property
+    def _upright_shape(self) -> tuple[int, int]:
+        p, step = self._camera.pixel_size, float(self._grid.pitch.min())
+        rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (self._pixels.rows, self._pixels.columns))
+        return rows, columns
+
+    @property
+    def _upright_origin(self) -> tuple[float, float]:
+        step = float(self._grid.pitch.min())
+        return self._edge[0] - _EDGE * step, self._edge[1] - _EDGE * step
+
+
+def _slices(part: Box, whole: Box) -> tuple[slice, slice]:
+    """Return the rows and columns of a rectangle within another."""
+    top, left = part.top - whole.top, part.left - whole.left
+    return slice(top, top + part.rows), slice(left, left + part.columns)

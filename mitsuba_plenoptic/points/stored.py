@@ -1,0 +1,213 @@
+"""The wave camera as a sparse matrix: point spreads are computed once and stored."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if, require_number
+from ..light.sampling import check_memory
+from ..optics import guards
+from ..runtime.backend import one_at_a_time
+from ..runtime.jobs import Job
+from .mixing import mix
+from .operator import CaptureOperator
+from .spreads import FullFieldSpreads, PatchSpreads
+
+_SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSpreads}
+
+
+class StoredOperator(CaptureOperator):
+    """A `CaptureOperator` that computes its point spreads once and stores them, one set for each wavelength.
+
+    `forward` and `adjoint` are then products with a sparse matrix, for any number of columns of weights or channels of
+    an image. Spreads are computed at the first product. The derivatives by the camera's parameters compute their fields
+    anew, as those of `CaptureOperator` do.
+
+    Parameters
+    ----------
+    camera, points, **options
+        As for `CaptureOperator`.
+    budget : float
+        Memory in GiB that the spreads may take, and twice that while they are computed. More is refused before any of
+        them is computed.
+    dtype : {"float32", "float64"}
+        Type of the stored spreads and of the images. The spreads have the accuracy of single precision in both, but
+        the products with "float64" are linear to double precision.
+
+    Raises
+    ------
+    InputError
+        If an input has a wrong shape or value.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> camera = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    >>> points = [(0.0, 0.0, 236.0), (0.05, 0.02, 240.0)]
+    >>> mp.StoredOperator(camera, points, wavelength=633).to_sparse().shape
+    (4096, 2)
+    """
+
+    def __init__(
+        self, camera: PlenopticCamera, points: Any, *, budget: float = 1.0, dtype: Any = "float32", **options: Any
+    ) -> None:
+        super().__init__(camera, points, **options)
+        self._budget = require_number("budget", budget, positive=True)
+        refuse_if(dtype not in ("float32", "float64"), f"dtype = {dtype!r}: it must be float32 or float64")
+        self._dtype = np.dtype(dtype)
+        self._matrices: dict[float, Any] = {}
+
+    @one_at_a_time
+    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[Any]:
+        """Add the point spreads of all points, each with a weight.
+
+        Parameters
+        ----------
+        weights : array (n,) or (n, channels)
+            As for `CaptureOperator.forward`.
+        job : Job, optional
+            Executor of the computation of the spreads, and its progress report. Checkpoints are not written.
+
+        Returns
+        -------
+        array (rows, columns) or (rows, columns, channels)
+            Integrals over the recorded pixels, of the type `dtype`.
+
+        Raises
+        ------
+        InputError
+            If the weights have a wrong shape or value, or the spreads take more memory than the budget.
+        PhysicsError
+            If too much of the light is lost (see `optics.guards`).
+        """
+        factors, matrices = self._check(weights), self._computed(job)
+        _, matrix = self._channels.mixing(factors.shape[1])
+        pixels = np.zeros((math.prod(self.camera.shape), len(matrix)), self._dtype)
+        for part in self._channels.parts(factors.shape[1]):
+            pixels += mix(matrices[part.wavelength] @ (factors @ part.before).astype(self._dtype), part.after)
+        flat = np.ndim(weights) == 1 and len(matrix) == 1
+        return pixels.reshape(self.camera.shape if flat else (*self.camera.shape, -1))
+
+    @one_at_a_time
+    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+        """Apply the transpose of `forward`: weigh an image by the point spread of every point.
+
+        Parameters
+        ----------
+        image : array (rows, columns) or (rows, columns, channels)
+            Values of the recorded pixels.
+        job : Job, optional
+            As for `forward`.
+
+        Returns
+        -------
+        float64 array (n,) or (n, channels)
+            Products with the point spreads; with a spectrum of several wavelengths one column for each of them.
+
+        Raises
+        ------
+        InputError
+            If the image has another shape or is not finite, or the spreads take more memory than the budget.
+        """
+        channels, matrices = self._channels.check_image(image, self.camera.shape, self._dtype), self._computed(job)
+        wavelengths, _ = self._channels.mixing(channels.shape[2])
+        pixels = channels.reshape(-1, channels.shape[2])
+        result = np.zeros((len(self.points), len(wavelengths)))
+        for part in self._channels.parts(channels.shape[2]):
+            result += (matrices[part.wavelength].T @ mix(pixels, part.after.T)) @ part.before.T
+        return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+
+    @one_at_a_time
+    def to_sparse(self, *, job: Job | None = None) -> Any:
+        """Return the operator as a sparse matrix between flat arrays.
+
+        Parameters
+        ----------
+        job : Job, optional
+            As for `forward`.
+
+        Returns
+        -------
+        scipy.sparse.csc_array
+            Of shape (pixels, n). With a spectrum (pixels * channels, n * wavelengths), whose rows are the entries of
+            an image (rows, columns, channels), and whose columns are those of weights (n, wavelengths). Changes of the
+            matrix do not change the operator.
+
+        Raises
+        ------
+        InputError
+            If the spreads take more memory than the budget, or the matrix would need too much memory.
+        """
+        matrices, parts = self._computed(job), list(self._channels.parts(1))
+        mixed = [part.after @ part.before.T for part in parts]
+        entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))
+        check_memory(2.0 * entries * (self._dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
+        if len(parts) == mixed[0].size == 1:
+            return matrices[parts[0].wavelength] * self._dtype.type(mixed[0].item())
+        return sum(
+            scipy.sparse.kron(matrices[part.wavelength], own.astype(self._dtype), format="csc")
+            for part, own in zip(parts, mixed, strict=True)
+        )
+
+    @one_at_a_time
+    def to_dense(self, *, job: Job | None = None) -> NDArray[Any]:
+        """Return the operator as an array between flat arrays.
+
+        Parameters
+        ----------
+        job : Job, optional
+            As for `forward`.
+
+        Returns
+        -------
+        array
+            The entries of `to_sparse`.
+
+        Raises
+        ------
+        InputError
+            If the spreads take more memory than the budget, or the array would need too much memory.
+        """
+        wavelengths, matrix = self._channels.mixing(1)
+        rows, columns = math.prod(self.camera.shape) * len(matrix), len(self.points) * len(wavelengths)
+        check_memory(float(self._dtype.itemsize) * rows * columns, f"dense matrix of {rows} x {columns}")
+        return self.to_sparse(job=job).toarray()
+
+    def _computed(self, job: Job | None) -> dict[float, Any]:
+        """Return the matrix (pixels, n) of each wavelength, computed on first use if all of them fit the budget."""
+        if self._matrices:
+            return self._matrices
+        job, wavelengths = job or Job(), list(dict.fromkeys(part.wavelength for part in self._channels.parts(1)))
+        plans = self._plans.made_by(_SPREADS[self._method])
+        entry, count = self._dtype.itemsize + 4, len(self.points)
+        needed = sum(plans.checked(wavelength, job, 1).pixels for wavelength in wavelengths) * entry / 2**30
+        refuse_if(
+            needed > self._budget,
+            f"budget = {self._budget:g} GiB: the spreads of {count} points at {len(wavelengths)} "
+            f"wavelength{'s' * (len(wavelengths) > 1)} take {needed:.3g} GiB; CaptureOperator stores none",
+        )
+        with guards.watch():
+            self._matrices = {
+                wavelength: self._matrix(plans.at(wavelength).spreads(job, done * count, len(wavelengths) * count))
+                for done, wavelength in enumerate(wavelengths)
+            }
+        return self._matrices
+
+    def _matrix(self, spreads: Any) -> Any:
+        """Collect spreads as the columns of a matrix (pixels, n)."""
+        index = np.arange(math.prod(self.camera.shape), dtype=np.int32).reshape(self.camera.shape)
+        empty = np.zeros(0, np.int32), np.zeros(0, self._dtype)
+        columns = [empty] * len(self.points)
+        for spread in spreads:
+            column = index[spread.window].ravel(), spread.pixels.ravel().astype(self._dtype, copy=False)
+            for point in spread.points.tolist():
+                columns[point] = column
+        rows, values = (np.concatenate([column[k] for column in columns] or [empty[k]]) for k in (0, 1))
+        starts = np.cumsum([0, *(len(column[0]) for column in columns)])
+        return scipy.sparse.csc_array((values, rows, starts), shape=(index.size, len(columns)))

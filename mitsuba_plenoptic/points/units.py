@@ -1,0 +1,37 @@
+"""The units of captures: a pixel is the mean radiance over its lens's area."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..lenses.main_lens import MainLens
+from ..light.optical_system import OpticalSystem
+
+
+def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:
+    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`, the camera's part of a point's weight.
+
+    The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that it represents.
+    """
+    pupil = math.pi * pupil_radius**2
+    return pupil * reduced_distance**2 / (lattice.lens_area * pixel_size**2)
+
+
+def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
+    """Return `brightness` for a camera with its main lens."""
+    return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
+
+
+def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `brightness` with the part of the pupil that is open to each of some points, (n,)."""
+    return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
+
+
+def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
+    r"""Return the total signal of a small area of radiance 1 in all pixels: `brightness` times :math:`A_c / b^2`."""
+    return area / lens.pupil_distance**2 * brightness_of(camera, lens)

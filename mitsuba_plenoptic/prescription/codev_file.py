@@ -1,0 +1,262 @@
+"""CODE V ``.seq`` files: sequential lenses of spheres, conics and even aspheres around one axis."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ..errors import InputError, refuse_if
+from . import Glass, Prescription
+from .glass import catalogue_glass
+from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
+
+_UNITS = {"M": UNITS["MM"], "MM": UNITS["MM"], "C": UNITS["CM"], "I": UNITS["IN"]}
+
+_OF_THE_FILE = """
+    LEN INI EPD FNO NA NAO WTW CWL XAN YAN XOB YOB XIM YIM XRI YRI WTF VUX VLX VUY VLY DOR POL CLS DER UID CA GO
+"""
+"""Commands without effect on the lens itself: the program, pupil, fields, weights, vignetting, derivatives, labels.
+
+What the stop lets through is written as its aperture.
+"""
+
+_OF_A_SURFACE = "SLB SPH CON ASP CCY THC THM CUM GLC KC AC BC CC DC EC FC GC HC JC"
+"""The same of a surface: labels, and which of its values a design program may change."""
+
+_WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
+
+_DECENTRES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE", "ADX", "ADY", "ARO")
+
+_TERMS = "ABCDEFGHJ"
+"""Coefficients of the fourth, sixth, ... power of the distance from the axis."""
+
+_TEMPERATURES, _PRESSURE = (20.0, 25.0), 760.0
+"""Degrees and millimetres of mercury at which catalogues' indices hold."""
+
+
+def read_codev(path: str | Path) -> Prescription:
+    """Read a CODE V file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.seq`` file.
+
+    Raises
+    ------
+    InputError
+        If it holds anything that changes the light's path and that a `Prescription` cannot hold, or a command that is
+        not known, naming file, line and rule.
+    """
+    path, text = read_text(path)
+    reader = _CodevReader(path)
+    for line in _commands(path, text):
+        reader.take(line)
+    return reader.prescription()
+
+
+def _commands(path: Path, text: str) -> list[Line]:
+    """Return the commands: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
+    found: list[Line] = []
+    words: list[str] = []
+    continued = False
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not continued:
+            words = []
+        continued = False
+        for word in re.findall(r"\"[^\"]*\"|'[^']*'|[!;&]|[^\s!;&\"']+", line):
+            if word == "!":
+                break
+            if word == ";":
+                found += [Line(path, number, tuple(words))] if words else []
+                words = []
+            elif word == "&":
+                continued = True
+            else:
+                words.append(word)
+        if words and not continued:
+            found.append(Line(path, number, tuple(words)))
+    return found
+
+
+_ONCE = {"DIM", "RDM", "WL", "REF"}
+"""Commands of the whole lens, of which a second one would silently replace the first."""
+
+
+class _CodevReader:
+    """The lens of a file, as far as its commands have been read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name = ""
+        self.unit: float | None = None
+        self.radii: bool | None = None
+        self.wavelengths: list[float] = []
+        self.primary: int | None = None
+        self.stop: Line | None = None
+        self.surfaces: list[DesignSurface] = []
+        self.ended = False
+        # What has been given of the file, and of a surface, once.
+        self.given: set[str] = set()
+        self.taken: set[str] = set()
+        # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
+        self.solved: dict[int, Line] = {}
+
+    def take(self, line: Line) -> None:
+        """Take a command."""
+        keyword = line.words[0].upper()
+        if keyword in _WITHOUT_EFFECT:
+            return
+        if keyword in _ONCE:
+            line.refuse_if(keyword in self.given, f"{keyword} is given twice")
+            self.given.add(keyword)
+        if keyword in _DECENTRES:
+            line.require_zero("decentred and tilted surfaces are not read")
+        elif keyword in ("CUF", "DAR"):
+            line.require_zero("only surfaces around one axis are read")
+        elif keyword in _TERMS and len(keyword) == 1:
+            self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
+        elif (method := getattr(self, f"_take_{keyword.lower()}", None)) is not None:
+            method(line)
+        else:
+            raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
+
+    def prescription(self) -> Prescription:
+        """Return the lens between object and image."""
+        refuse_if(
+            not self.ended or len(self.surfaces) < 3, f"{self.path}: there must be SO, the lens's surfaces and SI"
+        )
+        if self.unit is None:
+            raise InputError(f"{self.path}: DIM is missing: the unit of its lengths is not known")
+        if self.primary is None and len(self.wavelengths) == 1:
+            self.primary = 1
+        if self.primary is None or not 1 <= self.primary <= len(self.wavelengths):
+            raise InputError(f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several")
+        for number, line in self.solved.items():
+            line.refuse_if(
+                number != len(self.surfaces) - 2, "only the last thickness, up to the image, may be found by a solve"
+            )
+        if self.stop is not None:
+            number = int(self.stop.word(1)[1:])
+            self.stop.refuse_if(
+                not 0 < number < len(self.surfaces) - 1, "there is no such surface between object and image"
+            )
+            self.surfaces[number].stop = True
+        wavelength = self.wavelengths[self.primary - 1]
+        return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
+
+    def _only_value(self, line: Line, index: int = 1) -> float:
+        """Return the number that ends a surface's command, which must be given once."""
+        keyword = line.words[0].upper()
+        line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
+        self.taken.add(keyword)
+        line.refuse_if(len(line.words) != index + 1, "it must be one number; semicolons separate commands")
+        return line.value(index)
+
+    def _surface(self, line: Line) -> DesignSurface:
+        line.refuse_if(not self.surfaces, "it belongs to a surface: SO, S or SI must precede it")
+        return self.surfaces[-1]
+
+    def _take_tit(self, line: Line) -> None:
+        self.name = " ".join(line.words[1:]).strip("'\"")
+
+    _take_title = _take_tit
+
+    def _take_dim(self, line: Line) -> None:
+        unit = line.word(1).upper()
+        line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
+        self.unit = _UNITS[unit]
+
+    def _take_rdm(self, line: Line) -> None:
+        self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
+
+    def _take_wl(self, line: Line) -> None:
+        self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
+
+    def _take_ref(self, line: Line) -> None:
+        self.primary = int(line.value(1))
+
+    def _take_tem(self, line: Line) -> None:
+        low, high = _TEMPERATURES
+        line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
+
+    def _take_pre(self, line: Line) -> None:
+        line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
+
+    def _take_so(self, line: Line) -> None:
+        line.refuse_if(self.surfaces, "SO must be the first surface")
+        self._add(line)
+
+    def _take_s(self, line: Line) -> None:
+        line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
+        self._add(line)
+
+    def _take_si(self, line: Line) -> None:
+        self._take_s(line)
+        line.refuse_if(self.surfaces[-1].curvature, "the image is curved: the array is a plane")
+        self.ended = True
+
+    def _add(self, line: Line) -> None:
+        """Add a surface of radius or curvature, thickness and glass."""
+        if self.radii is None:
+            raise line.refused("RDM must precede it: whether radii or curvatures are written is not known")
+        shape = line.value(1)
+        # How far the object is does not matter: it may be written as infinite.
+        thickness = line.value(2) if self.surfaces else 0.0
+        surface = DesignSurface(1 / shape if self.radii and shape else shape, thickness, asphere=[0.0] * len(_TERMS))
+        line.refuse_if(len(line.words) > 4, "a surface has radius or curvature, thickness and glass")
+        if len(line.words) == 4:
+            line.refuse_if(not self.surfaces, "air must precede the first surface")
+            surface.glass = _glass(line, line.words[3].strip("'\""))
+        self.surfaces.append(surface)
+        self.taken.clear()
+
+    def _take_sto(self, line: Line) -> None:
+        if len(line.words) == 1:
+            self._surface(line).stop = True
+        elif re.fullmatch(r"[Ss]\d+", line.words[1]):
+            self.stop = line
+        else:
+            raise line.refused("it must be STO, or STO S3 for the third surface")
+
+    _take_stop = _take_sto
+
+    def _take_k(self, line: Line) -> None:
+        self._surface(line).conic = self._only_value(line)
+
+    def _take_cir(self, line: Line) -> None:
+        kind = line.word(1).upper()
+        if kind == "EDG":
+            return  # Where the glass ends, beyond what light passes.
+        if kind == "CLR" or len(line.words) == 2:
+            self._surface(line).semi_aperture = self._only_value(line, 1 + (kind == "CLR"))
+        else:
+            raise line.refused("apertures must be CIR and their radius: obscurations and holes are not read")
+
+    def _take_ic(self, line: Line) -> None:
+        line.refuse_if(not line.word(1).upper().startswith("Y"), "rays must meet the surface's first intersection")
+
+    def _take_pim(self, line: Line) -> None:
+        self._surface(line)
+        self.solved[len(self.surfaces) - 1] = line
+
+    def _take_thi(self, line: Line) -> None:
+        line.refuse_if(line.word(1).upper() not in ("HMY", "HCY"), "a thickness must be written in its surface's line")
+        self._take_pim(line)
+
+
+def _glass(line: Line, written: str) -> Glass | None:
+    """Return the glass of a surface's line: a name, also with its maker, or a code of index and Abbe number."""
+    if written.upper() == "AIR":
+        return None
+    line.refuse_if(written.upper() in ("REFL", "REF"), "mirrors are not read")
+    where = f"{line.path}, line {line.number}: glass"
+    if match := re.fullmatch(r"(\d+\.\d+):(\d+\.?\d*)", written):
+        return Glass.from_plain({"index": float(match[1]), "abbe": float(match[2])}, where)
+    # Decimals of the index before the point, and those of the Abbe number, of which two stand before its own, behind:
+    # 516800.641700 for 1.5168 and 64.17, or 517642 of three each.
+    if match := re.fullmatch(r"(\d{3,6})\.(\d{3,6})", written) or re.fullmatch(r"(\d{3})(\d{3})", written):
+        code = {"index": float(f"1.{match[1]}"), "abbe": float(f"{match[2][:2]}.{match[2][2:]}")}
+        return Glass.from_plain({**code, "name": written}, where)
+    name, _, maker = written.partition("_")
+    return catalogue_glass(name, where, [maker] if maker else None, with_hyphens=False)

@@ -1,0 +1,126 @@
+"""A telescope's objective with a collimator, as plain data: the main lens of a Shack-Hartmann sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ..errors import refuse_if, require_known, require_length, short_repr, suggest_keywords
+from .lens_data import SINGLE, THIN, LensData, require_unscaled
+
+
+@suggest_keywords
+@dataclass(frozen=True)
+class Collimator(LensData):
+    r"""A thin objective and, behind its focus, a collimator that images the pupil onto the microlens array.
+
+    Light of a star arrives at the array as a parallel beam, in which each microlens sees a part of the pupil: the
+    camera is a Shack-Hartmann wavefront sensor (Platt and Shack 2001, "History and principles of Shack-Hartmann
+    wavefront sensing"). With the camera's `focal_length` :math:`f_1` and the collimator's :math:`f_c`, the collimator
+    stands :math:`f_1 + f_c` behind the objective, which is the pupil, and the array :math:`f_c (1 + f_c / f_1)` behind
+    the collimator, which gives `mla_distance`. There the pupil is imaged upside down with the magnification
+    :math:`f_c / f_1` (Goodman, "Introduction to Fourier Optics", section 5.3); the quadratic phases of both lenses
+    cancel. Both are ideal and the collimator is wide enough for all light. Cameras with it are simulated by
+    `CaptureOperator` with the method ``full_field``.
+
+    Parameters
+    ----------
+    collimator_focal_length : float
+        Focal length :math:`f_c` in millimetres.
+
+    Raises
+    ------
+    InputError
+        If the focal length is out of range.
+    """
+
+    mark: ClassVar[str] = "collimator_focal_length"
+    is_thin: ClassVar[bool] = False
+    converges: ClassVar[bool] = False
+
+    collimator_focal_length: float
+
+    def __post_init__(self) -> None:
+        name = "main_lens: collimator_focal_length"
+        object.__setattr__(self, "collimator_focal_length", require_length(name, self.collimator_focal_length))
+
+    @property
+    def images_stop(self) -> bool:
+        """Always True: the array stands in the image of the pupil."""
+        return True
+
+    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+        """Return those of a thin objective."""
+        return THIN.own_numbers(focal_length)
+
+    def magnification(self, focal_length: float) -> float:
+        """Return the ratio of the pupil's image to the pupil.
+
+        Parameters
+        ----------
+        focal_length : float
+            Focal length of the objective in millimetres.
+        """
+        return self.collimator_focal_length / focal_length
+
+    def array_distance(self) -> float:
+        """Return NaN: it follows from both focal lengths, see `settled`."""
+        return math.nan
+
+    def settled(self, given: dict[str, float]) -> dict[str, float]:
+        """Fill in the distance of the pupil's image, or refuse another one."""
+        length, collimator = given["focal_length"], self.collimator_focal_length
+        own = length + collimator + collimator * (1 + self.magnification(length))
+        if not math.isnan(given["mla_distance"]):
+            require_unscaled(given, {"mla_distance": own}, SINGLE)
+        return given | {"mla_distance": own}
+
+    def require_focusable(self, focus_distance: Any) -> None:
+        """Refuse every plane: it is infinity."""
+        refuse_if(
+            True,
+            f"focus_distance = {focus_distance:g}: a telescope with a collimator is focused at infinity; leave it out",
+        )
+
+    def focus_distance(self, focal_length: float, mla_distance: float) -> float:
+        """Return infinity, as light of stars leaves the collimator parallel."""
+        return math.inf
+
+    def require_fit(self, camera: Any) -> None:
+        """Refuse distortion, glass and a tilted array."""
+        for name, value in (("distortion", camera.distortion), ("mla_tilt", camera.mla_tilt)):
+            refuse_if(any(value), f"{name} = {value}: behind a collimator it must be 0")
+        refuse_if(
+            camera.glass is not None, "glass: the lenses of a telescope with a collimator have none; leave it out"
+        )
+
+    def require_distance(self, camera: Any, distance: float) -> None:
+        """Refuse all distances: no object plane is imaged onto the array."""
+        refuse_if(True, f"distance = {distance:g}: behind a collimator the array is in the image of the pupil")
+
+    def image_blur(self, camera: Any, distance: float) -> float:
+        """Return the diameter of the pupil's image."""
+        return float(camera.aperture_diameter * self.magnification(camera.focal_length))
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the focal length by name, for `from_plain`, files and headers."""
+        return {"collimator_focal_length": self.collimator_focal_length}
+
+    @classmethod
+    def from_plain(cls, value: dict[str, Any]) -> Collimator:
+        """Build one from what `to_plain` gave.
+
+        Parameters
+        ----------
+        value : dict
+            ``collimator_focal_length``.
+
+        Raises
+        ------
+        InputError
+            If it is missing or out of range, or there are other names.
+        """
+        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: it must be a dictionary")
+        require_known("main_lens: ", value, [cls.mark])
+        return cls(**value)

@@ -1,0 +1,119 @@
+"""Common parts of the readers of other programs' lens files: their lines, and the `Prescription` made of them.
+
+Both readers know the keywords that they understand and those that do not change the light's path through the lens.
+Anything else is refused by file, line and rule, so that no lens is read as another one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import InputError, naming, refuse_if, short_repr
+from ..io.files import require_size
+from . import Glass, Prescription
+
+UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
+"""Millimetres in a unit of length."""
+
+_LARGEST = 2**22
+
+
+@dataclass(frozen=True)
+class Line:
+    """One command of a lens file."""
+
+    path: Path
+    number: int
+    words: tuple[str, ...]
+
+    def refused(self, rule: str) -> InputError:
+        """Return the exception that names file, line, command and rule."""
+        return InputError(f"{self.path}, line {self.number}: {short_repr(' '.join(self.words))}: {rule}")
+
+    def refuse_if(self, broken: object, rule: str) -> None:
+        """Refuse the command where it breaks a rule."""
+        if broken:
+            raise self.refused(rule)
+
+    def word(self, index: int) -> str:
+        """Return one of its words; the first is the keyword, number 0."""
+        self.refuse_if(index >= len(self.words), f"value {index} is missing")
+        return self.words[index]
+
+    def value(self, index: int, default: float | None = None) -> float:
+        """Return one of its words as a finite number."""
+        if index >= len(self.words) and default is not None:
+            return default
+        word, value = self.word(index), math.nan
+        with contextlib.suppress(ValueError):
+            value = float(word)
+        self.refuse_if(not math.isfinite(value), f"value {index} must be a number")
+        return value
+
+    def require_zero(self, rule: str) -> None:
+        """Refuse the command unless all its values are 0."""
+        self.refuse_if(any(self.value(index) for index in range(1, len(self.words))), rule)
+
+
+@dataclass
+class DesignSurface:
+    """A surface as a lens file has it, in the file's own unit of length."""
+
+    curvature: float = 0.0
+    thickness: float = 0.0
+    glass: Glass | None = None
+    semi_aperture: float = 0.0
+    conic: float = 0.0
+    asphere: list[float] = field(default_factory=list)
+    """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
+    stop: bool = False
+
+
+def read_text(path: str | Path) -> tuple[Path, str]:
+    """Return a lens file's path and text, in UTF-16, UTF-8 or, as older programs write, Latin-1."""
+    path = require_size(path, _LARGEST)
+    raw = path.read_bytes()
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return path, raw.decode("utf-16", errors="replace")
+    if raw[1:2] == b"\0":
+        return path, raw.decode("utf-16-le", errors="replace")
+    try:
+        return path, raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return path, raw.decode("latin-1")
+
+
+def to_prescription(
+    path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
+) -> Prescription:
+    """Return the prescription of a file's surfaces, object and image left out."""
+    plain = []
+    for number, surface in enumerate(surfaces, start=1):
+        refuse_if(
+            not surface.semi_aperture > 0,
+            f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
+        )
+        entry = {
+            "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
+            "semi_aperture": surface.semi_aperture * unit,
+            "conic": surface.conic,
+            "asphere": [term * unit ** -(2 * order + 3) for order, term in enumerate(_trimmed(surface.asphere))],
+            "stop": surface.stop,
+        }
+        if surface.curvature:
+            entry["radius"] = unit / surface.curvature
+        if surface.glass is not None:
+            entry["glass"] = surface.glass.to_plain()
+        plain.append(entry)
+    facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
+    with naming(path):
+        return Prescription.from_plain({**facts, "surfaces": plain})
+
+
+def _trimmed(terms: list[float]) -> list[float]:
+    """Return coefficients without the zeros at their end."""
+    count = max((number for number, term in enumerate(terms, start=1) if term), default=0)
+    return terms[:count]

@@ -1,0 +1,103 @@
+"""Main lenses as files: YAML or JSON of `Prescription.to_plain`, and what other programs write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import NO_RECORD, InputError, refusing
+from ..io.files import read_yaml, require_file, write_text
+from . import BUNDLED, Prescription, bundled_prescription
+from .codev_file import read_codev
+from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
+from .lens_data import LensData, known_kind
+from .objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
+from .zemax_file import read_zemax
+
+DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
+"""Endings of other programs' files, and their readers."""
+
+
+def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:
+    """Read a main lens: what `read_prescription` reads, or an objective as a file or as the text of a JSON file.
+
+    Parameters
+    ----------
+    source : str or Path
+        The file, name or text.
+    resolve : callable, optional
+        Finds a file by its name, for example in the folder of a scene.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or lens, or it is neither.
+    """
+    text = str(source)
+    if text.lstrip().startswith("{"):
+        return lens_from_plain(_parsed(text))
+    if text in BUNDLED or not _is_there(path := Path(resolve(text))):
+        return bundled_prescription(text)
+    if (read := DESIGNS.get(path.suffix.lower())) is not None:
+        return read(path)
+    try:
+        return lens_from_plain(read_yaml(require_file(path)))
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+
+
+def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription:
+    """Read a main lens of surfaces.
+
+    Parameters
+    ----------
+    source : str or Path
+        The name of a bundled lens; a YAML or JSON file, a Zemax ``.zmx`` or CODE V ``.seq`` file; or the text of a JSON
+        file. The file of a bundled lens, such as ``tessar.yaml``, is found where there is no file of that name.
+    resolve : callable, optional
+        Finds a file by its name, for example in the folder of a scene.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or lens, or it is not a prescription.
+    """
+    lens = read_lens(source, resolve)
+    if not isinstance(lens, Prescription):
+        raise InputError(f"{source}: it is an {type(lens).__name__.lower()}; a lens with surfaces is needed")
+    return lens
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a file of that name exists; False for text that cannot be the name of a file."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def lens_from_plain(value: Any) -> LensData:
+    """Return the main lens of plain data: a prescription, unless an entry marks another kind."""
+    return known_kind(value, Prescription).from_plain(value)
+
+
+def _parsed(text: str) -> Any:
+    with refusing("main_lens: it must be a JSON object:", *NO_RECORD):
+        return json.loads(text)
+
+
+def write_prescription(path: str | Path, lens: Prescription) -> None:
+    """Write a main lens as a YAML file, for `read_prescription`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    lens : Prescription
+        The lens.
+    """
+    write_text(path, yaml.safe_dump(lens.to_plain(), sort_keys=False), ".yaml", ".yml", ".json")

@@ -1,0 +1,255 @@
+"""A microscope's objective and tube lens as plain data: the part of them that a camera stores."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+from ..errors import (
+    InputError,
+    put,
+    refuse_if,
+    require_choice,
+    require_known,
+    require_length,
+    require_number,
+    short_repr,
+    suggest_keywords,
+)
+from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
+
+ARRANGEMENTS = ("image", "fourier")
+
+_STRONGEST = 1000.0
+"""Magnification at most."""
+
+_LARGEST_INDEX = 4.0
+
+_WIDEST = 0.1
+"""Numerical aperture on the image side at most: directions there are taken as small."""
+
+
+@suggest_keywords
+@dataclass(frozen=True)
+class Objective(LensData):
+    r"""An infinity-corrected objective with its tube lens, the main lens of a light-field microscope.
+
+    It obeys Abbe's sine condition, and its stop lies in its back focal plane, one focal length before the tube lens:
+    the microscope is telecentric on both sides. Its focal length is :math:`f = f_T / M` and the radius of the stop
+    :math:`f \, NA` (Gu, "Advanced Optical Imaging Theory", chapter 6). The camera's `focal_length`, `aperture_radius`
+    and `mla_distance` follow from it.
+
+    Parameters
+    ----------
+    magnification : float
+        Lateral magnification M, positive; the image stands upside down.
+    numerical_aperture : float
+        Numerical aperture NA on the object side, less than the immersion's refractive index.
+    immersion : float
+        Refractive index n between objective and object, in which the object lies, too: 1 for air, 1.33 for water,
+        1.515 for oil.
+    tube_focal_length : float
+        Focal length :math:`f_T` of the tube lens in millimetres.
+    arrangement : {"image", "fourier"}
+        Where the microlens array stands: in the native image plane (Levoy, Ng, Adams, Footer and Horowitz 2006, "Light
+        field microscopy"), or behind a further lens in the image of the stop (Llavador, Sola-Pikabea, Saavedra, Javidi
+        and Martínez-Corral 2016, "Resolution improvements in integral microscopy with Fourier plane recording").
+    fourier_focal_length : float, optional
+        Focal length :math:`f_F` in millimetres of that further lens, which stands this far behind the native image
+        plane and before the array; for "fourier" alone.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
+    """
+
+    mark = "magnification"
+    is_thin = False
+    converges = False
+
+    magnification: float
+    numerical_aperture: float
+    immersion: float = 1.0
+    tube_focal_length: float = 200.0
+    arrangement: str = "image"
+    fourier_focal_length: float | None = None
+
+    def __post_init__(self) -> None:
+        def checked(name: str, **bounds: Any) -> None:
+            put(self, **{name: require_number(f"main_lens: {name}", getattr(self, name), positive=True, **bounds)})
+
+        checked("magnification", maximum=_STRONGEST)
+        checked("immersion", minimum=1, maximum=_LARGEST_INDEX)
+        checked("numerical_aperture")
+        refuse_if(
+            self.numerical_aperture >= self.immersion,
+            f"main_lens: numerical_aperture = {self.numerical_aperture:g}: it must be less than the index of the "
+            f"immersion, {self.immersion:g}",
+        )
+        refuse_if(
+            self.image_aperture > _WIDEST,
+            f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
+            f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
+        )
+        put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
+        require_choice("main_lens: arrangement", self.arrangement, ARRANGEMENTS)
+        name, given = "main_lens: fourier_focal_length", self.fourier_focal_length
+        if self.arrangement == "fourier":
+            refuse_if(given is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
+            put(self, fourier_focal_length=require_length(name, given))
+        elif given is not None:
+            raise InputError(f"{name} = {short_repr(given)}: it is for arrangement = fourier; leave it out")
+
+    @property
+    def name(self) -> str:
+        """Its name in messages: ``20x/0.5 objective``."""
+        return f"{self.magnification:g}x/{self.numerical_aperture:g} objective"
+
+    @property
+    def focal_length(self) -> float:
+        """Focal length :math:`f_T / M` of the objective on the side of the tube lens."""
+        return self.tube_focal_length / self.magnification
+
+    @property
+    def stop_radius(self) -> float:
+        """Radius of the stop in the back focal plane."""
+        return self.focal_length * self.numerical_aperture
+
+    @property
+    def image_aperture(self) -> float:
+        """Numerical aperture NA / M in the native image plane."""
+        return self.numerical_aperture / self.magnification
+
+    @property
+    def half_angle(self) -> float:
+        """Angle in radians of the steepest rays of the object against the axis."""
+        return math.asin(self.numerical_aperture / self.immersion)
+
+    @property
+    def last_focal_length(self) -> float:
+        """Focal length of the lens before the array, which is also its distance from it."""
+        return self.tube_focal_length if self.fourier_focal_length is None else self.fourier_focal_length
+
+    @property
+    def is_fourier(self) -> bool:
+        """Whether the array stands in the image of the stop."""
+        return self.arrangement == "fourier"
+
+    def view_scale(self, detector_distance: float) -> float:
+        """Scale :math:`z M / f_F` of the picture of the object that a lens of the Fourier arrangement makes.
+
+        Parameters
+        ----------
+        detector_distance : float
+            Distance z from the array to the detector in millimetres, `PlenopticCamera.reduced_distance` in a medium.
+        """
+        return detector_distance * self.magnification / self.last_focal_length
+
+    @property
+    def images_stop(self) -> bool:
+        """Whether the array stands in the image of the stop."""
+        return self.is_fourier
+
+    @property
+    def nearest(self) -> float:
+        """The z of the front principal plane."""
+        return -self.immersion * self.focal_length
+
+    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+        """Return the focal length and the radius of the stop, whatever is given."""
+        return self.focal_length, self.stop_radius
+
+    def array_distance(self) -> float:
+        """Return the focal length of the lens before the array."""
+        return self.last_focal_length
+
+    def settled(self, given: dict[str, float]) -> dict[str, float]:
+        """Return the objective's own parameters; refuse others."""
+        own = {
+            "focal_length": self.focal_length,
+            "aperture_radius": self.stop_radius,
+            "mla_distance": self.last_focal_length,
+        }
+        return require_unscaled(given, own, SINGLE)
+
+    def require_focusable(self, focus_distance: Any) -> None:
+        """Refuse any other plane than the native one."""
+        raise InputError(
+            f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; leave it out"
+        )
+
+    def require_fit(self, camera: Any) -> None:
+        """Refuse aberrations besides the objective's own, and a tilted array."""
+        require_alone(camera)
+        refuse_if(any(camera.mla_tilt), f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
+
+    def require_distance(self, camera: Any, distance: float) -> None:
+        """Refuse a depth that is not finite or not before the objective."""
+        refuse_if(
+            not -self.focal_length < distance < math.inf,
+            f"distance = {distance:g}: it must be a finite depth beyond the native object plane, more than "
+            f"{-self.focal_length:g}",
+        )
+
+    def focus_distance(self, focal_length: float, mla_distance: float) -> float:
+        """Return 0: the native object plane is in focus."""
+        return 0.0
+
+    def bin_count(self, camera: Any) -> tuple[int, int]:
+        """Return as many bins as there are pixels along a pitch in the Fourier arrangement, else those of the array."""
+        if not self.is_fourier:
+            return super().bin_count(camera)
+        across, down = camera.mla_pitches
+        return even_count(across, camera.pixel_size), even_count(down, camera.pixel_size)
+
+    def bin_size(self, camera: Any, distance: float) -> float:
+        """Return the width of a lens in the object, or in the Fourier arrangement that of a pixel, at all depths."""
+        if self.is_fourier:
+            return float(camera.pixel_size / self.view_scale(camera.reduced_distance))
+        return float(camera.mla_pitch / self.magnification)
+
+    def image_blur(self, camera: Any, distance: float) -> float:
+        """Return `blur_diameter`."""
+        return self.blur_diameter(distance)
+
+    def blur_diameter(self, distance: float) -> float:
+        r"""Diameter on the array of the light of a point on the axis, by rays.
+
+        :math:`2 M |d| \tan\alpha` in the native image plane, and that of the stop's image in the Fourier arrangement.
+
+        Parameters
+        ----------
+        distance : float
+            How far d the point lies beyond the native object plane, in millimetres.
+        """
+        if self.is_fourier:
+            return 2 * self.last_focal_length * self.image_aperture
+        return 2 * self.magnification * abs(distance) * math.tan(self.half_angle)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return it as plain values by name, for `from_plain`, files and headers."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @classmethod
+    def from_plain(cls, value: dict[str, Any]) -> Objective:
+        """Build one from what `to_plain` gave.
+
+        Parameters
+        ----------
+        value : dict
+            ``magnification`` and ``numerical_aperture``, and any other parameter.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or missing, or a value is out of range.
+        """
+        known = [field.name for field in fields(cls)]
+        refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: an objective has {', '.join(known)}")
+        require_known("main_lens: ", value, known)
+        for name in known[:2]:
+            refuse_if(name not in value, f"main_lens: {name}: it is missing from the objective")
+        return cls(**value)

@@ -1,0 +1,397 @@
+"""The surfaces of a lens, from the scene's side to the array's, as plain data with checks."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import warnings
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from ..errors import (
+    LONGEST,
+    SHORTEST,
+    InputError,
+    did_you_mean,
+    refuse_if,
+    require_known,
+    require_length,
+    require_number,
+    require_wavelength,
+    short_repr,
+)
+from ..runtime.backend import safe_sqrt
+from . import lenses
+from .glass import LINE_D, Glass
+from .lens_data import SINGLE, LensData, require_alone, vergence
+
+if TYPE_CHECKING:
+    from .paraxial import Paraxial
+
+MOST_SURFACES = 100
+MOST_COEFFICIENTS = 8
+
+LEAST = 1e-12
+"""Least argument of square roots, so that rays that miss have numbers and gradients."""
+
+_HEIGHTS = 129
+"""Distances from the axis at which neighbouring surfaces must not have crossed."""
+
+_TOUCHING = 1e-9
+"""Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding."""
+
+_LEAST_CLIPPED = 0.1
+"""Least part of the semi-aperture that a surface which crosses the next may be clipped to; less is a slip."""
+
+_NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
+
+
+@dataclass(frozen=True)
+class Surface:
+    r"""A surface of a lens, of the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
+
+    Parameters
+    ----------
+    radius : float
+        Radius of curvature :math:`1/c` in millimetres, positive where the centre is on the array's side; infinite for
+        a plane.
+    thickness : float
+        Distance along the axis to the next surface in millimetres; 0 for the last.
+    glass : Glass or None
+        What follows up to the next surface; None for air.
+    semi_aperture : float
+        Distance from the axis up to which light passes, in millimetres.
+    conic : float
+        Conic constant k.
+    asphere : tuple of float
+        Coefficients of the fourth, sixth, ... power of r.
+    """
+
+    radius: float
+    thickness: float
+    glass: Glass | None
+    semi_aperture: float
+    conic: float = 0.0
+    asphere: tuple[float, ...] = ()
+
+    @property
+    def curvature(self) -> float:
+        """Reciprocal of the radius."""
+        return 1 / self.radius
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return what `from_plain` takes; what is left out has its default."""
+        plain: dict[str, Any] = {} if math.isinf(self.radius) else {"radius": self.radius}
+        if self.thickness:
+            plain["thickness"] = self.thickness
+        if self.glass is not None:
+            plain["glass"] = self.glass.to_plain()
+        plain["semi_aperture"] = self.semi_aperture
+        if self.conic:
+            plain["conic"] = self.conic
+        if self.asphere:
+            plain["asphere"] = list(self.asphere)
+        return plain
+
+    @classmethod
+    def from_plain(cls, value: Any, where: str) -> Surface:
+        """Take a surface from plain data.
+
+        Parameters
+        ----------
+        value : dict
+            Any of ``radius`` (a plane without it), ``thickness``, ``glass``, ``conic``, ``asphere``, ``stop``, and
+            ``semi_aperture``.
+        where : str
+            What messages call it.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
+        """
+        refuse_if(
+            not isinstance(value, dict), f"{where} = {short_repr(value)}: it must be numbers by name, such as radius"
+        )
+        require_known(f"{where}: ", value, sorted(_NAMES))
+        refuse_if(
+            "semi_aperture" not in value,
+            f"{where}: semi_aperture: it is missing; it is the height up to which light passes",
+        )
+        radius = require_number(f"{where}: radius", value.get("radius", math.inf), finite=False)
+        refuse_if(abs(radius) < SHORTEST, f"{where}: radius = {radius:g}: it must not be 0; a plane has no radius")
+        asphere = value.get("asphere", ())
+        refuse_if(
+            not isinstance(asphere, (list, tuple)) or len(asphere) > MOST_COEFFICIENTS,
+            f"{where}: asphere = {short_repr(asphere)}: it must be at most {MOST_COEFFICIENTS} numbers",
+        )
+        made = cls(
+            radius=radius,
+            thickness=require_number(f"{where}: thickness", value.get("thickness", 0.0), minimum=0, maximum=LONGEST),
+            glass=None if value.get("glass") is None else Glass.from_plain(value["glass"], f"{where}: glass"),
+            semi_aperture=require_number(
+                f"{where}: semi_aperture", value["semi_aperture"], minimum=SHORTEST, maximum=LONGEST
+            ),
+            conic=require_number(f"{where}: conic", value.get("conic", 0.0), minimum=-LONGEST, maximum=LONGEST),
+            asphere=tuple(require_number(f"{where}: asphere", entry) for entry in asphere),
+        )
+        refuse_if(
+            (1 + made.conic) * (made.semi_aperture * made.curvature) ** 2 >= 1,
+            f"{where}: semi_aperture = {made.semi_aperture:g}: the surface of radius {made.radius:g} ends before that",
+        )
+        return made
+
+
+@dataclass(frozen=True)
+class Prescription(LensData):
+    """A lens as its designer writes it down. Lengths are millimetres.
+
+    Parameters
+    ----------
+    surfaces : tuple of Surface
+        From the scene's side to the array's; there is air before the first and behind the last.
+    stop : int
+        Index of the surface that is the aperture stop; it opens to its semi-aperture at most.
+    name : str
+        Name of the lens.
+    source : str
+        Where it is published.
+    wavelength : float
+        Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
+    """
+
+    mark = "surfaces"
+    is_thin = False
+
+    surfaces: tuple[Surface, ...]
+    stop: int
+    name: str = ""
+    source: str = ""
+    wavelength: float = LINE_D
+
+    @property
+    def traced_surfaces(self) -> tuple[Surface, ...]:
+        """All of them."""
+        return self.surfaces
+
+    @property
+    def disperses(self) -> bool:
+        """Whether one of its glasses does."""
+        return any(surface.glass is not None and surface.glass.form != "index" for surface in self.surfaces)
+
+    @property
+    def paraxial(self) -> Paraxial:
+        """Its paraxial numbers at its own wavelength."""
+        from .paraxial import paraxial
+
+        return paraxial(self)
+
+    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+        """Return focal length and radius of the open entrance pupil, scaled to what focal length is given."""
+        numbers = self.paraxial
+        given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
+        return given, numbers.entrance_radius * given / numbers.focal_length
+
+    def exit_pupil(self, focal_length: float) -> tuple[float, float]:
+        """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's."""
+        numbers = self.paraxial
+        scale = focal_length / numbers.focal_length
+        return scale * (numbers.rear_principal - numbers.exit_pupil), numbers.exit_radius / numbers.entrance_radius
+
+    def require_fit(self, camera: Any) -> None:
+        """Refuse other aberrations than its own, a stop wider than it opens, and an array within it."""
+        require_alone(camera)
+        numbers, widest = self.paraxial, self.own_numbers(camera.focal_length)[1]
+        refuse_if(
+            camera.aperture_radius > widest * (1 + SINGLE),
+            f"aperture_radius = {camera.aperture_radius:g}: the main_lens opens to {widest:.6g} at most",
+        )
+        scale = camera.focal_length / numbers.focal_length
+        nearest = -scale * min(numbers.rear_principal, numbers.rear_principal - numbers.exit_pupil)
+        refuse_if(
+            camera.mla_distance <= nearest,
+            f"mla_distance = {camera.mla_distance:g}: the array would stand within the main_lens or its exit "
+            f"pupil; it must be more than {nearest:.4g}",
+        )
+
+    def image_blur(self, camera: Any, distance: float) -> float:
+        """Return the diameter on the array of the cone from the exit pupil to the image of a point."""
+        power = vergence(camera.focal_length, distance)
+        # So far the image lies before the array.
+        gap = camera.mla_distance - (math.inf if power == 0 else 1 / power)
+        return float(2 * camera.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (camera.pupil_distance - gap))))
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return what `from_plain` takes: numbers, strings, lists and dictionaries."""
+        surfaces = [surface.to_plain() for surface in self.surfaces]
+        surfaces[self.stop]["stop"] = True
+        facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
+        return {**facts, "wavelength": self.wavelength, "surfaces": surfaces}
+
+    @classmethod
+    def from_plain(cls, value: Any) -> Prescription:
+        """Take a prescription from plain data, for example from a file.
+
+        Parameters
+        ----------
+        value : dict
+            ``surfaces``, a list of what `Surface.from_plain` takes, one of them with ``stop: true``; and any of
+            ``name``, ``source``, ``wavelength``.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or missing, a value is out of range, not just one surface is the stop, glass follows
+            the last surface, a glass has no index at the wavelength, or two surfaces cross near the axis. Surfaces
+            that cross within their semi-apertures end there, with a warning.
+        """
+        if isinstance(value, dict):
+            require_known("main_lens: ", value, ("surfaces", "name", "source", "wavelength"))
+        refuse_if(
+            not isinstance(value, dict) or "surfaces" not in value,
+            f"main_lens = {short_repr(value)}: it must have surfaces, and may have name, source, wavelength",
+        )
+        listed = value["surfaces"]
+        refuse_if(
+            not isinstance(listed, (list, tuple)) or not 1 <= len(listed) <= MOST_SURFACES,
+            f"main_lens: surfaces = {short_repr(listed)}: it must be a list of 1 to {MOST_SURFACES}",
+        )
+        surfaces = tuple(
+            Surface.from_plain(surface, f"main_lens: surface {number}")
+            for number, surface in enumerate(listed, start=1)
+        )
+        stops = []
+        for number, surface in enumerate(listed):
+            flag = surface.get("stop", False)
+            if not isinstance(flag, bool):
+                raise InputError(
+                    f"main_lens: surface {number + 1}: stop = {short_repr(flag)}: it must be true or false"
+                )
+            stops += [number] if flag else []
+        refuse_if(len(stops) != 1, f"main_lens: {len(stops)} surfaces have stop: true: it must be just one of them")
+        if surfaces[-1].glass is not None:
+            raise InputError(f"main_lens: surface {len(surfaces)}: glass: air must follow the last surface")
+        texts = {name: value.get(name, "") for name in ("name", "source")}
+        for name, text in texts.items():
+            refuse_if(not isinstance(text, str), f"main_lens: {name} = {short_repr(text)}: it must be text")
+        made = cls(
+            surfaces,
+            stops[0],
+            **texts,
+            wavelength=require_wavelength(value.get("wavelength", LINE_D), "main_lens: wavelength"),
+        )
+        made.indices(made.wavelength)
+        return made.clipped()
+
+    def indices(self, wavelength: float) -> list[float]:
+        """Return the index behind each surface at a wavelength in nanometres, that of air being 1."""
+        return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
+
+    def clipped(self) -> Prescription:
+        """Return the lens with refracting surfaces that cross their neighbours ending where they do, with a warning.
+
+        Published prescriptions list semi-apertures for drawings, which may reach beyond the edge where surfaces meet.
+        """
+        lens = self
+        while crossing := lens._crossing():
+            first, second, position, text = crossing
+            surfaces = list(lens.surfaces)
+            pair = [surfaces[first].semi_aperture, surfaces[second].semi_aperture]
+            refuse_if(
+                position < _LEAST_CLIPPED * min(pair),
+                f"{text}: they must stay apart within a tenth of the smaller of their semi-apertures, {min(pair):.4g}",
+            )
+            warnings.warn(f"{text}: their semi-apertures, {pair[0]:.4g} and {pair[1]:.4g}, end there", stacklevel=2)
+            for index in (first, second):
+                least = min(surfaces[index].semi_aperture, position)
+                surfaces[index] = replace(surfaces[index], semi_aperture=least)
+            lens = replace(lens, surfaces=tuple(surfaces))
+        return lens
+
+    def require_apart(self) -> None:
+        """Refuse a lens of which two refracting surfaces that follow each other cross where light may pass both."""
+        if crossing := self._crossing():
+            first, second, _, text = crossing
+            edge = min(self.surfaces[first].semi_aperture, self.surfaces[second].semi_aperture)
+            raise InputError(f"{text}: they must stay apart within the smaller of their semi-apertures, {edge:.4g}")
+
+    def _crossing(self) -> tuple[int, int, float, str] | None:
+        """Return the first refracting surfaces that cross where light may pass both: indices, distance, and words."""
+        indices = [index for index, surface in enumerate(self.surfaces) if surface.glass != self._before(index)]
+        for first, second in itertools.pairwise(indices):
+            front, back = self.surfaces[first], self.surfaces[second]
+            thickness = sum(surface.thickness for surface in self.surfaces[first:second])
+            position = _meeting(front, back, thickness)
+            if position is not None:
+                text = f"main_lens: surfaces {first + 1} and {second + 1} cross {position:.4g} mm from the axis"
+                return first, second, position, text
+        return None
+
+    def _before(self, index: int) -> Glass | None:
+        """Return the glass before a surface."""
+        return self.surfaces[index - 1].glass if index else None
+
+
+def height(surface: Any, square: Any) -> Any:
+    """Return a surface's height over the plane of its vertex."""
+    c = surface.curvature
+    height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST))
+    power = square * square
+    for coefficient in surface.asphere:
+        height = height + coefficient * power
+        power = power * square
+    return height
+
+
+def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
+    """Return the distance from the axis at which two surfaces cross; None if they stay apart in both of their areas."""
+    edge = min(front.semi_aperture, back.semi_aperture)
+
+    def gap(square: Any) -> Any:
+        return thickness + height(back, square) - height(front, square)
+
+    squares = np.linspace(0, edge, _HEIGHTS) ** 2
+    crossed = np.flatnonzero(gap(squares) < -_TOUCHING * edge)
+    if not crossed.size:
+        return None
+    after = max(1, int(crossed[0]))
+    if not gap(squares[after - 1]) > 0:
+        return float(np.sqrt(squares[after - 1]))
+    # Imported here because it takes longer than the rest of the package.
+    from scipy.optimize import brentq
+
+    return float(np.sqrt(brentq(gap, squares[after - 1], squares[after])))
+
+
+BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
+"""Their names."""
+
+
+# The bundled files do not change, and prescriptions are immutable.
+@functools.cache
+def bundled_prescription(name: str) -> Prescription:
+    """Return a bundled lens.
+
+    Parameters
+    ----------
+    name : str
+        One of `BUNDLED`; ``.yaml`` may follow it.
+
+    Raises
+    ------
+    InputError
+        If there is no lens of that name; the message lists the bundled ones.
+    """
+    stem = name.removesuffix(".yaml")
+    if stem not in BUNDLED:
+        raise InputError(
+            f"main_lens = {short_repr(name)}: there is no such file, and the bundled lenses are {', '.join(BUNDLED)}"
+            f"{did_you_mean(stem, BUNDLED)}"
+        )
+    text = (resources.files(lenses) / f"{stem}.yaml").read_text(encoding="utf-8")
+    return Prescription.from_plain(yaml.safe_load(text))

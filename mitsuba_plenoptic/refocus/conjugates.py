@@ -1,0 +1,265 @@
+r"""Propagation from the exit pupil to object planes: the path of waves from a point of the array to its conjugate.
+
+Waves are propagated back to the plane of the main lens's exit pupil. Only the factor at the pupil depends on the lens:
+the path from a scene point, and the part of the pupil that its light passes. Seen from behind, a real lens is a thin
+lens in its exit pupil. With the pupils' magnification m and the entrance pupil at :math:`z_E`, the paraxial image of a
+point at the distance g is that of a thin lens at the distance :math:`m^2 (g - z_E)` (Welford, "Aberrations of Optical
+Systems", section 2.6), so that everything up to the pupil is sampled as behind this thin lens, in directions of chief
+rays. The real lens's aberrations are in the path and its vignetting in the edge; its distortion is corrected at the
+end, see `undistorted`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, cast
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, argument
+from ..lenses.fitted_lens import FAR, FittedLens
+from ..lenses.main_lens import Light, Pair
+from ..lenses.pupil_fit import Pupils
+from ..lenses.real_lens import RealLens
+from ..lenses.thin import ThinLens
+from ..light.optical_system import OpticalSystem, is_paraxial
+from ..optics.waves import in_millimetres
+from ..runtime.backend import array_module
+
+_MARGIN = 4
+"""Lenses beyond the corner of the bins up to which the lens is fitted."""
+
+_MOST_ZONES = 8
+"""Zones of the field along each axis, at most."""
+
+_ZONE_BLUR = 0.2
+"""Part of a bin by which the path of the middle of a zone may lead a ray from the pupil's rim astray at its corners."""
+
+
+@dataclass(frozen=True)
+class Conjugate:
+    """The passage through the exit pupil of the light of one point of the array, or of one point for each lane."""
+
+    light: Any
+    point: tuple[Any, Any, Any]
+    wavelength: float
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+    def path(self, pupil: Pair) -> Any:
+        """Return the path from the object plane in waves, less a tilt."""
+        waves = self.light.path(pupil, self.point, self.wavelength)
+        if not any(self.tilt):
+            return waves
+        return waves - (pupil[0] * self.tilt[0] + pupil[1] * self.tilt[1]) * (1 / in_millimetres(self.wavelength))
+
+    def inside(self, pupil: Pair) -> Any:
+        """Return the distance in millimetres by which a point lies inside the pupil's edge."""
+        return self.light.inside(pupil)
+
+
+@dataclass(frozen=True)
+class FieldZone:
+    """A part of the field whose light is taken to pass the pupil as that of its middle does, less the tilt.
+
+    `bounds` are the fractions of the width and of the height of the bins between which it lies; None is the whole
+    field. Where `is_cut`, light is ended by the conjugate's own edge, besides that of the circle around the pupil.
+    """
+
+    light: Conjugate
+    bounds: tuple[tuple[float, float], tuple[float, float]] | None = None
+    is_cut: bool = False
+
+    def part(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the rows and columns of bins that lie in it."""
+        if self.bounds is None:
+            return ()
+        return tuple(
+            slice(*(round(end * size) for end in ends)) for ends, size in zip(self.bounds[::-1], shape, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class ParaxialLight:
+    """The phase of an ideal thin main lens for all points at the distance of any of them, without tilts."""
+
+    lens: ThinLens
+
+    def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
+        """Return the path in waves."""
+        return self.lens.paraxial_path(pupil, point[2], wavelength)
+
+    def inside(self, pupil: Pair) -> Any:
+        """Return the distance in millimetres by which a point lies inside the pupil's edge."""
+        return self.lens.inside(pupil)
+
+
+@dataclass(frozen=True)
+class ThinConjugates:
+    """Conjugates behind a thin main lens."""
+
+    system: OpticalSystem
+
+    @property
+    def camera(self) -> PlenopticCamera:
+        """The camera."""
+        return self.system.camera
+
+    def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
+        """Return the conjugates of the centres of some lenses, for an object plane before the thin lens of `camera`.
+
+        Each lane has its lens's centre (x, y) and its index in `places`, the centres as a float64 array (n, 2).
+        """
+        # Infinity is so far that nothing changes with the distance.
+        b, g = (dr.opaque(type(x), length) for length in (self.camera.mla_distance, min(distance, FAR)))
+        return self._light((-x * g / b, -y * g / b, g))
+
+    def zones(self, distance: float) -> Iterator[FieldZone]:
+        """Yield the whole field: of a parabolic lens, what changes over it is neglected, see `planning`."""
+        yield FieldZone(self._light((0.0, 0.0, distance)))
+
+    def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
+        lens = cast(ThinLens, self.system.lens)
+        light = ParaxialLight(lens) if is_paraxial(self.camera) else lens
+        return Conjugate(light, point, self.system.wavelength)
+
+
+@dataclass(frozen=True, eq=False)
+class RealConjugates:
+    """Conjugates behind a real main lens."""
+
+    camera: PlenopticCamera
+    lens: FittedLens
+    wavelength: float
+    blur: float
+
+    @classmethod
+    def of(cls, system: OpticalSystem, distances: list[float], oversample: int) -> RealConjugates:
+        """Fit the main lens of a camera over its field, for object planes at some distances."""
+        camera, real = system.camera, cast(RealLens, system.lens)
+        pupils, front = Pupils.of(real), real.entrance.front
+        for distance in distances:
+            if not distance > max(front, pupils.entrance):
+                raise InputError(
+                    f"distance = {distance:g}: it must lie before the main_lens, beyond "
+                    f"{max(front, pupils.entrance):.6g}"
+                )
+        b, behind = camera.mla_distance, float(real.pupil_distance)
+        corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch + _MARGIN * camera.mla_pitch
+        inverse_distance = [1 / (min(distance, FAR) - pupils.entrance) for distance in distances]
+        fields = [abs(pupils.magnification) / behind]
+        fields += [min(g, FAR) * near / b for g, near in zip(distances, inverse_distance, strict=True)]
+        lens = real.over_field(corner * max(fields), (min(inverse_distance), max(inverse_distance)))
+        seen = behind_thin_lens(system)
+        wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
+        more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
+        return cls(_widened(seen, more), lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
+
+    def distance(self, distance: float) -> float:
+        """Return the distance of an object plane before the thin lens of `camera`."""
+        pupils = self.lens.fitted.pupils
+        return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
+
+    def _inverse_distance(self, distance: float) -> float:
+        return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
+
+    def _bound(self, positions: NDArray[np.float64], distance: float, which: Any = None) -> Light:
+        """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
+        points = self.lens.points(
+            self.lens.within(positions), np.full(len(positions), self._inverse_distance(distance))
+        )
+        return self.lens.bind(points, which)
+
+    def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
+        """Return the conjugates of the centres of some lenses, as `ThinConjugates.at` does."""
+        return Conjugate(self._bound(positions, distance, lens), _NO_POINT, self.wavelength)
+
+    def zones(self, distance: float) -> Iterator[FieldZone]:
+        """Yield zones so small that the path of the middle of each serves all of it."""
+        bins = np.array(self.camera.bin_count) * self.camera.mla_pitch
+        for count in range(1, _MOST_ZONES + 1):
+            if self._blur(bins / count, count, distance) <= self.blur:
+                break
+        else:
+            raise InputError(
+                f"distance = {distance:g}: the aberrations of the main_lens change too much over the field for whole "
+                f"fields; use {argument('method')} partial with {argument('interleave')} auto"
+            )
+        middle_only = array_module().UInt32(0)
+        for row, column in np.ndindex(count, count):
+            middle = ((np.array([column, row]) + 0.5) / count - 0.5) * bins
+            tilt = [float(c[0, 0]) for c in self._bound(middle[None], distance).cosines(_MIDDLE, _NO_POINT)]
+            light = self._bound(middle[None], distance, middle_only)
+            bounds = None if count == 1 else tuple((i / count, (i + 1) / count) for i in (column, row))
+            yield FieldZone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
+
+    def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
+        """Return how far, on the MLA, rays of the corners of zones go astray by the path of the zone's middle."""
+        number = (np.arange(count) + 0.5) / count - 0.5
+        x, y = (values.ravel() * count for values in np.meshgrid(number * width[0], number * width[1]))
+        middles = np.stack([x, y], axis=-1)
+        angle = np.pi * np.arange(8) / 4
+        pupil = tuple(self.camera.pupil_radius * f(angle)[None] for f in (np.cos, np.sin))
+        worst = 0.0
+        at_middle = self._astray(middles, pupil, distance)
+        for side in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            corner = self._astray(middles + np.array(side) * width / 2, pupil, distance)
+            worst = max(worst, float(np.hypot(*(corner - at_middle)).max()))
+        return worst * self.camera.pupil_distance
+
+    def _astray(self, positions: NDArray[np.float64], pupil: Any, distance: float) -> NDArray[np.float64]:
+        """Return the directions of rays from pupil points relative to the chief ray, an array (2, n, rays)."""
+        light = self._bound(positions, distance)
+        rim, chief = (np.stack(light.cosines(where, _NO_POINT)) for where in (pupil, _MIDDLE))
+        return np.asarray(rim - chief)
+
+
+Conjugates = ThinConjugates | RealConjugates
+
+_MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
+
+
+def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
+    """Return a camera with a thin main lens in the exit pupil, as the array sees the real one.
+
+    Its light moves by direction cosines, of which the path through a real lens is a function.
+    """
+    lens = cast(RealLens, system.lens)
+    return system.camera.replace(
+        main_lens=None,
+        lens_model="parabolic",
+        focal_length=1 / Pupils.of(lens).at_infinity,
+        aperture_radius=lens.reach,
+        mla_distance=float(lens.pupil_distance),
+    )
+
+
+def _widened(camera: PlenopticCamera, more: int) -> PlenopticCamera:
+    """Return the camera with `more` pixels on each side, which it does not record."""
+    columns, rows = camera.resolution
+    return camera.replace(
+        detector_width=camera.detector_width + 2 * more * camera.pixel_size,
+        resolution=(columns + 2 * more, rows + 2 * more),
+        crop_offset=(camera.crop_offset[0] + more, camera.crop_offset[1] + more),
+        crop_size=camera.crop_size,
+    )
+
+
+def undistorted(
+    power: NDArray[np.float64], conjugates: RealConjugates, camera: PlenopticCamera, distance: float, fine: int
+) -> tuple[NDArray[np.float64], float]:
+    """Move power from bins of chief rays on the array to bins of the object plane."""
+    found = conjugates.lens.image_stretch(camera, distance)
+    columns, rows = (count * fine for count in camera.bin_count)
+    step = camera.mla_pitch / fine
+    x, y = ((np.arange(count) - (count - 1) / 2) * step for count in (columns, rows))
+    away = np.hypot(x, y[:, None])
+    stretch = np.interp(away, found.places, found.ratio) / step
+    at = [y[:, None] * stretch + (power.shape[0] - 1) / 2, x * stretch + (power.shape[1] - 1) / 2]
+    moved = ndimage.map_coordinates(power, at, order=1, mode="constant") * np.interp(away, found.places, found.area)
+    return np.where(away <= found.places[-1], moved, 0), 1 / float(found.ratio[0])

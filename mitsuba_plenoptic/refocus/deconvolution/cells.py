@@ -1,0 +1,226 @@
+r"""The periodic cells of a camera: groups of object-plane bins and of detector samples that repeat together.
+
+Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
+:math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `Grid` that is a whole number of
+samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses where
+three types are interleaved), and the response of all bins is known from that of the bins of one cell.
+
+A cell (I, J) contains the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as
+high as :math:`v_2`, and the samples around the same position times :math:`(b + z) / b`. :math:`v_1` is along x; rows
+of cells may be staggered. All coordinates are in the frame of the lattice.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from ...camera import PlenopticCamera
+from ...lattice import turn
+from ...points.field_grid import Grid
+from ...runtime.batches import Box
+
+
+@dataclass(frozen=True)
+class CellSet:
+    """Cells, row by row: each row is a run without gaps."""
+
+    top: int
+    first: NDArray[np.int64]
+    count: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return int(self.count.sum())
+
+    @cached_property
+    def start(self) -> NDArray[np.int64]:
+        """Index of each row's first cell."""
+        return np.concatenate([[0], np.cumsum(self.count)[:-1]]).astype(np.int64)
+
+    @cached_property
+    def index(self) -> NDArray[np.int64]:
+        """I and J of all cells, (n, 2)."""
+        row = np.repeat(np.arange(len(self.count)), self.count)
+        return np.stack([np.arange(len(self)) - self.start[row] + self.first[row], row + self.top], axis=-1)
+
+    def find(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the positions in this set of cells (..., 2); for a cell that is not in it, the set's length."""
+        row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
+        along = index[..., 0] - self.first[row]
+        inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
+        return np.asarray(np.where(inside, self.start[row] + along, len(self)))
+
+    def grown(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> CellSet:
+        """Return the cells that are reached from these by steps from `low` to `high`, both included."""
+        tops = np.arange(self.top + low[1], self.top + len(self.count) + high[1])
+        first, last = np.full(len(tops), np.iinfo(np.int64).max), np.full(len(tops), np.iinfo(np.int64).min)
+        for step in range(low[1], high[1] + 1):
+            rows = slice(step - low[1], step - low[1] + len(self.count))
+            first[rows] = np.minimum(first[rows], self.first + low[0])
+            last[rows] = np.maximum(last[rows], self.first + self.count + high[0])
+        return CellSet(int(tops[0]), first, last - first)
+
+
+@dataclass(frozen=True)
+class BinCells:
+    """Bins and samples of a camera by cells."""
+
+    grid: Grid
+    oversample: int
+
+    @property
+    def camera(self) -> PlenopticCamera:
+        """The camera in the frame of its lattice."""
+        return self.grid.camera
+
+    @cached_property
+    def _types(self) -> int:
+        return len(self.camera.mla_focal_lengths)
+
+    @cached_property
+    def vectors(self) -> NDArray[np.float64]:
+        """The two vectors, in rows, by which cells repeat on the MLA, in millimetres."""
+        return self._steps.astype(np.float64) @ np.array(self.camera.lattice.basis)
+
+    @cached_property
+    def _steps(self) -> NDArray[np.int64]:
+        # A lens's type is (i - j) modulo the count of types.
+        return np.array([[self._types, 0], [0 if self._types == 1 else 1, 1]])
+
+    @cached_property
+    def samples(self) -> NDArray[np.int64]:
+        """The same vectors in samples of the grid."""
+        return self._steps @ self.grid.lens_samples
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Samples of a cell along x and y."""
+        return int(self.samples[0, 0]), int(self.samples[1, 1])
+
+    @cached_property
+    def bins(self) -> tuple[int, int]:
+        """Bins of a cell along x and y, at most as wide as one over `oversample` of the pitch along the rows."""
+        height = float(self.vectors[1, 1]) / self.camera.mla_pitch
+        return self.oversample * self._types, math.ceil(self.oversample * height * (1 - 1e-9))
+
+    @cached_property
+    def bin_sizes(self) -> tuple[float, float]:
+        """Width and height of a bin on the MLA in millimetres."""
+        return float(self.vectors[0, 0]) / self.bins[0], float(self.vectors[1, 1]) / self.bins[1]
+
+    @cached_property
+    def _origin(self) -> NDArray[np.int64]:
+        """Sample on the axis, the first of the cell (0, 0)."""
+        return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
+
+    def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> NDArray[np.float64]:
+        """Return points on the MLA that are evenly spaced in each bin of a cell."""
+        x, y = (
+            (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
+            for count, size in zip(self.bins, self.bin_sizes, strict=True)
+        )
+        along_y, along_x = np.broadcast_arrays(y[:, None, :, None], x[None, :, None, :])
+        positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
+        return np.asarray(positions + cell @ self.vectors)
+
+    def holding(self, box: Box) -> CellSet:
+        """Return the cells that hold the samples of a box."""
+        width, height = self.size
+        low = np.array([box.left, box.top]) - self._origin
+        high = low + np.array([box.columns, box.rows]) - 1
+        rows = np.arange(low[1] // height, high[1] // height + 1)
+        first = (low[0] - rows * self.samples[1, 0]) // width
+        last = (high[0] - rows * self.samples[1, 0]) // width
+        return CellSet(int(rows[0]), first, last - first + 1)
+
+    def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
+        """Cut the samples of a box into cells; what lies beyond the box is zero."""
+        width, height = self.size
+        result = np.zeros((len(cells), height, width), np.float32)
+        for number, part, inside, position in self._strips(box, cells):
+            strip = np.zeros((height, part * width), np.float32)
+            strip[inside] = samples[position]
+            result[number : number + part] = strip.reshape(height, part, width).transpose(1, 0, 2)
+        return result
+
+    def join(self, values: NDArray[np.float32], cells: CellSet, box: Box) -> NDArray[np.float32]:
+        """Put the samples of cells together on a box; the adjoint of `split`."""
+        width, height = self.size
+        result = np.zeros((box.rows, box.columns), np.float32)
+        for number, part, inside, position in self._strips(box, cells):
+            strip = values[number : number + part].transpose(1, 0, 2).reshape(height, part * width)
+            result[position] = strip[inside]
+        return result
+
+    def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
+        """Return for each row of cells the first cell's index, the count, and the overlap of its strip with the box."""
+        width, height = self.size
+        strips = []
+        for row, (number, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
+            J = cells.top + row
+            left = int(self._origin[0] + first * width + J * self.samples[1, 0]) - box.left
+            top = int(self._origin[1] + J * height) - box.top
+            along = slice(max(0, left), min(box.columns, left + int(count) * width))
+            down = slice(max(0, top), min(box.rows, top + height))
+            if along.start < along.stop and down.start < down.stop:
+                inside = slice(down.start - top, down.stop - top), slice(along.start - left, along.stop - left)
+                strips.append((int(number), int(count), inside, (down, along)))
+        return strips
+
+
+_ALIGNED = 1e-6
+"""Fraction of a bin by which places may differ that are one."""
+
+
+def to_bins(
+    values: NDArray[np.float32],
+    cells: BinCells,
+    lit: CellSet,
+    camera: PlenopticCamera,
+    distance: float,
+    oversample: int,
+) -> NDArray[np.float32]:
+    """Interpolate between the centres of bins; where the two grids are one, nothing changes."""
+    across, down = (count * oversample for count in camera.bin_count)
+    made = bins_matrix(cells, lit, camera, distance, oversample) @ values.ravel()
+    return made.astype(np.float32).reshape(down, across)
+
+
+def bins_matrix(cells: BinCells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int) -> csr_array:
+    """Return the matrix from the bins of cells to those of a reconstruction; see `to_bins`.
+
+    Behind a real main lens, cells are positions of chief rays on the array, and its distortion is corrected.
+    """
+    pitch = camera.mla_pitch / oversample
+    x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
+    x, y = np.broadcast_arrays(x, y[:, None])
+    x, y = cells.grid.lens.stretch(x, y, camera, distance)
+    u, v = turn(x.ravel(), y.ravel(), -camera.mla_rotation)
+    across, down = cells.bins
+    width, height = cells.bin_sizes
+    row = _snapped(v / height - 0.5)
+    low = np.floor(row).astype(np.int64)
+    weights, positions = [], []
+    for line, share in ((low, 1 - (row - low)), (low + 1, row - low)):
+        J = line // down
+        column = _snapped((u - J * cells.vectors[1, 0]) / width - 0.5)
+        left = np.floor(column).astype(np.int64)
+        for k, part in ((left, 1 - (column - left)), (left + 1, column - left)):
+            cell = lit.find(np.stack([k // across, J], axis=-1))
+            positions.append((cell * down + line % down) * across + k % across)
+            weights.append(share * part)
+    weight, position = np.concatenate(weights), np.concatenate(positions)
+    # Positions outside of the lit cells lie beyond the last bin.
+    used = (weight > 0) & (position < len(lit) * down * across)
+    bins = np.tile(np.arange(u.size), len(positions))
+    return csr_array((weight[used], (bins[used], position[used])), shape=(u.size, len(lit) * down * across))
+
+
+def _snapped(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    whole = np.rint(position)
+    return np.asarray(np.where(np.abs(position - whole) < _ALIGNED, whole, position))

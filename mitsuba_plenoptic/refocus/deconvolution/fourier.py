@@ -1,0 +1,246 @@
+r"""The response of a Fourier light-field microscope to the bins of object planes: convolutions of the detector.
+
+The array stands in the image of the stop, where a point (X, Y, d) has the field of the point (0, 0, d) times a plane
+wave of the direction cosines :math:`M X / f_F`. All lenses together are one thin screen there, and free space behind it
+propagates a tilted wave to the same intensity, shifted by :math:`z M X / f_F` (Goodman, "Introduction to Fourier
+Optics", section 4.2; exact for small directions, as behind an objective). So all points of a plane have the same point
+spread, and a plane's capture is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier light-field microscopy", Optics
+Express 27, 25573).
+
+Bins lie on a grid that is `oversample` times as fine as the pixels, in the pictures that the lenses make. Bins at the
+same position within a pixel have one kernel, so that a plane has as many kernels as there are bins on a pixel.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...design.microscope import objective_of
+from ...light.optical_system import OpticalSystem
+from ...optics.waves import in_millimetres
+from ...points.full_field import FullFieldPlan
+from ...points.units import radiance_weight
+from ...runtime.backend import backend
+from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
+from ...runtime.jobs import Job
+from .kernels import StoredResponse, require_response_memory
+from .variation import TotalVariation
+
+_MEMORY = 2 * 2**30
+"""Bytes of the kernels' spectra beyond which they are stored on disk."""
+
+_DARK = 2
+"""Lens pitches beyond the image of the stop where light of the outermost lenses still goes."""
+
+_SPREAD_TIME = 30.0
+"""Time of a sample of a point spread, over that of a sample of the transforms of an inversion's step."""
+
+_PROGRESS = 1000
+"""Parts of a point spread in which progress is counted."""
+
+
+class FourierResponse(StoredResponse):
+    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
+
+    Bins fill the picture of one lens, with `PlenopticCamera.bin_count` times `oversample` bins. Everything outside is
+    taken to be dark: in a real microscope a field stop hides it. For `steps` and `prepared` see `Response`.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        distances: Sequence[float],
+        *,
+        wavelength: float | None,
+        oversample: int,
+        job: Job | None = None,
+        steps: float = 0.0,
+    ) -> None:
+        assert wavelength is not None
+        self._camera, self._oversample, self._count = camera, oversample, len(distances)
+        bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
+        self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
+        super().__init__(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
+        deepest = max(abs(distance) for distance in distances)
+        fine = _fine_camera(camera, wavelength, oversample, deepest)
+        self._require_memory(fine, distances)
+        points = np.array([[*self._middle, depth] for depth in distances])
+        system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
+        self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
+        one = np.ones(1, np.float32)
+        batches = [plan.batch(plane, one) for plane in range(len(distances))]
+        self._spectra: list[NDArray[np.complex64]] = []
+        spreads = _SPREAD_TIME * len(batches) * math.prod(fine.resolution)
+        self.prepared = spreads / (spreads + steps * len(batches) * oversample**2 * math.prod(self._size))
+        total = math.ceil(_PROGRESS * len(batches) / self.prepared)
+        for part in (job or Job()).each(batches, [_PROGRESS] * len(batches), 0, total):
+            spectra = self._kernel_spectra(np.asarray(part.sums[0]), fine)
+            self._spectra += self._stored([spectra], f"{len(self._spectra)}")
+
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """Rows and columns of the bins of each plane."""
+        columns, rows = (self._oversample * count for count in self._camera.bin_count)
+        return [(rows, columns)] * self._count
+
+    def variation(self) -> TotalVariation:
+        """Return the total variation of its planes."""
+        return TotalVariation.of_grids(self.shapes)
+
+    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
+        """Return the values of a plane's bins, which are ordered as in a lens's picture, as an upright image."""
+        return np.ascontiguousarray(values[::-1, ::-1])
+
+    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
+        """Apply the transpose of `to_image`."""
+        return np.ascontiguousarray(image[::-1, ::-1], np.float32)
+
+    def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Record planes."""
+        libraries, (rows, columns) = backend(), self._size
+        total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
+        with resting_drjit():
+            for radiance, spectra in zip(values, self._spectra, strict=True):
+                for phase, spectrum in zip(self._phases, spectra, strict=True):
+                    total += self._spectrum(radiance[phase]) * libraries.arrays.asarray(spectrum)
+            height, width = self._camera.shape
+            found = fft(total, axis=0, inverse=True)[:height]
+            return np.ascontiguousarray(libraries.to_host(irfft(found, columns, axis=1)[:, :width]))
+
+    def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Apply the transpose of `forward`."""
+        libraries, columns, result = backend(), self._size[1], []
+        width, height = self._camera.bin_count
+        with resting_drjit():
+            given = self._spectrum(image)
+            for shape, spectra in zip(self.shapes, self._spectra, strict=True):
+                plane = np.empty(shape, np.float32)
+                for phase, spectrum in zip(self._phases, spectra, strict=True):
+                    back = given * libraries.arrays.asarray(spectrum).conj()
+                    back = fft(back, axis=0, inverse=True)[:height]
+                    plane[phase] = libraries.to_host(irfft(back, columns, axis=1)[:, :width])
+                result.append(plane)
+        return result
+
+    @property
+    def _phases(self) -> list[tuple[slice, slice]]:
+        """The bins at each position within a pixel."""
+        starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
+        return list(itertools.product(starts, starts))
+
+    @property
+    def _middle(self) -> tuple[float, float]:
+        """Place in the object of the first bin on the pixel in the middle of a lens's picture."""
+        size = self._camera.bin_size(0) / self._oversample
+        x, y = (
+            (self._oversample * (count // 2) + 0.5 - self._oversample * count / 2) * size
+            for count in self._camera.bin_count
+        )
+        return x, y
+
+    def _spectrum(self, samples: NDArray[np.float32]) -> Any:
+        """Return the spectrum of samples, which lie in the first corner of the convolutions' period."""
+        arrays, (rows, columns) = backend().arrays, self._size
+        wide = arrays.zeros((len(samples), columns), np.float32)
+        wide[:, : samples.shape[1]] = arrays.asarray(samples)
+        spectrum = arrays.zeros((rows, columns // 2 + 1), np.complex64)
+        spectrum[: len(samples)] = rfft(wide, axis=1)
+        return fft(spectrum, axis=0)
+
+    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> NDArray[np.complex64]:
+        """Return the spectra of a plane's kernels from the spread of the middle bin on the fine camera's pixels."""
+        o, camera = self._oversample, self._camera
+        per_bin = round(camera.pixel_size / fine.pixel_size / o)
+        for axis in (0, 1):
+            spread = _over_bins(spread, per_bin, axis)
+        # Sums over as much of a pixel as a bin is wide.
+        rows, columns = (length // per_bin for length in spread.shape)
+        parts = spread.reshape(rows, per_bin, columns, per_bin).sum(axis=(1, 3))
+        np.maximum(parts, 0, out=parts)  # what interpolation leaves below zero is not light
+        area = (camera.pixel_size / o * camera.mla_distance / camera.reduced_distance) ** 2
+        parts *= np.float32(radiance_weight(camera, self._lens, area))
+        # From the bin in the middle to the recorded pixels; the fine window has more pixels on both sides.
+        windows = np.array([columns, rows]) // o
+        low = [
+            -int(
+                (windows[axis] - camera.resolution[axis]) // 2 + camera.bin_count[axis] // 2 + camera.crop_offset[axis]
+            )
+            for axis in (1, 0)
+        ]
+        spectra = np.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
+            kernel = _over_pixels(_over_pixels(parts, o, down.start, 0), o, across.start, 1)
+            spectrum[...] = backend().to_host(self._spectrum(self._wrapped(kernel, low)))
+        return spectra
+
+    def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
+        """Lay a kernel, whose first sample belongs to these steps, around the first corner of the period."""
+        positions, taken = [], []
+        for axis, first in enumerate(low):
+            steps = np.arange(kernel.shape[axis]) + first
+            inside = (steps > -self._camera.bin_count[1 - axis]) & (steps < self._camera.shape[axis])
+            positions.append(steps[inside] % self._size[axis])
+            taken.append(inside)
+        result = np.zeros(self._size, np.float32)
+        result[np.ix_(*positions)] = kernel[np.ix_(*taken)]
+        return result
+
+    def _spectra_memory(self, oversample: int) -> float:
+        """Return the bytes of all kernels' spectra."""
+        return 4.0 * self._count * oversample**2 * math.prod(self._size)
+
+    def _require_memory(self, fine: PlenopticCamera, distances: Sequence[float]) -> None:
+        def memory(oversample: int) -> float:
+            spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
+            bins = 4.0 * self._count * oversample**2 * math.prod(self._camera.bin_count)
+            spread = 4.0 * math.prod(fine.resolution) * (oversample / self._oversample) ** 2
+            return spectra + 12 * bins + 6 * spread + 24.0 * math.prod(self._size)
+
+        require_response_memory(memory, self._oversample, distances)
+
+
+def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:
+    r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
+
+    The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
+    """
+    p, z, lens = camera.pixel_size, camera.reduced_distance, objective_of(camera)
+    finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
+    per_bin = max(1, math.ceil(p / oversample / finest))
+    moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
+    lit = math.ceil((lens.blur_diameter(0) + 2 * _DARK * max(camera.mla_pitches) + 2 * moved) / p)
+    # As many pixels more on one side as on the other.
+    window = [
+        min(size + 2 * bins, lit + (lit - size) % 2)
+        for size, bins in zip(camera.resolution, camera.bin_count, strict=True)
+    ]
+    columns, rows = (per_bin * oversample * size for size in window)
+    return camera.replace(
+        resolution=(columns, rows), detector_width=window[0] * p, crop_offset=(0, 0), crop_size=(columns, rows)
+    )
+
+
+def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
+    """Return the mean of a point's spread over the positions of the point in a bin, `width` samples wide."""
+    length = spread.shape[axis]
+    spectrum = np.fft.rfft(spread, axis=axis).astype(np.complex64)
+    factor = np.sinc(np.fft.rfftfreq(length) * width).astype(np.float32)
+    spectrum *= factor[:, None] if axis == 0 else factor
+    return np.asarray(np.fft.irfft(spectrum, length, axis=axis), np.float32)
+
+
+def _over_pixels(parts: NDArray[np.float32], count: int, start: int, axis: int) -> NDArray[np.float32]:
+    """Sum parts of pixels to the pixels, for a bin that lies `start` parts farther; one pixel more than there are."""
+    before = [(0, 0), (0, 0)]
+    before[axis] = (start, count - start)
+    padded = np.pad(parts, before)
+    shape = list(padded.shape)
+    shape[axis : axis + 1] = [shape[axis] // count, count]
+    return np.asarray(padded.reshape(shape).sum(axis=axis + 1))

@@ -1,0 +1,383 @@
+"""The response of a camera to the bins of object planes: from radiance to the capture, and the adjoint.
+
+Kernels are means of exact point spreads, or of rays.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_no_shape
+from ...design import resolution_limit
+from ...light.microlenses import upright
+from ...light.optical_system import OpticalSystem
+from ...optics.rays import cosines_to_slopes, into_medium
+from ...points.accuracy import band_for
+from ...points.field_grid import Grid, place
+from ...points.patch_factors import Fields
+from ...points.recorder import Recorder
+from ...points.scene_points import sample_pairs
+from ...points.tile import Copies, Scatter
+from ...points.units import radiance_weight
+from ...runtime.backend import backend
+from ...runtime.batches import Box, Part
+from ...runtime.jobs import Job
+from .cells import BinCells, bins_matrix, to_bins
+from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
+from .variation import TotalVariation
+
+_ACCURACY = 0.01
+"""Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
+
+_MANY = 2**20
+
+_RADIATORS, _MOST_RADIATORS = 8, 32
+"""Points along a lens, at least and at most, whose mean stands for the light of its bins."""
+
+_RADIATORS_PER_LINE = 4
+"""The same along a period of the finest lines that the plane's light resolves."""
+
+_PIXEL_SAMPLES = 3
+"""Samples across a pixel, at least, in which the light of kernels is kept."""
+
+_INFINITY = 1e6
+"""Focal lengths at which light counts as collimated."""
+
+
+def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> tuple[Grid, int]:
+    """Lay the grid that holds the light of planes at some distances, and count the samples to be merged on each axis.
+
+    Pixels feel little of what is finer than a third of them. Where the lattice is turned, samples are interpolated
+    before they are integrated, and none are merged.
+    """
+    depths = [finite_distance(camera, distance) for distance in distances]
+    points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
+    given = system, band_for(_ACCURACY, _MANY), np.concatenate([points, system.lens.farthest(depths)])
+    grid, together = Grid.of(*given), 1
+    if grid.rotation == 0:
+        together = max(1, int(camera.pixel_size / (_PIXEL_SAMPLES * float(grid.pitch.max()))))
+    return Grid.of(*given, together), together
+
+
+def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
+    """Return for each bin of a cell the batches whose sums on a grid, added, are its response."""
+    depth = finite_distance(cells.camera, distance)
+    lens = grid.lens
+    inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
+    places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
+    weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
+    places = lens.within(places)
+    batches = []
+    for points in places:
+        positions = lens.points(points, np.full(len(points), inverse_distance))
+        placement = place(grid, positions)
+        groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
+        copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
+        batches.append(
+            [
+                Scatter(
+                    Fields(grid, placement.take(some), positions[some], None), np.ones(len(some)), [copy] * len(some)
+                )
+                for some in groups
+            ]
+        )
+    return batches
+
+
+def _points(cells: BinCells, distance: float) -> int:
+    """Return the count of points along a lens by which its bins are sampled."""
+    camera = cells.camera
+    limit = resolution_limit(camera, distance, cells.grid.wavelength)
+    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
+    return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
+
+
+def bin_weight(cells: BinCells) -> float:
+    """Return the light that all pixels together record from a bin of radiance 1 if no light is lost."""
+    return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
+
+
+def finite_distance(camera: PlenopticCamera, distance: float) -> float:
+    """Return a distance; infinity is so far that light is collimated."""
+    return min(distance, _INFINITY * camera.focal_length)
+
+
+_RAYS = 256
+"""Square root of the rays of a bin."""
+
+_NO_WAVE = 1.0
+"""Wavelength, in nanometres, of the grid; nothing depends on it."""
+
+
+def ray_grid(camera: PlenopticCamera) -> Grid:
+    """Lay a grid whose samples are at most half as wide as pixels."""
+    camera.require_thin("this is done")
+    require_no_shape(camera, "this is done")
+    turned = upright(camera)
+    steps = np.array(turned.lattice.grid_step) * (turned.micro_image_pitch / turned.mla_pitch)
+    origin = -np.array([camera.detector_width, camera.detector_height]) / 2
+    pitch = steps / np.ceil(2 * steps / camera.pixel_size)
+    system, band = OpticalSystem(turned, _NO_WAVE), band_for(0.5, 1)
+    lens = system.waves_of(np.empty((0, 3)))
+    return Grid(turned, lens, system.microlenses, camera.mla_rotation, _NO_WAVE, band, 0.0, pitch, origin)
+
+
+@dataclass(frozen=True)
+class RayBatch:
+    """The rays of one bin."""
+
+    cells: BinCells
+    distance: float
+    corner: NDArray[np.float64]
+
+    @property
+    def samples(self) -> int:
+        """Count of rays."""
+        return _RAYS**2
+
+    def prepare(self) -> Callable[[], Part]:
+        """Return the function that traces the rays."""
+        return functools.partial(_trace, self)
+
+
+def ray_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
+    """Return for each bin of a cell the batch whose sum is its response, as `wave_batches` does."""
+    half = np.array(cells.bin_sizes) / 2
+    return [[RayBatch(cells, distance, positions[0] - half)] for positions in cells.bin_places(cell)]
+
+
+@functools.cache
+def _pairs() -> NDArray[np.float64]:
+    return sample_pairs(_RAYS**2)
+
+
+def _trace(batch: RayBatch) -> Part:
+    """Trace the rays of a bin, and distribute each to the four samples around it."""
+    cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
+    lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
+    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
+    q = batch.corner + pairs[:, :2] * cells.bin_sizes
+    radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
+    pupil = radius * np.cos(angle), radius * np.sin(angle)
+    g = finite_distance(camera, batch.distance)
+    point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
+    if camera.lens_model == "ideal":
+        m = light.land(pupil, point)
+    else:
+        slopes = cosines_to_slopes(*light.cosines(pupil, point))
+        m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
+    index = lattice.cell(*m)
+    centre = lattice.centre(*index)
+    offset = [position - c for position, c in zip(m, centre, strict=True)]
+    passes = lattice.in_aperture(*offset)
+    types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
+    f2 = np.array(camera.reduced_focal_lengths)[types]
+    before, chief = ((P[0] / b, P[1] / b) for P in (np.subtract(pupil, m), np.negative(centre)))
+    behind = into_medium(before, (-offset[0] / f2, -offset[1] / f2), chief, camera.mla_medium)
+    landed = np.stack([x - z * t for x, t in zip(m, behind, strict=True)], axis=-1)
+    position = ((landed - grid.origin) / grid.pitch)[passes]
+    below = np.floor(position).astype(np.int64)
+    low = below.min(0)
+    columns, rows = (below.max(0) - low + 2).tolist()
+    sums = np.zeros(rows * columns)
+    over = position - below
+    for right in (0, 1):
+        for down in (0, 1):
+            weight = np.abs(1 - right - over[:, 0]) * np.abs(1 - down - over[:, 1])
+            number = (below[:, 1] - low[1] + down) * columns + below[:, 0] - low[0] + right
+            sums += np.bincount(number, weight, len(sums))
+    sums *= bin_weight(cells) / (len(pairs) * grid.pitch.prod())
+    return Part(Box(int(low[0]), int(low[1]), columns, rows), sums.reshape(1, rows, columns).astype(np.float32))
+
+
+Batches = Callable[[BinCells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
+"""From the cells, a distance and a cell to the batches of each of its bins."""
+
+_ZONE = 16
+"""Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
+
+_MEMORY = 2 * 2**30
+"""Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
+
+_LIT = 0.6
+"""Fraction of a kernel's blocks that hold light, at most."""
+
+_EVERYWHERE = 2**40
+
+_SPREAD_TIME, _PRODUCT_TIME, _KERNEL_TIME = 16.0, 0.05, 0.6
+"""Relative times of a sample of a point spread, and, in a step of an inversion, of a product and of a kernel's sample.
+
+In nanoseconds on two cores of a processor of 2023; a step is a forward and an adjoint response.
+"""
+
+
+class Response(StoredResponse):
+    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
+
+    The spreads take the fraction `prepared` of the time of all that is done, with `steps` applications of the response
+    and its adjoint; a job's progress ends there.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        distances: Sequence[float],
+        *,
+        wavelength: float | None,
+        oversample: int,
+        job: Job | None = None,
+        steps: float = 0.0,
+    ) -> None:
+        job = job or Job()
+        self._batches: Batches = ray_batches
+        if wavelength is None:
+            grid, self._together = ray_grid(camera), 1
+        else:
+            fine, self._together = wave_grid(camera, distances, wavelength)
+            grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
+        self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
+        all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
+        self._recorder = Recorder(camera, grid, *all_pixels)
+        self._sampled = self.cells.holding(self._recorder.box)
+        each = [self._kernel_memory(distance, oversample) for distance in distances]
+        alike = _alike(camera, wavelength)
+        groups = self._zones(max(each), alike)
+        # If all lenses are alike, one kernel serves all zones, which only divide the work among the cores.
+        asked = groups[len(groups) // 2 :][:1] if alike else groups
+        super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
+        self._require_memory(len(asked))
+        bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(asked, steps)
+        total = math.ceil(len(distances) * len(asked) * bins / self.prepared)
+        self.planes: list[PlaneResponse] = []
+        for distance in distances:
+            kernels = self._kernels(distance, asked, job, len(self.planes) * len(asked) * bins, total)
+            kernels = self._on_disk(kernels) * (len(groups) // len(kernels))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
+
+    def _on_disk(self, kernels: list[Kernel]) -> list[Kernel]:
+        """Return kernels whose matrices are read from the folder, if there is one."""
+        matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
+        stored = iter(self._stored(matrices, f"{len(self.planes)}"))
+        return [
+            Kernel(kernel.steps, [SampleBlock(b.rows, b.columns, b.steps, next(stored)) for b in kernel.blocks])
+            for kernel in kernels
+        ]
+
+    def _kernels(
+        self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
+    ) -> list[Kernel]:
+        """Compute the kernel of each zone from the spreads of the cell in its middle.
+
+        A zone may be one batch, so that only the batches of all zones together keep all cores busy.
+        """
+        cells = [self._middle(members) for members in groups]
+        batches = [self._batches(self.cells, distance, cell) for cell in cells]
+        flat = [batch for bins in batches for some in bins for batch in some]
+        share = [int(number == len(some) - 1) for bins in batches for some in bins for number in range(len(some))]
+        with contextlib.closing(job.each(flat, share, done, total)) as parts:
+            return [
+                make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in bins), self._together)
+                for cell, bins in zip(cells, batches, strict=True)
+            ]
+
+    def _prepared(self, groups: Sequence[NDArray[np.int64]], steps: float) -> float:
+        """Estimate the part of the time that the spreads take, beside some steps of an inversion."""
+        spreads = products = 0.0
+        for distance in self._distances:
+            batches = self._batches(self.cells, distance, self._middle(groups[0]))
+            spreads += len(groups) * sum(batch.samples for some in batches for batch in some)
+            kernel = _LIT * self._kernel_memory(distance, self.cells.oversample) / 4 * len(self._sampled)
+            products += kernel * (_PRODUCT_TIME + _KERNEL_TIME / self.cells.oversample**2)
+        return _SPREAD_TIME * spreads / (_SPREAD_TIME * spreads + steps * products)
+
+    def _middle(self, members: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the cell in the middle of a zone."""
+        own = self._sampled.index[members]
+        places = own @ self.cells.vectors
+        middle: NDArray[np.int64] = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
+        return middle
+
+    def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
+        """Cut the cells into zones; if each zone has its own kernel, into so large ones that the kernels fit."""
+        width, rows = _ZONE, len(self._sampled.count)
+        widest = max(rows, int(self._sampled.count.max()))
+        while True:
+            groups = zones(self._sampled, width)
+            if alike or width >= widest or len(groups) * kernels <= _MEMORY:
+                return groups
+            width *= 2
+
+    def _kernel_memory(self, distance: float, oversample: int) -> float:
+        """Estimate the bytes of one kernel of a plane, with all of its blocks."""
+        camera, grid = self.cells.camera, self.cells.grid
+        samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
+        across, down = (samples / size + 2 for size in self.cells.size)
+        return float(4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * _period(camera))
+
+    def _require_memory(self, groups: int) -> None:
+        def memory(oversample: int) -> float:
+            each = [self._kernel_memory(distance, oversample) for distance in self._distances]
+            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(each)
+            samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
+            kernels = _LIT * groups * (max(each) if self._folder else sum(each))
+            return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
+
+        require_response_memory(memory, self.cells.oversample, self._distances)
+
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """Cells and their bins, of each plane."""
+        return [plane.shape for plane in self.planes]
+
+    def variation(self) -> TotalVariation:
+        """Return the total variation of its planes."""
+        return TotalVariation.of_cells(self.cells, [plane.lit for plane in self.planes])
+
+    def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
+        """Return the values of a plane's bins (cells, bins) as an upright image of a reconstruction's bins."""
+        lit, distance = self.planes[plane].lit, self._distances[plane]
+        return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
+
+    def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
+        """Apply the transpose of `to_image`."""
+        lit, distance = self.planes[plane].lit, self._distances[plane]
+        matrix = bins_matrix(self.cells, lit, self._camera, distance, self.cells.oversample)
+        return (matrix.T @ image.ravel()).astype(np.float32).reshape(self.shapes[plane])
+
+    def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Record planes."""
+        width, height = self.cells.size
+        libraries = backend()
+        samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
+        for plane, radiance in zip(self.planes, values, strict=True):
+            plane.add_forward(radiance, samples)
+        sums = self.cells.join(libraries.to_host(samples), self._sampled, self._recorder.box)
+        return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
+
+    def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Apply the transpose of `forward`."""
+        libraries = backend()
+        sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
+        samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))
+        return [plane.adjoint(samples) for plane in self.planes]
+
+
+def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
+    """Return whether spreads a lens apart are equal: with an objective, or for rays in air without aberrations."""
+    without = camera.mla_medium == 1 and not any(camera.wavefront)
+    by_rays = wavelength is None and camera.lens_model == "ideal" and without
+    return by_rays or not camera.lens_data.converges
+
+
+def _period(camera: PlenopticCamera) -> int:
+    """Return the count of lenses in a cell."""
+    return len(camera.mla_focal_lengths)

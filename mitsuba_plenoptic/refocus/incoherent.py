@@ -1,0 +1,81 @@
+r"""Incoherent reconstruction: every point of the object is propagated by itself, and weighed with the capture.
+
+A bin k of the object plane, of radiance 1 and with no light from elsewhere, has the capture :math:`a_k`: the sum of the
+point spreads of its points, whose light does not interfere. A bin reads the capture I weighed with this pattern, over a
+white capture W weighed likewise,
+
+.. math:: x_k = \frac{\langle a_k, I \rangle}{\langle a_k, W \rangle} .
+
+That is the normalised adjoint of the capture :math:`I = \sum_k a_k x_k`, also known as back-projection, and in radar as
+the matched filter (Turin, IRE Trans. Inf. Theory 6, 311 (1960)). `ray` does the same with the geometric images of the
+bins. Neither two lenses nor two points of the object interfere, and the result is linear in the capture. It is blurred
+by each point spread's own correlation, which `deconvolved` removes.
+
+Point spreads that differ by a shift of whole lenses are computed once for a zone of lenses
+(`mitsuba_plenoptic.refocus.deconvolution.response`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from ..runtime.jobs import Job
+from .deconvolution.fourier import FourierResponse
+from .deconvolution.response import Response
+from .methods import Progress, Task, method, portion, work_of
+from .radiance import captures, to_radiance
+from .ray import white_pixels, white_sums
+
+
+@method("incoherent", options=(), waves=True, as_it_is=True)
+def refocus(task: Task) -> list[np.ndarray]:
+    """Weigh the capture with that of every bin by itself."""
+    count = len(task.distances)
+    parts = (portion(task.progress, index, [1] * count) for index in range(count))
+    return [
+        _plane(dataclasses.replace(task, distances=[distance], progress=progress))
+        for distance, progress in zip(task.distances, parts, strict=True)
+    ]
+
+
+def _plane(task: Task) -> np.ndarray:
+    """Refocus to the only distance of a task, each wavelength by one response for all of its channels.
+
+    The computed white is that of the capture's own model: a ray capture has lost no light to diffraction.
+    """
+    camera, lights = task.camera, sorted(set(task.wavelengths))
+    given = [image for image, _, _ in captures(task)]
+    response_type = FourierResponse if camera.lens_data.images_stop else Response
+    # For each channel the bins of the captures and of white.
+    bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
+    for index, wavelength in enumerate(lights):
+        channels = np.flatnonzero(np.equal(task.wavelengths, wavelength))
+        with response_type(
+            camera,
+            task.distances,
+            wavelength=wavelength,
+            oversample=task.oversample,
+            job=Job(progress=_fraction(portion(task.progress, index, work_of(lights)))),
+            steps=len(channels) * (len(given) + 1) / 2,
+        ) as made:
+            by_waves = task.recorded is not None or not camera.lens_data.converges
+            ones = [np.ones(shape, np.float32) for shape in made.shapes]
+            white = made.forward(ones) if by_waves else white_pixels(camera)
+            for channel in channels:
+                pixels = [*(image[..., channel] for image in given), white]
+                weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
+                bins[channel] = [made.to_image(each, 0) for each in weighed]
+    *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
+    if camera.lens_data.converges:
+        # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.
+        seen = white_sums(camera, task.distances[0], camera.lit_radius, "lens", task.oversample)
+    else:
+        seen = divisor.mean(-1)
+    return to_radiance(task, [[total] for total in sums], [divisor], [seen])[0]
+
+
+def _fraction(progress: Progress) -> Callable[[int, int], None]:
+    return lambda done, total: progress(done / total)

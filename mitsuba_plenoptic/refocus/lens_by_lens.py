@@ -1,0 +1,355 @@
+r"""Refocusing one lens at a time: the limit of partial coherence, where no two lenses interfere.
+
+The light of a single microlens covers the whole main lens, but comes from one cell of the MLA and goes to a few bins
+of the object plane. Between these two small patches a Fourier transform each way across the pupil does what full
+fields would. With c the centre of the cell, :math:`X_0 = -c g / b` that of its image, and offsets :math:`\mu`,
+:math:`\xi` from them,
+
+.. math:: U(X_0 + \xi) = \frac{dP^2 d\mu^2}{\lambda^2 b g} \sum_P e^{-i k P \cdot \xi / g} \,
+          e^{i k (|P - c| + |P - X_0| - P^2 / 2 f_1)} \sum_\mu e^{-i k (P - c) \cdot \mu / b} \,
+          e^{i k \mu^2 / 2 b} \, u(c + \mu)
+
+The phase between the centres is exact and carries the aberrations; the terms linear in the offsets are paraxial
+(Goodman, "Introduction to Fourier Optics", section 5.3), and the one quadratic in :math:`\xi` drops out of the
+intensity. The pupil is sampled as finely as the object patch is wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..light.optical_system import OpticalSystem, is_paraxial
+from ..light.sampling import check_memory
+from ..optics import guards, rays
+from ..optics.waves import in_millimetres, parabola, phasor, soft_edge
+from ..runtime.backend import backend, drjit_array
+from ..runtime.fft import Field, as_field, as_words, fft, fft2, pack, resting_drjit, split, unpack
+from ..runtime.limits import single_threaded_blas
+from .conjugates import Conjugates, ThinConjugates
+from .lens_tiles import TILE_MARGIN, LensTile, reconstruction_tile
+from .methods import Progress
+from .planning import check_pupil_diffraction
+
+_LIT_BATCH = 512
+"""Lenses that are searched for light together."""
+
+_PARTS = 4
+"""Parts of a sample along an axis, of which those in the aperture are counted."""
+
+
+@dataclass(frozen=True)
+class LensBatch:
+    """Some lenses, and the factors of their fields, each shaped to multiply fields (n, y, x).
+
+    `bin` (n, 2) are column and row, among the bins of all lenses, of the bin that holds each lens's image, and `aside`
+    (n, 2) the offset of the lens's centre from the middle of that bin, in bins. `row` (n, samples, 1) and `column`
+    (n, 1, samples) are the recorded pixels of the samples on the detector; `source` lets their light converge, zero
+    where they are not the lens's own. `shift` moves spectra from the pixels to the lenses' centres; `tilt` (n, cell)
+    acts in the cells along y and along x, and so does `aperture`, None where all light passes.
+    """
+
+    bin: np.ndarray
+    aside: np.ndarray
+    centre: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    source: list[np.ndarray]
+    shift: list[Field]
+    tilt: list[Field]
+    focal_length: np.ndarray
+    aperture: np.ndarray | None
+
+
+class LensSet:
+    """The lenses that any recorded pixel belongs to, and some around them.
+
+    `first` are the first column and row of bins in which a lens lies, counted from the axis, and `bins` the columns and
+    rows from there to the last.
+    """
+
+    def __init__(self, tile: LensTile) -> None:
+        camera = tile.camera
+        ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
+        ends += np.array([-0.5, 0.5]) * camera.pixel_size
+        low, high = rays.chief_point(ends, camera.mla_distance, camera.reduced_distance).T
+        half = tile.cell_width / 2
+        self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
+        self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
+        position = self.centre / camera.mla_pitch
+        bins = np.floor(position).astype(np.int64)
+        self._aside = position - bins - 0.5
+        self.first = int(bins[:, 0].min()), int(bins[:, 1].min())
+        self.bin = bins - np.array(self.first)
+        self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
+        # A lens that fills its bin is never wider than its cell.
+        self._aperture = None if camera.lenses_are_bins else _aperture(tile)
+
+    def find(self, i: float, j: float) -> int:
+        """Return the position in this set of the lens with these lattice indices."""
+        return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
+
+    def lit(self, image: np.ndarray) -> np.ndarray:
+        """Return the positions of the lenses whose pixels contain light, an int64 array (n,)."""
+        lit, n = np.zeros(len(self._index), bool), self.tile.subsamples
+        for start in range(0, len(lit), _LIT_BATCH):
+            which = np.arange(start, min(start + _LIT_BATCH, len(lit)))
+            x, y = self._samples(which)
+            row, column = y.pixel[:, ::n, None], x.pixel[:, None, ::n]
+            own = image[row, column] > 0
+            for factor in self._own(which, x, y):
+                # A subsampled pixel at the border of two cells may belong to both.
+                sizes = [part for size in factor.shape[1:] for part in ((size // n, n) if size > 1 else (1, 1))]
+                own &= factor.reshape(-1, *sizes).any((2, 4))
+            lit[which] = own.any((1, 2))
+        return np.flatnonzero(lit)
+
+    def batch(self, which: np.ndarray) -> LensBatch:
+        """Return the batch of the lenses at the given positions."""
+        tile, camera, centre = self.tile, self.tile.camera, self.centre[which]
+        z, types = camera.reduced_distance, np.array(camera.reduced_focal_lengths)
+        axes = x, y = self._samples(which)
+        along_x, along_y = (
+            phasor(parabola((axis.coordinate - c[:, None]) ** 2, z, tile.wavelength))
+            for axis, c in zip(axes, centre.T, strict=True)
+        )
+        own, converging = self._own(which, x, y), [along_y[:, :, None], along_x[:, None, :]]
+        shift = [_shift(c, axis.coordinate[:, 0], tile) for axis, c in zip(axes, centre.T, strict=True)]
+        lens_type = camera.lattice.lens_type(*self._index[which].T) if len(types) > 1 else np.zeros(len(which))
+        return LensBatch(
+            bin=self.bin[which],
+            aside=self._aside[which],
+            centre=centre,
+            row=y.pixel[:, :, None],
+            column=x.pixel[:, None, :],
+            source=[*own, *converging] if len(own) == 1 else [a * b for a, b in zip(own, converging, strict=True)],
+            shift=[shift[1][:, :, None], shift[0][:, None, :]],
+            tilt=[_tilt(c, tile) for c in centre.T[::-1]],
+            focal_length=types[lens_type.astype(int)],
+            aperture=self._aperture,
+        )
+
+    def _samples(self, which: np.ndarray) -> list[_DetectorSamples]:
+        """Take the samples of the detector along x and y of some lenses."""
+        return [_DetectorSamples.of(self.centre[which, axis], self.tile, axis) for axis in (0, 1)]
+
+    def _own(self, which: np.ndarray, x: _DetectorSamples, y: _DetectorSamples) -> list[np.ndarray]:
+        """Return the factors that say which samples are recorded and belong to each lens: those of its chief rays."""
+        lattice, (i, j) = self.tile.camera.lattice, self._index[which].T[..., None]
+        if lattice.axis_aligned:
+            own = [
+                axis.recorded & (lattice.axis_cell(axis.chief, k) == n) for k, (axis, n) in enumerate(((x, i), (y, j)))
+            ]
+            return [own[1][:, :, None], own[0][:, None, :]]
+        cell = lattice.cell(*np.broadcast_arrays(x.chief[:, None, :], y.chief[:, :, None]))
+        recorded = y.recorded[:, :, None] & x.recorded[:, None, :]
+        return [recorded & (cell[0] == i[..., None]) & (cell[1] == j[..., None])]
+
+
+@dataclass(frozen=True)
+class _DetectorSamples:
+    """Samples of the detector along an axis that hold the pixels of some lenses; arrays (lenses, samples).
+
+    `pixel` are pixel indices, clipped to the image, and `recorded` states whether the pixels are recorded. `chief` is
+    the position on the array at which the chief rays to the samples pass.
+    """
+
+    pixel: np.ndarray
+    recorded: np.ndarray
+    coordinate: np.ndarray
+    chief: np.ndarray
+
+    @classmethod
+    def of(cls, centre: np.ndarray, tile: LensTile, axis: int) -> _DetectorSamples:
+        """Take the samples of lenses with these centres."""
+        camera, n = tile.camera, tile.subsamples
+        b, z = camera.mla_distance, camera.reduced_distance
+        offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
+        edge = rays.chief_detector_point(centre - tile.cell_width / 2, b, z)
+        pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
+        parts = (np.arange(n) + 0.5) / n
+        coordinate = ((pixel[..., None] + parts).reshape(len(centre), -1) - half) * camera.pixel_size
+        pixel = np.repeat(pixel - offset, n, axis=1)
+        recorded = (pixel >= 0) & (pixel < size)
+        return cls(np.clip(pixel, 0, size - 1), recorded, coordinate, rays.chief_point(coordinate, b, z))
+
+
+def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
+    """Return what shifts spectra along an axis from each lens's first pixel sample to the first one of its cell."""
+    way = centre + tile.cell[0] - first
+    return phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch)))
+
+
+def _tilt(centre: np.ndarray, tile: LensTile) -> Field:
+    """Return what takes out, along an axis, the direction from lenses to the main lens's centre, and its curvature."""
+    wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
+    return phasor((centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path)
+
+
+def _aperture(tile: LensTile) -> np.ndarray:
+    """Fraction of each sample of a cell that lies in the aperture."""
+    parts = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * tile.pitch
+    fine = (tile.cell[:, None] + parts).ravel()
+    inside = tile.camera.lattice.in_aperture(*np.meshgrid(fine, fine))
+    size = tile.cell.size
+    return inside.reshape(size, _PARTS, size, _PARTS).mean((1, 3), dtype=np.float32)
+
+
+@single_threaded_blas()  # a lens's products are too small for threads, which would wait for each other actively
+def reconstruct_lens_by_lens(
+    image: np.ndarray,
+    camera: PlenopticCamera,
+    distances: Sequence[float],
+    wavelength: float,
+    *,
+    relay: bool = True,
+    oversample: int = 1,
+    checked: bool = True,
+    progress: Progress = lambda done: None,
+    conjugates: Conjugates | None = None,
+) -> list[np.ndarray]:
+    """Propagate every lens alone and add the powers in bins: the limit of `reconstruct_subsets` for large periods."""
+    tile = reconstruction_tile(camera, wavelength, distances, oversample)
+    check_memory(tile.memory, "wave reconstruction lens by lens")
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
+    lenses = LensSet(tile)
+    lit = lenses.lit(image)
+    arrays = backend().arrays
+    amplitude = arrays.sqrt(arrays.asarray(image))
+    # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
+    shape = [(count + tile.lenses - 1) * oversample for count in lenses.bins[::-1]]
+    totals = [arrays.zeros(shape) for _ in distances]
+    # Stopped once, as stopping takes as long as the transforms of a lens.
+    with resting_drjit():
+        for position in range(0, len(lit), tile.batch):
+            batch = lenses.batch(lit[position : position + tile.batch])
+            fields = pupil_fields(amplitude, tile, batch, relay=relay)
+            for total, distance in zip(totals, distances, strict=True):
+                patches = object_patches(fields, tile, batch, distance, conjugates)
+                for column, row, patch in zip(*batch.bin.T, patches, strict=True):
+                    top, left = row * oversample, column * oversample
+                    total[top : top + patch.shape[0], left : left + patch.shape[1]] += patch
+            progress((position + len(batch.bin)) / len(lit))
+    if checked and len(lit):
+        guards.check(guards.PUPIL, 1 - float(totals[0].sum()) / float(image.sum(dtype=np.float64)))
+        for distance in distances:
+            check_pupil_diffraction(camera, wavelength, distance, TILE_MARGIN)
+    return [on_bins(total, lenses) for total in totals]
+
+
+def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
+    """Return the fields of some lenses at the main lens, relative to a wave from the lens's centre.
+
+    Of the square root of a capture; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
+    """
+    arrays = backend().arrays
+    count, size = len(batch.bin), batch.row.shape[1]
+    field = arrays.zeros((count, tile.padded, tile.padded), np.complex64)
+    field[:, :size, :size] = amplitude[arrays.asarray(batch.row), arrays.asarray(batch.column)]
+    for factor in batch.source:
+        field[:, :size, :size] *= arrays.asarray(factor)
+    with resting_drjit():
+        field = fft2(field)
+        for factor in (tile.transfer, *batch.shift):
+            field *= arrays.asarray(factor)
+        cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
+        lens = phasor(parabola(tile.cell**2, batch.focal_length[:, None], tile.wavelength)) if relay else np.float32(1)
+        cell = cell * arrays.asarray(batch.tilt[0] * lens)[:, :, None]
+        cell *= arrays.asarray(batch.tilt[1] * lens)[:, None, :]
+        if batch.aperture is not None:
+            cell *= arrays.asarray(batch.aperture)
+        fields = _product(_product(cell, tile.to_pupil), tile.to_pupil)
+    return arrays.ascontiguousarray(fields)
+
+
+def _product(fields: Field, matrix: Field) -> Field:
+    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
+    return backend().arrays.tensordot(fields, matrix, (1, 1))
+
+
+def object_patches(
+    fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
+) -> np.ndarray:
+    """Return the power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
+    camera = tile.camera
+    focused = _aim(fields, tile, batch, distance, conjugates)
+    count, size = tile.pupil.size, tile.object_samples
+    arrays = backend().arrays
+    padded = arrays.zeros((len(fields), size, size), np.complex64)
+    padded[:, :count, :count] = focused
+    with resting_drjit():
+        padded[:, :count] = fft(padded[:, :count], axis=2)
+        padded = fft(padded, axis=1)
+    intensity = padded.real**2
+    intensity += padded.imag**2
+    sums = arrays.matmul(tile.to_bins, arrays.matmul(intensity, tile.to_bins.T))
+    # Areas over the distance, which may be infinite.
+    slope = camera.mla_pitch / camera.mla_distance / tile.samples
+    scale = tile.pupil_pitch**2 / in_millimetres(tile.wavelength) * slope / camera.pixel_size
+    # The object is upside down in camera coordinates: bins grow with -X.
+    return sums[:, ::-1, ::-1] * np.float32(scale**2)
+
+
+def passing_power(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
+    """Return the power of lenses' fields that the pupil lets through, in pixel values times areas."""
+    aimed = _aim(fields, tile, batch, distance, conjugates)
+    return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
+
+
+def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
+    """Multiply pupil fields by the phase of the path from the lens's centre to its image, and by the pupil."""
+    types = backend().types
+    camera, wave = tile.camera, in_millimetres(tile.wavelength)
+    n, count = len(fields), tile.pupil.size
+    index = dr.arange(types.UInt32, n * count * count)
+    lens, row, column = split(types, index, count, count)
+    P = drjit_array(types.Float64, tile.pupil)
+    u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
+    x, y, ax, ay = (
+        dr.gather(types.Float64, drjit_array(types.Float64, values), lens)
+        for values in (*batch.centre.T, *batch.aside.T)
+    )
+    b = dr.opaque(types.Float64, camera.mla_distance)
+    conjugate = conjugates.at(x, y, batch.centre, lens, distance)
+    if is_paraxial(camera):
+        # Tilts, to and from the centres, cancel.
+        Px, Py = u, v
+        from_mla = -parabola(u * u + v * v, b, tile.wavelength)
+    else:
+        # Directions change more slowly with P off the axis, on both sides alike: that only stretches the pupil's grid.
+        sideways = x * x + y * y + b * b
+        chief = dr.sqrt(sideways)
+        Px, Py = (w * chief / b / (1 - c * c / sideways) for w, c in ((u, x), (v, y)))
+        along = Px * Px + Py * Py - 2 * (Px * x + Py * y)
+        from_mla = along / (dr.sqrt(sideways + along) + chief) / wave
+    to_object = conjugate.path((Px, Py))
+    # The first object sample is half a patch from the centre.
+    half = (tile.object_samples - 1) / 2 / tile.object_samples / tile.pupil_pitch
+    waves = from_mla + to_object + (u + v) * half
+    # The patch is centred on a bin, not on the lens's image.
+    waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
+    inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
+    aimed = unpack(drjit_array(types.UInt64, as_words(fields))) * phasor(waves) * inside
+    return as_field(pack(aimed), fields.shape)
+
+
+def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
+    """Cut the sum over lenses to the bins of the image."""
+    tile = lenses.tile
+    columns, rows = tile.camera.bin_count
+    image = np.zeros((rows * tile.oversample, columns * tile.oversample))
+    reach = tile.lenses // 2
+    into, out = [], []
+    for axis, count in ((1, rows), (0, columns)):
+        first = lenses.first[axis] + count // 2 - reach
+        end = first + lenses.bins[axis] + 2 * reach
+        inside = slice(max(first, 0), min(end, count))
+        into.append(slice(inside.start * tile.oversample, inside.stop * tile.oversample))
+        out.append(slice((inside.start - first) * tile.oversample, (inside.stop - first) * tile.oversample))
+    # Integrals of dark bins are zero up to rounding, on either side.
+    image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
+    return image

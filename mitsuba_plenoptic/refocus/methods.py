@@ -1,0 +1,288 @@
+"""The methods of reconstruction, by name, and the checks of their arguments.
+
+Each method is a module that registers one function of a `Task`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import (
+    InputError,
+    argument,
+    refuse_if,
+    require_choice,
+    require_count,
+    require_number,
+    require_wavelength,
+    short_repr,
+)
+from ..io.captures import Capture, as_array
+from ..io.checkpoints import Checkpoint
+from ..light.detector import require_demosaiced
+from ..light.optical_system import OpticalSystem
+from ..optics.waves import in_millimetres
+from ..runtime.batches import BatchMap
+from ..runtime.limits import largest_fitting, require_memory
+
+Progress = Callable[[float], None]
+"""Called with the fraction of the work that is done."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The inputs of a method of reconstruction, all of which have been checked.
+
+    Attributes
+    ----------
+    image : (rows, columns, channels) float32 array
+        The capture.
+    camera : PlenopticCamera
+        The camera; its recorded window is the image.
+    distances : sequence of floats
+        Object distances.
+    oversample : int
+        Bins per lens along each axis.
+    wavelengths : sequence of floats
+        Wavelengths of the channels in nanometres; empty for ray methods.
+    white : (rows, columns, 1 or channels) float32 array, or None
+        Capture of a scene of uniform radiance 1 by the same camera.
+    progress : callable
+        Called with the fraction of the work that is done.
+    recorded : sequence of floats, optional
+        Wavelengths of the channels in nanometres at which a wave capture was recorded; None for a ray capture.
+    exposure : dict, optional
+        Metadata that `expose` has stored with the capture.
+    checkpoint : Checkpoint, optional
+        For long methods: saves intermediate results.
+    batch_map : BatchMap, optional
+        For long methods: computes their point spreads.
+    systems : dict
+        Optical systems that `system` has built.
+    """
+
+    image: np.ndarray
+    camera: PlenopticCamera
+    distances: Sequence[float]
+    oversample: int
+    wavelengths: Sequence[float]
+    white: np.ndarray | None
+    progress: Progress
+    recorded: Sequence[float] | None = None
+    exposure: dict[str, Any] | None = None
+    checkpoint: Checkpoint | None = None
+    batch_map: BatchMap | None = None
+    systems: dict[float, OpticalSystem] = field(default_factory=dict)
+
+    def system(self, wavelength: float) -> OpticalSystem:
+        """Return the camera bound to the wavelength of a channel, once for all that is done with the task."""
+        if wavelength not in self.systems:
+            self.systems[wavelength] = OpticalSystem(self.camera, wavelength)
+        return self.systems[wavelength]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An image (rows, columns, channels), NaN where no light can come from, and facts about it: plain data by name."""
+
+    image: np.ndarray
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def portion(progress: Progress, number: int, works: Sequence[float]) -> Progress:
+    """Return a progress callback for one of several parts of a computation, by the amounts of their work."""
+    before, own, total = sum(works[:number]), works[number], sum(works)
+    return lambda done: progress((before + own * done) / total)
+
+
+def work_of(wavelengths: Sequence[float]) -> list[float]:
+    """Return the amounts of work for waves of some wavelengths, which their samples along both axes determine."""
+    return [wavelength**-2 for wavelength in wavelengths]
+
+
+Refocus = Callable[..., Sequence[np.ndarray | Found]]
+"""From a `Task`, and the method's options by name, to an image (rows, columns, channels) for every distance."""
+
+
+@dataclass(frozen=True)
+class RegisteredMethod:
+    """A method of reconstruction as `method` registers it."""
+
+    name: str
+    refocus: Refocus
+    options: tuple[str, ...]
+    waves: bool
+    as_it_is: bool = False
+    long: bool = False
+    white: bool = True
+
+    def takes(self, option: str) -> bool:
+        """Whether the method uses an option of `reconstruct` that not all methods take."""
+        if option in ("wavelength", "white"):
+            return self.waves if option == "wavelength" else self.white
+        return option in self.options or (self.long and option in _OF_LONG)
+
+
+_OF_LONG = ("checkpoint", "batch_map", "resume", "workers", "scheduler")
+"""Options of methods that may take long, those of the command, too."""
+
+METHODS: dict[str, RegisteredMethod] = {}
+
+
+def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
+    """Return options with None, as if not given, for those that a method has no use for, of which one warning tells."""
+    unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
+    if unused:
+        takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
+        named = ", ".join(f"{argument(name)} (of {takers[name]})" for name in unused)
+        # From where `reconstruct` is called, through its decorators.
+        warnings.warn(f"method {chosen.name} has no use for {named}", stacklevel=5)
+    return {**given, **dict.fromkeys(unused)}
+
+
+def method(
+    name: str,
+    *,
+    options: tuple[str, ...],
+    waves: bool,
+    as_it_is: bool = False,
+    long: bool = False,
+    white: bool = True,
+) -> Callable[[Refocus], Refocus]:
+    """Register a function as a method of reconstruction.
+
+    Parameters
+    ----------
+    name : str
+        The name under which users select it.
+    options : tuple of str
+        The options of `reconstruct` that it takes.
+    waves : bool
+        Whether it needs wavelengths.
+    as_it_is : bool
+        Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
+    long : bool
+        Whether it may take long: then it writes checkpoints and takes workers.
+    white : bool
+        Whether its images can be divided by those of a white capture.
+    """
+
+    def register(refocus: Refocus) -> Refocus:
+        METHODS[name] = RegisteredMethod(name, refocus, options, waves, as_it_is, long, white)
+        return refocus
+
+    return register
+
+
+FOOTPRINTS = ("lens", "point")
+RESPONSES = ("wave", "ray")
+
+
+def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
+    """Return the capture with its camera, or with another that is given."""
+    if isinstance(capture, Capture):
+        require_demosaiced(capture)
+        if camera is None:
+            return capture
+        return Capture(capture.image, camera, capture.wavelength, capture.model, capture.metadata)
+    if camera is None:
+        raise InputError("camera = None: a plain array needs the camera that recorded it; give camera")
+    return Capture(as_array("capture", capture), camera)
+
+
+def require_upright(camera: PlenopticCamera) -> None:
+    """Refuse a tilted array behind a real main lens."""
+    refuse_if(
+        not camera.lens_data.is_thin and any(camera.mla_tilt),
+        f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only",
+    )
+
+
+def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
+    """Return the distances, all of which lie before the camera."""
+    try:
+        several = np.ndim(distance) > 0
+    except ValueError:
+        # Lists of several lengths.
+        several = None
+    if several is None or isinstance(distance, (str, bytes)):
+        raise InputError(f"distance = {short_repr(distance)}: it must be a number or several")
+    given = distance if several else [distance]
+    distances = [require_number("distance", value, finite=False) for value in given]
+    for value in distances:
+        camera.lens_data.require_distance(camera, value)
+    refuse_if(not distances, "distance = []: give at least one")
+    return distances
+
+
+def require_interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
+    """Return the period of the subsets of lenses, or ``"auto"``."""
+    if interleave is None:
+        return 2
+    if isinstance(interleave, str) and interleave == "auto":
+        return interleave
+    lenses = max(camera.lens_count)
+    try:
+        return require_count("interleave", interleave, maximum=lenses)
+    except InputError:
+        raise InputError(
+            f"interleave = {short_repr(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
+            "the lenses along an axis"
+        ) from None
+
+
+def require_response(response: Any, capture: Capture, wavelength: Any) -> str:
+    """Return the model of the light: if not given, the wave model if there is a wavelength, else the capture's own."""
+    if response is None:
+        return capture.model if wavelength is None else "wave"
+    if require_choice("response", response, RESPONSES) == "ray" and wavelength is not None:
+        raise InputError(f"{argument('wavelength')}: a response by rays has none; leave it out")
+    return str(response)
+
+
+def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
+    """Return the wavelength of each channel; scalar waves go through lenses that are wider."""
+    given: Any = capture.wavelength if wavelength is None else wavelength
+    if given is None:
+        raise InputError(
+            f"wavelength = None: a wave method needs one, and the capture has none; give {argument('wavelength')}"
+        )
+    values = [given] * channels if np.ndim(given) == 0 else list(given)
+    refuse_if(
+        len(values) != channels,
+        f"wavelength = {short_repr(given)}: the capture has {channels} channels; give one, or one for each",
+    )
+    found = [require_wavelength(value) for value in values]
+    if in_millimetres(max(found)) >= min(camera.mla_pitches):
+        raise InputError(
+            f"wavelength = {max(found):g} nm: it must be less than the pitch of the microlenses, "
+            f"{min(camera.mla_pitches):g} mm"
+        )
+    return found
+
+
+def require_image_memory(
+    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...], drawn_back: bool
+) -> None:
+    """Refuse images too large, before anything is allocated."""
+    columns, rows = camera.bin_count
+    height, _, channels = shape
+
+    def memory(oversample: int) -> float:
+        across, down = float(columns * oversample), float(rows * oversample)
+        # Ray methods bin one axis before the other; wave methods sum powers in double precision.
+        fits = 20 * 8 * channels * across * down if drawn_back else 0
+        return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, oversample)
+        return f"{argument('oversample')} = {largest}" if largest else None
+
+    what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
+    require_memory(memory(oversample), what, fitting)

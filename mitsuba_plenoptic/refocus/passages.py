@@ -1,0 +1,503 @@
+"""Thin elements and free space: one step of a field from the samples of one plane to those of the next, and its vjp.
+
+A field is handed from step to step in blocks of rows, in order from the first row to the last. A step transforms the
+rows that come in, turns them into columns, does everything that is done along columns, turns these back and hands on
+the rows of the next plane. Only the columns are ever held whole; the next step writes its own where it has read the
+last one's. Fourier transforms are done on blocks that stay in the processor's cache; rows that hold no light are left
+out, and so are frequencies and destination samples that nobody asks for.
+
+The vjp of a step is the step back: free space of the opposite length between the same samples, then the conjugate of
+the element, over the ratio of the areas of the samples.
+
+At the end the power of a field over directions is summed over bins. Bins are even in the slope X / g, and so are the
+directions of paraxial light. Those of other light are even in the cosine X / |X|. For a fixed cosine along y, the edges
+of bins along x are known cosines; so the power is integrated along x for every sample in y as the samples come, and the
+sums then along y for every column of bins, with the edges that the column's middle has. Between the samples the power
+goes as a cubic (Keys, "Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum
+of the samples between two edges and a few near each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..light.optical_system import is_paraxial
+from ..optics.waves import advance, in_millimetres, parabola, phasor
+from ..runtime.backend import backend, drjit_array
+from ..runtime.fft import Field, as_field, fft, pack, split
+from .planning import AxisStep, Directions, LensAxis, Step
+
+Rows = Iterable[tuple[slice, Field]]
+"""Blocks of rows of a field, from the first on, with their numbers. What is left out is dark.
+
+A block holds until the next one is asked for.
+"""
+
+# Rows that are transformed together: in the processor's cache, or enough to keep a CUDA device busy.
+_BLOCK, _CUDA_BLOCK = 64, 4096
+
+# Columns that are turned into rows together: more of them would not stay in the first cache.
+_TILE = 512
+
+# Columns whose distance is a multiple of the page size would map to the same few cache lines during transposition.
+_PAGE, _STAGGER = 512, 24
+
+
+class ThinElement:
+    """A thin element in the source plane of a step, a function of Dr.Jit's x and y; without one it changes nothing.
+
+    A product of a function of x and one of y is known from its values along two lines through a point at which its
+    modulus is 1: it is given with such a point, and then its rows of zeros are left out.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        function: Callable[[Any, Any], Any] | None = None,
+        point: tuple[float, float] | None = None,
+    ) -> None:
+        self._step, self._function = step, function
+        self.along_x: Field | None = None
+        self.along_y: Field | None = None
+        self._lit = np.ones(step.y.count, bool)
+        if function is not None and point is not None:
+            x, y = point
+            line = _evaluate(np.append(step.x.source, x), np.array([y]), function)[0]
+            self._function, self.along_x = None, line[:-1]
+            self.along_y = _evaluate(np.array([x]), step.y.source, function)[:, 0] * line[-1].conj()
+            self._lit = backend().to_host(self.along_y) != 0
+
+    def lit(self, rows: slice) -> list[slice]:
+        """Return those of the rows that the element does not darken, in runs."""
+        runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
+        return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
+
+    def through(self, rows: slice, samples: Field, out: Field) -> None:
+        """Write rows of a field, multiplied by all but the factor along y, to `out`."""
+        factor = self._factor(rows)
+        if factor is None:
+            out[...] = samples
+        else:
+            backend().arrays.multiply(samples, factor, out=out)
+
+    def back(self, rows: slice, samples: Field, scale: float) -> Field:
+        """Return rows of a field, multiplied by the conjugates of all factors and by a scale."""
+        for factor in (self._factor(rows), None if self.along_y is None else self.along_y[rows, None]):
+            samples = samples if factor is None else samples * factor.conj()
+        return samples * np.float32(scale)
+
+    def _factor(self, rows: slice) -> Field | None:
+        if self._function is None:
+            return self.along_x
+        return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
+
+
+def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Field:
+    """Evaluate a function of two Dr.Jit arrays at all pairs of coordinates."""
+    types = backend().types
+    _, row, column = split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
+    at = [
+        dr.gather(types.Float64, drjit_array(types.Float64, values), index) for values, index in ((x, column), (y, row))
+    ]
+    return as_field(pack(function(*at)), (len(y), len(x)))
+
+
+class FieldWorkspace:
+    """Memory that serves all of some steps: fresh pages would cost nearly as much as the transforms on them.
+
+    `report` is called with the samples that Fourier transforms have gone through.
+    """
+
+    def __init__(self, steps: Iterable[Step], report: Callable[[int], None] = lambda transformed: None) -> None:
+        self.libraries = backend()
+        self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
+        self._transformed, self._report = 0, report
+        columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
+        self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
+        self._buffers: dict[str, Field] = {}
+
+    def columns(self, step: Step) -> Field:
+        """Return the memory of a step's columns, which is that of the last step's, too."""
+        return self._columns[: step.x.held]
+
+    def array(self, name: str, shape: tuple[int, int]) -> Field:
+        """Return an array with any content; it holds until the same name is asked for again."""
+        size = shape[0] * shape[1]
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
+        return self._buffers[name][:size].reshape(shape)
+
+    def runs(self, count: int, block: int | None = None) -> Iterator[slice]:
+        """Yield the blocks of some rows that are worked on together."""
+        block = block or self.block
+        for first in range(0, count, block):
+            yield slice(first, min(first + block, count))
+
+    def blocks(self, field: Field) -> Rows:
+        """Yield all rows of a field; the blocks are its own memory."""
+        for rows in self.runs(len(field)):
+            yield rows, field[rows]
+
+    def fft(self, field: Field, *, inverse: bool = False) -> Field:
+        """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
+        found = fft(field, axis=1, inverse=inverse, norm="forward")
+        self._transformed += field.size
+        self._report(self._transformed)
+        return found
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """A length of free space in millimetres, for light of a wavelength there in nanometres, by slopes or by cosines.
+
+    With `beyond_paraxial`, only what it does beyond its paraxial part.
+    """
+
+    distance: float
+    wavelength: float
+    paraxial: bool
+    beyond_paraxial: bool = False
+
+    @property
+    def back(self) -> FreeSpace:
+        """The way back."""
+        return FreeSpace(-self.distance, self.wavelength, self.paraxial, self.beyond_paraxial)
+
+
+def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace) -> Rows:
+    """Yield a field at the destination samples of a step, without the carrier, of one at its source samples.
+
+    The field passes the element first, then free space. Rows may come from another step's with the same workspace.
+    """
+    x, y, columns = step.x, step.y, workspace.columns(step)
+    pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
+    for mine, spectrum in to_directions(source, element, step, workspace):
+        part = advance(
+            spectrum, pitches, space.distance, space.wavelength, shift=shift, part=(mine.start, x.held),
+            paraxial=space.paraxial, beyond_paraxial=space.beyond_paraxial,
+        )  # fmt: skip
+        columns[mine, : y.wanted] = _from_lowest(part, y, workspace)
+    yield from _to_rows(columns, step, workspace)
+
+
+def propagate_vjp(
+    gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
+) -> Rows:
+    """Take the gradient by the destination samples of `propagate` back to its source samples."""
+    back = step.reversed
+    scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
+    for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
+        yield rows, element.back(rows, samples, scale)
+
+
+def to_directions(
+    source: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace
+) -> Iterator[tuple[slice, Field]]:
+    """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y).
+
+    Zero comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
+    """
+    x, y, columns, arrays = step.x, step.y, workspace.columns(step), workspace.libraries.arrays
+    rows_of = workspace.array("rows", (workspace.block, x.padded))
+    low, high = _lowest(x.padded, x.held)
+    end = 0
+    for rows, samples in source:
+        for lit in element.lit(rows):
+            columns[:, end : lit.start] = 0
+            end = lit.stop
+            part = rows_of[: end - lit.start]
+            element.through(lit, samples[lit.start - rows.start : end - rows.start], part[:, : x.count])
+            part[:, x.count :] = 0
+            part = workspace.fft(part)
+            columns[: low.stop, lit] = part[:, low].T
+            columns[low.stop :, lit] = part[:, high].T
+    columns[:, end : y.count] = 0
+    block = workspace.array("rows", (workspace.block, y.padded))
+    spectrum = workspace.array("spectrum", (workspace.block, y.held))
+    low, high = _lowest(y.padded, y.held)
+    for mine in workspace.runs(x.held):
+        part = block[: mine.stop - mine.start]
+        if element.along_y is None:
+            part[:, : y.count] = columns[mine, : y.count]
+        else:
+            arrays.multiply(columns[mine, : y.count], element.along_y, out=part[:, : y.count])
+        part[:, y.count :] = 0
+        part = workspace.fft(part)
+        if y.held < y.padded:
+            cut = spectrum[: mine.stop - mine.start]
+            cut[:, : low.stop], cut[:, low.stop :] = part[:, low], part[:, high]
+            part = cut
+        yield mine, part
+
+
+def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
+    """Take the gradient by the frequencies of `to_directions` back to its source samples."""
+    back = step.reversed
+    columns = workspace.columns(back)
+    for mine, part in gradient:
+        columns[mine, : back.y.wanted] = _from_lowest(part, back.y, workspace)
+    for rows, samples in _to_rows(columns, back, workspace):
+        yield rows, element.back(rows, samples, 1 / (step.x.padded * step.y.padded))
+
+
+class ParaxialPath:
+    """Free space between two planes as one transform over the first plane, with the second one's samples in order.
+
+    The field on the second plane is kept line by line: along its y for each x.
+    """
+
+    def __init__(self, step: Directions, onto: tuple[LensAxis, LensAxis], distance: float, wavelength: float) -> None:
+        self._step, wave_path = step, in_millimetres(wavelength) * distance
+
+        def curved(x: Any, y: Any) -> Any:
+            return phasor(parabola(x * x + y * y, -distance, wavelength))
+
+        self._element = ThinElement(step, curved, (0.0, 0.0))
+        asarray = backend().arrays.asarray
+        self._along_x, self._along_y = (
+            asarray(phasor(samples.samples * (samples.samples / 2 - axis.first) / wave_path))
+            * np.float32(math.sqrt(wave_path) / samples.pitch)
+            for axis, samples in ((step.x, onto[0]), (step.y, onto[1]))
+        )
+
+    def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield lines of the field on the second plane, of the one on the first; not in their order."""
+        positive = (self._step.y.held + 1) // 2
+        for mine, part in to_directions(source, self._element, self._step, workspace):
+            lines = workspace.array("lines", (workspace.block, self._step.y.held))[: len(part)]
+            middle = len(self._along_y) - positive
+            np.multiply(part[:, :positive], self._along_y[middle:], out=lines[:, middle:])
+            np.multiply(part[:, positive:], self._along_y[:middle], out=lines[:, :middle])
+            for own, there in _in_order(mine, self._step.x.held):
+                lines[own] *= self._along_x[there, None]
+                yield there, lines[own]
+
+    def vjp(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Take the gradient by the lines back to the field on the first plane."""
+        yield from to_directions_vjp(self._to_spectrum(gradient, workspace), self._element, self._step, workspace)
+
+    def _to_spectrum(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
+        """Yield lines of the gradient, in their order, by the lines of the spectrum."""
+        count, positive = self._step.x.held, (self._step.y.held + 1) // 2
+        for there, lines in gradient:
+            found = lines * self._along_x[there, None].conj()
+            found *= self._along_y.conj()
+            found = workspace.libraries.arrays.roll(found, positive - found.shape[1], axis=1)
+            for own, mine in _in_order(there, count, -(count // 2)):
+                yield mine, found[own]
+
+
+def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tuple[slice, slice]]:
+    """Yield the parts of a run of lines, and their numbers when zero frequency comes to the middle, or back again."""
+    first = (lines.start + (count // 2 if moved is None else moved)) % count
+    border = min(lines.stop - lines.start, count - first)
+    yield slice(0, border), slice(first, first + border)
+    if lines.start + border < lines.stop:
+        yield slice(border, lines.stop - lines.start), slice(0, lines.stop - lines.start - border)
+
+
+def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
+    """Turn columns into rows, transform these back and take their first samples."""
+    x, y = step.x, step.y
+    block = workspace.array("next rows", (workspace.block, x.held))
+    for rows in workspace.runs(y.wanted):
+        part = block[: rows.stop - rows.start]
+        for first in range(0, x.held, _TILE):
+            tile = slice(first, min(first + _TILE, x.held))
+            part[:, tile] = columns[tile, rows].T
+        yield rows, _from_lowest(part, x, workspace)
+
+
+def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
+    """Transform rows of the lowest frequencies to the destination samples."""
+    if axis.held < axis.new_padded:
+        low, high = _lowest(axis.new_padded, axis.held)
+        wide = workspace.array("wide", (len(part), axis.new_padded))
+        wide[:, low.stop : high.start] = 0
+        wide[:, low], wide[:, high] = part[:, : low.stop], part[:, low.stop :]
+        part = wide
+    return workspace.fft(part, inverse=True)[:, : axis.wanted]
+
+
+def _lowest(size: int, held: int) -> tuple[slice, slice]:
+    """Return the slices of the lowest frequencies, from zero on and below zero, in a spectrum that begins with zero."""
+    positive = (held + 1) // 2
+    return slice(0, positive), slice(size - (held - positive), size)
+
+
+_NEAR = (-1, 0, 1, 2)
+"""Samples next to the one before an edge that the integral up to the edge depends on, apart from the sum before it."""
+
+_MARGIN = 4
+"""Dark samples on both sides, so that every edge has samples near."""
+
+_EDGES = 2**19
+"""Edges of bins that are worked out at a time."""
+
+
+def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> NDArray[np.float64]:
+    """Return by how much the integral up to an edge, f samples beyond one, exceeds the sum of those up to that one.
+
+    The values a to d are those of the samples `_NEAR`.
+    """
+    inside = f * (b + f * ((c - a) / 4 + f * ((a - 2.5 * b + 2 * c - d / 2) / 3 + f * (3 * (b - c) + d - a) / 8)))
+    return inside + (a - c) / 24 - b / 2
+
+
+class Integrals:
+    """Integrals of lines of samples between neighbouring edges, the lower of which comes last.
+
+    `edges_of` lines are (lines, bins + 1) and count samples from the middle one; of the `count` samples of a line, an
+    odd number, zero comes first and the negative ones last. Edges are worked out again for every block of lines: those
+    of a large plane would take many times the memory of its bins.
+    """
+
+    def __init__(self, edges_of: Callable[[slice], NDArray[np.float64]], lines: int, bins: int, count: int) -> None:
+        self._edges_of, self._shape = edges_of, (lines, bins)
+        self._half, self._size = count // 2, count + 2 * _MARGIN
+        self._buffer: Any = None
+
+    def _places(self, lines: slice) -> tuple[Any, Any]:
+        """Return the samples before the edges of some lines, and how far the edges are beyond these samples."""
+        arrays = backend().arrays
+        # Beyond the samples all is dark; an edge there is as good as one just outside.
+        edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)
+        position = edges + (self._half + _MARGIN)
+        before = arrays.floor(position)
+        return before.astype(np.int64), position - before
+
+    def _blocks(self, lines: slice) -> Iterator[slice]:
+        """Yield parts of some lines, of so many edges that all that is worked out for them is small."""
+        start, stop, _ = lines.indices(self._shape[0])
+        height = max(1, _EDGES // (self._shape[1] + 1))
+        for first in range(start, stop, height):
+            yield slice(first, min(first + height, stop))
+
+    def forward(self, values: Any, lines: slice = slice(None)) -> Any:
+        """Integrate some of the lines of samples, (lines, count), or the power of a field, over bins, (lines, bins)."""
+        arrays = backend().arrays
+        found = arrays.empty((len(values), self._shape[1]))
+        start = lines.indices(self._shape[0])[0]
+        for block in self._blocks(lines):
+            part = slice(block.start - start, block.stop - start)
+            found[part] = self._forward(values[part], block)
+        return found
+
+    def _forward(self, values: Any, lines: slice) -> Any:
+        """Integrate a block of lines."""
+        arrays, (before, f) = backend().arrays, self._places(lines)
+        numbers, parts = self._padded(values)
+        flat, row = numbers.reshape(-1), arrays.arange(len(values))[:, None] * self._size
+        # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
+        upwards = before[:, ::-1] + 1
+        sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
+        total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
+        near = [parts * (row + before + offset) for offset in _NEAR]
+        beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
+        return total + beyond[:, :-1] - beyond[:, 1:]
+
+    def _padded(self, values: Any) -> tuple[Any, int]:
+        """Return lines with their samples in order and dark ones around, and how many numbers add up to a sample."""
+        arrays, middle, half = backend().arrays, _MARGIN + self._half, self._half
+        shape, kind = (len(values), self._size), values.dtype
+        if self._buffer is None or self._buffer.shape != shape or self._buffer.dtype != kind:
+            self._buffer = arrays.zeros(shape, kind)
+        places = ((slice(half + 1), slice(middle, middle + half + 1)), (slice(half + 1, None), slice(_MARGIN, middle)))
+        if not arrays.iscomplexobj(values):
+            for source, there in places:
+                self._buffer[:, there] = values[:, source]
+            return self._buffer, 1
+        numbers = self._buffer.view(values.real.dtype)
+        for source, there in places:
+            given = values[:, source].view(numbers.dtype)
+            arrays.multiply(given, given, out=numbers[:, 2 * there.start : 2 * there.stop])
+        return numbers, 2
+
+    def vjp(self, bins: Any) -> Any:
+        """Apply the transpose of `forward` to all lines, from (lines, bins) to (lines, count)."""
+        arrays = backend().arrays
+        found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
+        for block in self._blocks(slice(None)):
+            found[block] = self._vjp(bins[block], block)
+        return found
+
+    def _vjp(self, bins: Any, block: slice) -> Any:
+        """Apply the transpose to a block of lines."""
+        arrays, (before, f) = backend().arrays, self._places(block)
+        total = arrays.pad(bins, ((0, 0), (0, 1))) - arrays.pad(bins, ((0, 0), (1, 0)))
+        lines = arrays.arange(len(bins))[:, None] * self._size
+
+        def scattered(offset: int, values: Any) -> Any:
+            positions = (lines + before + offset).ravel()
+            return arrays.bincount(positions, values.ravel(), lines.size * self._size).reshape(-1, self._size)
+
+        padded = arrays.cumsum(scattered(0, total)[:, ::-1], axis=1)[:, ::-1].copy()
+        for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
+            padded += scattered(offset, _beyond(f, *unit) * total)
+        return arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
+
+
+class BinSums:
+    """Sums over the bins of one object plane, `oversample` of them to a lens, of the power at directions.
+
+    Sums are in pixel values times pixels. Negative sums, which cubics may produce, are set to zero.
+    """
+
+    def __init__(self, step: Directions, camera: PlenopticCamera, wavelength: float, oversample: int) -> None:
+        width = camera.mla_pitch / (camera.mla_distance * oversample)
+        columns, rows = (count * oversample for count in camera.bin_count)
+        # Lines of the main lens are along y.
+        in_x, in_y = step.y, step.x
+        across, down = (in_millimetres(wavelength) / axis.window for axis in (in_x, in_y))
+        # The object is upside down in camera coordinates: bins grow with -X.
+        slope_x, slope_y = ((np.arange(count + 1) - count / 2) * -width for count in (columns, rows))
+        middle = (slope_x[:-1, None] + slope_x[1:, None]) / 2
+        cosine = (np.fft.fftfreq(in_y.new_padded, 1 / in_y.new_padded) * down)[:, None]
+        paraxial = is_paraxial(camera)
+
+        def along_x(lines: slice) -> NDArray[np.float64]:
+            if paraxial:
+                return (slope_x + 0 * cosine[lines]) / across
+            return slope_x / np.sqrt(1 + slope_x * slope_x) * np.sqrt(1 - cosine[lines] ** 2) / across
+
+        def along_y(lines: slice) -> NDArray[np.float64]:
+            if paraxial:
+                return (slope_y + 0 * middle[lines]) / down
+            return slope_y / np.sqrt(1 + slope_y * slope_y + middle[lines] ** 2) / down
+
+        self._along_x = Integrals(along_x, in_y.new_padded, columns, in_x.new_padded)
+        self._along_y = Integrals(along_y, columns, rows, in_y.new_padded)
+        # Parseval, of transforms that were divided by their lengths, over the area of a pixel.
+        self._scale = step.x.window * step.y.window / camera.pixel_size**2
+        self._shape = in_y.new_padded, columns
+
+    def forward(self, power: Iterable[tuple[slice, Any]]) -> Any:
+        """Sum blocks of a power, or of a field's, (directions along y, along x); note which sums are cut."""
+        arrays = backend().arrays
+        along_x = arrays.empty(self._shape)
+        for lines, part in power:
+            along_x[lines] = self._along_x.forward(part, lines)
+        self._lit_x = along_x > 0
+        sums = self._along_y.forward(arrays.maximum(along_x, 0, out=along_x).T)
+        self._lit = sums > 0
+        return (arrays.maximum(sums, 0) * self._scale).T
+
+    def jvp(self, change: Any) -> Any:
+        """Return the change of the sums with one of all of the power, where `forward` has been asked for."""
+        arrays = backend().arrays
+        along_x = arrays.where(self._lit_x, self._along_x.forward(change), 0)
+        return (arrays.where(self._lit, self._along_y.forward(along_x.T), 0) * self._scale).T
+
+    def vjp(self, bins: Any) -> Any:
+        """Apply the transpose of `jvp`."""
+        arrays = backend().arrays
+        along_x = self._along_y.vjp(arrays.where(self._lit, bins.T, 0) * self._scale).T
+        return self._along_x.vjp(arrays.where(self._lit_x, along_x, 0))

@@ -1,0 +1,446 @@
+r"""Sampling of the fields in back-propagation: the rules for pitches and windows, and the choice of grids.
+
+The detector's light goes to the MLA by the angular spectrum, whose windows are periodic. From the MLA over the distance
+b to the main lens it goes in two steps. Free space is the paraxial transfer function times what is left of the exact
+one,
+
+.. math:: e^{i k b (\sqrt{1 - s^2} - 1)} = e^{-i k b s^2 / 2} \; e^{i k b (\sqrt{1 - s^2} - 1 + s^2 / 2)} .
+
+The second factor displaces light by :math:`b s^3 / 2` only and is applied in the plane of the MLA. The first one is a
+single Fourier transform of the field times :math:`\exp(i \pi m^2 / \lambda b)`, with :math:`P / \lambda b` as the
+frequency (Goodman, "Introduction to Fourier Optics", section 4.2): it needs samples for the light that goes to the
+main lens, but none between the two planes. The rules:
+
+- *Pitch*: a grid of pitch d holds a range :math:`\lambda / d` of direction cosines. On the detector they are those of
+  the light that converges to the MLA. Behind a microlens, light of other directions must not be taken for light to the
+  main lens; that is a matter of the directions from one lens, as all light at a place comes from the same one. On the
+  main lens, whose phase comes first, the directions are those of the light to the object plane.
+- *Window*: light leaves a grid in all directions that the grid holds. The window is wide enough that what wraps
+  round falls outside the part of the next plane that is used.
+
+What does not fit into memory goes up to the main lens in strips of the detector, whose fields are added there.
+
+The last step, to an object plane, is one Fourier transform over the pupil. In the direction of the point X, with the
+cosines :math:`s = X / |X|`, a wave from the pupil point P is behind that from the pupil's centre by
+
+.. math:: |P - X| - |X| = -s \cdot P + \frac{P^2 - (s \cdot P)^2}{2 |X|} + \dots
+
+The first term is the transform's, the next one is taken on the axis, so that it is the same for all points; at infinity
+it vanishes. This neglects :math:`3 \theta^2 P^2 / 4 g` at the angle :math:`\theta` from the axis, a sixth of a wave at
+the edge of the paper's field; nothing grows with the distance.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import j0, j1
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if
+from ..light.microlenses import bend
+from ..optics import guards, rays
+from ..optics.waves import in_millimetres
+from ..runtime.fft import fast_length
+from ..runtime.limits import memory_limit, require_memory
+
+Span = tuple[int, int]
+Window = tuple[Span, Span]
+"""First and past-the-last pixel of the full detector, in x and in y."""
+
+GUARD = 1.05
+"""Directions held over those that geometry needs, for the light that edges diffract."""
+
+_PIXEL_GUARD = 1.2
+"""The same on the detector, where the borders of pixels diffract more."""
+
+_MOST_TRANSFORMED = 2**35
+"""Samples that one field's transforms go through, at most: some 100 times those of 4096 x 4096 pixels of the paper.
+
+More takes many minutes.
+"""
+
+_STRIPS_MEMORY, _MEMORY = 5.5 * 2**30, 7 * 2**30
+"""Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused.
+
+The whole process takes up to 2 GiB more than the fields.
+"""
+
+_DIRECTION_SAMPLES, _FINE_DIRECTION_SAMPLES = 2.5, 5.0
+"""Samples of direction cosines over those that the field of a full pupil has, for one bin per lens and for finer ones.
+
+The power has twice as many as the field. With the cubic integrals of `direction_bins` bins are within 0.2 % RMS of
+those from many more samples; ten bins per lens, each as narrow as two samples, would be 2 % off with the fewer ones.
+"""
+
+_LEAST_COSINE = 1e-3
+"""Square of the cosine to the axis from which on light is followed no farther aside."""
+
+_MARGIN_ORDERS, _MARGIN_LENSES = 0.5, 1.0
+"""Diffraction orders of a lens held beyond the directions to the main lens, and lenses beside the lit ones.
+
+Without the steeper directions edges become ripples; what is cut off of these should be in directions that miss.
+"""
+
+OBJECT_MARGIN = 6.0
+"""Bins around the geometric image in which light is retained; beyond three the edge of the pupil diffracts 0.5 %."""
+
+
+@dataclass(frozen=True)
+class AxisStep:
+    """One axis of a propagation step, lengths in millimetres: its source samples, their window, and the next plane's.
+
+    The field is zero beyond `count` samples from `first` on. Of the frequencies of the window of `padded` samples the
+    lowest go to one of `new_padded` samples, `wanted` of which are taken from `start` on.
+    """
+
+    first: float
+    pitch: float
+    count: int
+    padded: int
+    new_padded: int
+    start: float
+    wanted: int
+
+    @property
+    def window(self) -> float:
+        """Width of the window."""
+        return self.padded * self.pitch
+
+    @property
+    def held(self) -> int:
+        """Frequencies that both windows have."""
+        return min(self.padded, self.new_padded)
+
+    @property
+    def new_pitch(self) -> float:
+        """Distance between destination samples."""
+        return self.window / self.new_padded
+
+    @property
+    def source(self) -> np.ndarray:
+        """Coordinates of the source samples, float64 (count,)."""
+        return self.first + self.pitch * np.arange(self.count)
+
+    @property
+    def destination(self) -> np.ndarray:
+        """Coordinates of the destination samples, float64 (wanted,)."""
+        return self.start + self.new_pitch * np.arange(self.wanted)
+
+    @property
+    def reversed(self) -> AxisStep:
+        """The step from the destination samples to the source samples."""
+        return AxisStep(self.start, self.new_pitch, self.wanted, self.new_padded, self.padded, self.first, self.count)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Both axes of one propagation step."""
+
+    x: AxisStep
+    y: AxisStep
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns at the destination."""
+        return self.y.wanted, self.x.wanted
+
+    @property
+    def sample_area(self) -> float:
+        """Area of a destination sample in square millimetres."""
+        return self.x.new_pitch * self.y.new_pitch
+
+    @property
+    def columns(self) -> tuple[int, int]:
+        """Count and largest length of the transposed columns, whose memory source and destination share."""
+        return self.x.held, max(self.y.count, self.y.wanted)
+
+    @property
+    def reversed(self) -> Step:
+        """The step back."""
+        return Step(self.x.reversed, self.y.reversed)
+
+    @property
+    def transforms(self) -> tuple[tuple[int, int, bool], ...]:
+        """Fourier transforms of the step, in order: their count, their length, and whether they are inverse."""
+        x, y = self.x, self.y
+        return (
+            (y.count, x.padded, False),
+            (x.held, y.padded, False),
+            (x.held, y.new_padded, True),
+            (y.wanted, x.new_padded, True),
+        )
+
+    @property
+    def transformed(self) -> int:
+        """Samples that the Fourier transforms of the step go through."""
+        return sum(count * length for count, length, _ in self.transforms)
+
+
+@dataclass(frozen=True)
+class Directions(Step):
+    r"""A step by one transform, from samples to the lowest frequencies of the field; it ends at the spectrum.
+
+    From the MLA these are places on the main lens; from the main lens they are direction cosines, multiples of the
+    wavelength over the window. The step back leads to the source samples.
+    """
+
+    @property
+    def transforms(self) -> tuple[tuple[int, int, bool], ...]:
+        """The transforms to the spectrum."""
+        return super().transforms[:2]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Rows of the lit pixels that go to the main lens together; its samples are the same for all strips.
+
+    `beyond_paraxial` stays in the plane of the MLA, and `to_main_lens` is the paraxial transform from there.
+    """
+
+    rows: slice
+    to_mla: Step
+    beyond_paraxial: Step
+    to_main_lens: Directions
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps, in their order."""
+        return self.to_mla, self.beyond_paraxial, self.to_main_lens
+
+
+@dataclass(frozen=True)
+class LensAxis:
+    """Samples of the main lens along one axis: an odd count, the middle one on the axis, at a pitch in millimetres."""
+
+    count: int
+    pitch: float
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Coordinates, float64 (count,)."""
+        return (np.arange(self.count) - self.count // 2) * self.pitch
+
+
+@dataclass(frozen=True)
+class FieldPlan:
+    """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes.
+
+    `pupil` are the samples of the main lens along x and y, `bins` the bins along x and y of each object plane.
+    """
+
+    subsamples: int
+    strips: tuple[Strip, ...]
+    pupil: tuple[LensAxis, LensAxis]
+    to_objects: tuple[Directions, ...]
+    bins: tuple[int, int]
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """All steps."""
+        return (*(step for strip in self.strips for step in strip.steps), *self.to_objects)
+
+    @property
+    def transformed(self) -> int:
+        """Samples that the Fourier transforms of all steps go through."""
+        return sum(step.transformed for step in self.steps)
+
+    @property
+    def memory(self) -> float:
+        """Bytes of the arrays that are alive at once: the columns of a step, the field at the main lens, and sums.
+
+        Each plane keeps its sums along x, which of these are cut, and its sums along both axes.
+        """
+        columns = max(math.prod(step.columns) for step in self.steps)
+        across, rows = self.bins
+        sums = sum(9.0 * step.y.new_padded * across + 24.0 * rows * across for step in self.to_objects)
+        return 8.0 * (columns + self.pupil[0].count * self.pupil[1].count) + sums
+
+
+def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
+    r"""Field samples across a pixel on the detector.
+
+    The range of direction cosines must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` on both
+    sides of the chief ray, whose own is that of the rim. On the MLA it must hold, beside the light that the main lens
+    accepts from one lens, what this bends to one side, so that this does not come back among the accepted light.
+    """
+    b, z = camera.mla_distance, camera.reduced_distance
+    half_field = max(camera.detector_width, camera.detector_height) / 2
+    converging = max(camera.mla_pitches) * (b + z) / (2 * b * z)
+    accepted = camera.aperture_radius / b
+    most = max(2 * (half_field / b + converging), converging + bend(camera) + accepted)
+    return math.ceil(camera.pixel_size * _PIXEL_GUARD * most / in_millimetres(wavelength))
+
+
+def plan(
+    camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int = 1
+) -> FieldPlan:
+    """Choose the grids for one capture and some object distances: as few strips as memory allows."""
+    rows = lit[1][1] - lit[1][0]
+    count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
+    while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
+        count *= 2
+        finer = _plan(camera, wavelength, distances, lit, oversample, count)
+        if finer.memory >= made.memory:
+            break
+        made = finer
+    return made
+
+
+def field_memory() -> float:
+    """Return the bytes that the fields of a reconstruction may take."""
+    return min(_MEMORY, memory_limit())
+
+
+def _plan(
+    camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int, count: int
+) -> FieldPlan:
+    """Choose the grids for a given count of strips."""
+    subsamples = field_subsamples(camera, wavelength)
+    pitch = camera.pixel_size / subsamples
+    across = _detector_step(camera, wavelength, 0, lit[0], pitch)
+    borders = [lit[1][0] + (lit[1][1] - lit[1][0]) * index // count for index in range(count + 1)]
+    spans = list(itertools.pairwise(borders))
+    down = [_detector_step(camera, wavelength, 1, span, pitch) for span in spans]
+    on_array, pupil, to_objects = [], [], []
+    for axis, steps in enumerate(([across], down)):
+        ways, samples, directions = _main_lens_steps(camera, wavelength, distances, axis, lit[axis], steps, oversample)
+        on_array.append(ways)
+        pupil.append(samples)
+        to_objects.append(directions)
+    strips = [
+        Strip(
+            slice(low - lit[1][0], high - lit[1][0]),
+            Step(across, detector),
+            Step(on_array[0][0][0], beyond),
+            Directions(on_array[0][0][1], to_main_lens),
+        )
+        for (low, high), detector, (beyond, to_main_lens) in zip(spans, down, on_array[1], strict=True)
+    ]
+    # The transform to the main lens has turned rows into columns, and the next one turns these back.
+    objects = tuple(Directions(y, x) for x, y in zip(*to_objects, strict=True))
+    columns, rows = (bins * oversample for bins in camera.bin_count)
+    return FieldPlan(subsamples, tuple(strips), (pupil[0], pupil[1]), objects, (columns, rows))
+
+
+def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance: float, margin: float) -> None:
+    """Check the light that the pupil diffracts more than `margin` bins beyond a lens's image, to come in elsewhere.
+
+    Of an Airy pattern J0(v)^2 + J1(v)^2 are outside a radius r, v = 2 pi R r / (lambda b) on the array.
+    """
+    reach = camera.blur_diameter(distance) / 2 + margin * camera.mla_pitch
+    edge = 2 * math.pi * camera.aperture_radius * reach / (in_millimetres(wavelength) * camera.mla_distance)
+    guards.check(guards.OBJECT, float(j0(edge) ** 2 + j1(edge) ** 2))
+
+
+def require_feasible(made: FieldPlan) -> None:
+    """Refuse a plan that needs more memory than is allowed, or one of too much work."""
+    what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
+    require_memory(made.memory, what, limit=field_memory())
+    refuse_if(
+        made.transformed > _MOST_TRANSFORMED,
+        f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are",
+    )
+
+
+def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
+    """Plan the step from pixels to the cells of their own lenses; light that leaves these cells misses the pupil.
+
+    All directions are included, and the window has room for them on both sides.
+    """
+    b, z = camera.mla_distance, camera.reduced_distance
+    count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
+    first = (lit[0] - camera.resolution[axis] / 2) * camera.pixel_size + pitch / 2
+    spread = math.ceil(z * in_millimetres(wavelength) / (2 * pitch) / pitch)
+    low, high = _cells(camera, rays.chief_point(first + pitch * np.array([0, count - 1.0]), b, z), axis)
+    wanted = math.ceil((high - low) / pitch - 1e-6)  # the width of cells is often a multiple of the pitch
+    start = (low + high) / 2 - (wanted - 1) / 2 * pitch
+    # Few pixels may belong to wide cells.
+    padded = fast_length(max(count + 2 * spread, wanted))
+    return AxisStep(first, pitch, count, padded, padded, float(start), wanted)
+
+
+def _main_lens_steps(
+    camera: PlenopticCamera,
+    wavelength: float,
+    distances: Sequence[float],
+    axis: int,
+    lit: Span,
+    detector: Sequence[AxisStep],
+    oversample: int,
+) -> tuple[list[tuple[AxisStep, AxisStep]], LensAxis, list[AxisStep]]:
+    """Plan the two steps from the MLA, in strips, to the main lens, its samples, and the steps to the object planes."""
+    b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
+    half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
+    steepest = (radius + half_mla) / b + _MARGIN_ORDERS * wave / min(camera.mla_pitches)
+    beside = _MARGIN_LENSES * max(camera.mla_pitches)
+    count = max(step.wanted for step in detector)
+    ways = [_beyond_paraxial(step, count, b, steepest, beside, wave) for step in detector]
+
+    # The samples of the main lens hold the directions of what leaves it for the object planes.
+    extents = [object_extent(camera, distance, axis, lit) for distance in distances]
+    leaving = GUARD * max(max(map(abs, light)) for light, _ in extents)
+    length = fast_length(max(2 * b * leaving / ways[0].new_pitch, *(way.wanted for way in ways)))
+    pitch = wave * b / (length * ways[0].new_pitch)
+    half = min(math.ceil(radius / pitch), (length - 1) // 2)
+    count = 2 * half + 1
+    onto = [AxisStep(way.start, way.new_pitch, way.wanted, length, count, way.start, way.wanted) for way in ways]
+
+    samples = _DIRECTION_SAMPLES if oversample == 1 else _FINE_DIRECTION_SAMPLES
+    padded = fast_length(max(samples * 2 * radius / pitch, count))
+    cosine = wave / (padded * pitch)
+    most = [min(math.ceil(max(map(abs, seen)) / cosine) + 2, (padded - 1) // 2) for _, seen in extents]
+    start = -half * pitch
+    directions = [AxisStep(start, pitch, count, padded, 2 * held + 1, start, count) for held in most]
+    return list(zip(ways, onto, strict=True)), LensAxis(count, pitch), directions
+
+
+def _beyond_paraxial(
+    on_array: AxisStep, count: int, distance: float, steepest: float, beside: float, wave: float
+) -> AxisStep:
+    """Plan the step in the plane of the MLA, which displaces light and leaves directions up to a steepest one.
+
+    The window has room for `count` samples, and for light `beside` them in millimetres.
+    """
+    # Farthest towards the corner of the directions.
+    displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, _LEAST_COSINE)) - 1)
+    pitch, more = on_array.pitch, 2 * (displaced + beside)
+    padded = fast_length(count + more / pitch)
+    new_padded = min(fast_length(padded * pitch * 2 * steepest / wave), padded)
+    new_pitch = padded * pitch / new_padded
+    wanted = min(math.ceil((on_array.wanted * pitch + more) / new_pitch), new_padded)
+    middle = on_array.start + (on_array.wanted - 1) / 2 * pitch
+    start = middle - (wanted - 1) / 2 * new_pitch
+    return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, wanted)
+
+
+def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
+    """Extent of the cells that hold what lies between two coordinates of the MLA plane."""
+    lattice = camera.lattice
+    if lattice.axis_aligned:
+        pitch = camera.mla_pitches[axis]
+        low, high = lattice.axis_cell(ends, axis) * pitch + np.array([0, pitch])
+        return float(low + lattice.offset[axis]), float(high + lattice.offset[axis])
+    reach = lattice.cell_reach
+    # A point is no farther than that from its centre, nor the cell's edge from the centre.
+    return float(ends[0] - 2 * reach), float(ends[1] + 2 * reach)
+
+
+def object_extent(
+    camera: PlenopticCamera, distance: float, axis: int, lit: Span
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ranges of slopes, from the main lens's centre, of the light of lit pixels and of that in bins.
+
+    The two are equal if all of the light goes to bins.
+    """
+    b = camera.mla_distance
+    spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.mla_pitch / b
+    edges = (np.array(lit) - camera.resolution[axis] / 2) * camera.pixel_size
+    high, low = -rays.chief_point(edges, b, camera.reduced_distance) / b
+    light = (float(low) - spread, float(high) + spread)
+    half_field = camera.bin_count[axis] / 2 * camera.mla_pitch / b
+    return light, (min(max(light[0], -half_field), half_field), max(min(light[1], half_field), -half_field))

@@ -1,0 +1,359 @@
+"""Results: images refocused to one distance, on disk as OpenEXR, and volumes of them, as TIFF or Zarr."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+import xarray as xr
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
+from ..io.exr import read_exr, write_exr
+from ..io.files import atomic_output, require_writable
+from ..runtime.limits import require_memory
+from ..runtime.notebook import Displayed
+from ..views.light_field_files import require_zarr
+
+SUFFIXES = (".tif", ".tiff", ".zarr")
+
+_EVEN = 1e-3
+"""Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""
+
+_ALONG = {"z": 0, "y": 1, "x": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction(Displayed):
+    """An image refocused to one distance.
+
+    Attributes
+    ----------
+    image : (rows, columns[, channels]) float32 array
+        Upright; one bin per microlens of the full detector, or as many as were asked for, in units of the capture. It
+        lines up with the image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light can come from.
+    distance : float
+        Object distance in scene units; may be infinite.
+    bin_size : float
+        Width of a bin in the object plane, in scene units; at infinity its slope, the width at a distance of 1.
+    method : str
+        How it was made.
+    options : dict
+        The method's options.
+    camera : PlenopticCamera
+        The camera of the capture.
+    guards : dict
+        Fractions of the light that the guards of the physics found lost, by their names.
+    facts : dict
+        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
+        of what is left of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
+        ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
+        ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
+    """
+
+    image: np.ndarray
+    distance: float
+    bin_size: float
+    method: str
+    camera: PlenopticCamera
+    options: dict[str, Any] = field(default_factory=dict)
+    guards: dict[str, float] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
+    """Write a reconstruction as float32 OpenEXR with camera, distance and method in the header.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    result : Reconstruction
+        The reconstruction.
+    source : dict, optional
+        Metadata of the capture, which are written to the header.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    attributes = {
+        "kind": "reconstruction",
+        "camera": result.camera.to_dict(),
+        "distance": result.distance,
+        "bin_size": result.bin_size,
+        "method": result.method,
+        "options": result.options,
+        "guards": result.guards,
+        "facts": result.facts,
+        "source": source or {},
+    }
+    write_exr(path, result.image, attributes)
+
+
+def read_reconstruction(path: str | Path) -> Reconstruction:
+    """Read a reconstruction that `write_reconstruction` wrote.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is damaged, or is not a reconstruction.
+    """
+    image, _, about = read_exr(path)
+    with naming(path):
+        refuse_if(
+            about.get("kind") != "reconstruction", f"it holds a {short_repr(about.get('kind'))}, not a reconstruction"
+        )
+        with refusing("its header is not that of a reconstruction:", *NO_RECORD):
+            return Reconstruction(
+                image,
+                require_number("distance", about["distance"], positive=True, finite=False),
+                require_number("bin_size", about["bin_size"], positive=True),
+                str(about["method"]),
+                PlenopticCamera.from_dict(about["camera"]),
+                *(dict(about[name]) for name in ("options", "guards", "facts")),
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Planes from near to far on voxels of one width.
+
+    Attributes
+    ----------
+    values : float32 array (planes, rows, columns[, channels])
+        Upright, in units of the capture; NaN beyond what a plane shows.
+    distances : tuple of floats
+        Of the planes, from the main lens, in scene units.
+    voxel_size : float
+        Width and height of a voxel in scene units.
+    attributes : dict
+        Facts as plain data: camera, method, options, and the facts about each plane.
+    """
+
+    values: NDArray[np.float32]
+    distances: tuple[float, ...]
+    voxel_size: float
+    attributes: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, results: Sequence[Reconstruction]) -> Volume:
+        """Gather reconstructions of one capture.
+
+        Bins grow with the distance. Here all planes have voxels as wide as the finest bins, over the field of the
+        farthest plane, interpolated linearly between the centres of their own bins.
+
+        Parameters
+        ----------
+        results : sequence of Reconstruction
+            In any order.
+
+        Returns
+        -------
+        Volume
+
+        Raises
+        ------
+        InputError
+            If the sequence is empty, a distance is infinite or given twice, or images differ in their channels.
+        """
+        refuse_if(not results, "results = []: a volume needs one plane at least")
+        planes = sorted(results, key=lambda result: result.distance)
+        distances = tuple(plane.distance for plane in planes)
+        for nearer, distance in zip((None, *distances), distances, strict=False):
+            if math.isinf(distance) or distance == nearer:
+                rule = "a volume needs finite distances" if math.isinf(distance) else "it is given twice"
+                raise InputError(f"distance = {distance:g}: {rule}")
+        refuse_if(
+            len({plane.image.shape[2:] for plane in planes}) > 1,
+            "results: their images differ in the number of channels",
+        )
+        size = min(plane.bin_size for plane in planes)
+        rows, columns = (
+            max(math.ceil(plane.image.shape[axis] * plane.bin_size / size - 1e-6) for plane in planes)
+            for axis in (0, 1)
+        )
+        shape = len(planes), rows, columns, *planes[0].image.shape[2:]
+        require_memory(12.0 * math.prod(shape), f"a volume of {len(planes)} planes of {columns} x {rows} voxels")
+        values = np.empty(shape, np.float32)
+        for position, plane in zip(values, planes, strict=True):
+            along_rows = _interpolated(plane.image, 0, plane.bin_size / size, rows)
+            position[...] = _interpolated(along_rows, 1, plane.bin_size / size, columns)
+        first = planes[0]
+        attributes = {
+            "camera": first.camera.to_dict(),
+            "method": first.method,
+            "options": first.options,
+            "facts": [plane.facts for plane in planes],
+        }
+        return cls(values, distances, size, attributes)
+
+    @property
+    def spacing(self) -> float | None:
+        """Distance between planes; None for one plane, and where it varies by more than a thousandth."""
+        steps = np.diff(self.distances)
+        if not len(steps) or float(np.ptp(steps)) > 2 * _EVEN * float(steps.mean()):
+            return None
+        return float(steps.mean())
+
+    def maximum(self, axis: str = "z") -> NDArray[np.float32]:
+        """Return the brightest voxel along an axis.
+
+        Parameters
+        ----------
+        axis : {"z", "y", "x"}
+            Seen from the camera, from above, or from the side.
+
+        Returns
+        -------
+        float32 array
+            (rows, columns[, channels]) along z, (planes, columns[, channels]) along y, (planes, rows[, channels]) along
+            x; 0 where no voxel shows anything.
+        """
+        along = _ALONG[require_choice("axis", axis, tuple(_ALONG))]
+        return np.asarray(np.nan_to_num(self.values, nan=0.0).max(axis=along))
+
+    def slices(
+        self, plane: int | None = None, row: int | None = None, column: int | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Return three orthogonal slices through one voxel.
+
+        Parameters
+        ----------
+        plane, row, column : int, optional
+            The voxel. Default: each that of the brightest one.
+
+        Returns
+        -------
+        tuple of float32 arrays
+            (rows, columns[, channels]) of the plane, (planes, columns[, channels]) of the row, and
+            (planes, rows[, channels]) of the column.
+
+        Raises
+        ------
+        InputError
+            If the volume has no such voxel.
+        """
+        grey = np.nan_to_num(self.values if self.values.ndim == 3 else self.values.mean(-1), nan=-np.inf)
+        brightest = np.unravel_index(int(grey.argmax()), grey.shape)
+        position = []
+        for name, given, best, count in zip(
+            ("plane", "row", "column"), (plane, row, column), brightest, grey.shape, strict=True
+        ):
+            if given is not None and not (isinstance(given, (int, np.integer)) and 0 <= given < count):
+                raise InputError(f"{name} = {given!r}: the volume's are numbered from 0 to {count - 1}")
+            position.append(int(best if given is None else given))
+        return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
+
+    def to_xarray(self) -> xr.DataArray:
+        """Return it with its axes: ``distance``, ``y`` and ``x`` in scene units, from the axis, x to the right."""
+        _, rows, columns = self.values.shape[:3]
+        coordinates = {
+            "distance": list(self.distances),
+            "y": (np.arange(rows) - (rows - 1) / 2) * self.voxel_size,
+            "x": (np.arange(columns) - (columns - 1) / 2) * self.voxel_size,
+        }
+        dimensions = [*coordinates, "channel"][: self.values.ndim]
+        attributes = {"voxel_size": self.voxel_size, **{k: json.dumps(v) for k, v in self.attributes.items()}}
+        return xr.DataArray(self.values, coordinates, dimensions, name="radiance", attrs=attributes)
+
+
+def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
+    """Check, before a long computation, that a volume of these planes can be written as the file's suffix says."""
+    path = require_writable(path, *SUFFIXES)
+    if path.suffix.lower() == ".zarr":
+        require_zarr(path)
+    elif not _is_ome(path) and len(distances) > 1:
+        ordered = tuple(sorted(distances))
+        if Volume(np.zeros((len(ordered), 1, 1), np.float32), ordered, 1.0).spacing is None:
+            listed = ", ".join(f"{distance:g}" for distance in ordered[:4]) + (", ..." if len(ordered) > 4 else "")
+            raise InputError(
+                f"distance = {listed}: planes of a .tif are evenly spaced; write .ome.tif, which holds any, or .zarr"
+            )
+    return path
+
+
+def write_volume(path: str | Path, volume: Volume) -> None:
+    """Write a volume with its voxel sizes: TIFF for ImageJ, OME-TIFF or Zarr.
+
+    Parameters
+    ----------
+    path : path
+        A name that ends in ``.tif`` or ``.tiff``, which ImageJ reads as a hyperstack; in ``.ome.tif`` or ``.ome.tiff``,
+        where planes may be unevenly spaced; or in ``.zarr``, which xarray reads and needs the package zarr.
+    volume : Volume
+        The volume, which is written as float32.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    path = require_volume_path(path, volume.distances)
+    if path.suffix.lower() == ".zarr":
+        with atomic_output(path) as temporary:
+            # The third format has no texts of fixed length yet.
+            volume.to_xarray().to_zarr(temporary, zarr_format=2)
+        return
+    values, axes = volume.values, "ZYX"
+    if values.ndim == 4:
+        values, axes = np.moveaxis(values, -1, 1), "ZCYX"
+    with atomic_output(path) as temporary:
+        if _is_ome(path):
+            tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=_ome(volume, axes))
+        else:
+            about = {"distances": list(volume.distances), **volume.attributes}
+            metadata: dict[str, Any] = {"axes": axes, "unit": "mm", "Info": json.dumps(about)}
+            if volume.spacing is not None:
+                metadata["spacing"] = volume.spacing
+            resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
+            tifffile.imwrite(temporary, values, imagej=True, resolution=resolution, metadata=metadata)
+
+
+def _ome(volume: Volume, axes: str) -> dict[str, Any]:
+    """Return the description of a volume for OME's XML."""
+    channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
+    positions = [distance for distance in volume.distances for _ in range(channels)]
+    spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
+    return {
+        "axes": axes,
+        "PhysicalSizeX": volume.voxel_size,
+        "PhysicalSizeXUnit": "mm",
+        "PhysicalSizeY": volume.voxel_size,
+        "PhysicalSizeYUnit": "mm",
+        **spacing,
+        "Plane": {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)},
+        "Description": json.dumps(volume.attributes),
+    }
+
+
+def _is_ome(path: Path) -> bool:
+    return path.name.lower().endswith((".ome.tif", ".ome.tiff"))
+
+
+def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
+    """Take bins that are `width` voxels wide to voxels about the same middle, along one axis; NaN beyond the bins."""
+    bins = image.shape[axis]
+    position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
+    outside = np.abs(position - (bins - 1) / 2) > bins / 2 + 1e-6
+    position = np.clip(np.where(np.abs(position - np.rint(position)) < 1e-6, np.rint(position), position), 0, bins - 1)
+    low = np.floor(position).astype(np.int64)
+    share = np.expand_dims((position - low).astype(np.float32), tuple(range(1, image.ndim - axis)))
+    below, above = (np.take(image, np.minimum(some, bins - 1), axis) for some in (low, low + 1))
+    # A bin that has no part in a voxel may be NaN.
+    found = np.where(share > 0, (1 - share) * below + share * above, below)
+    found[(slice(None),) * axis + (outside,)] = np.nan
+    return np.asarray(found, np.float32)

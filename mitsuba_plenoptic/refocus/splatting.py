@@ -1,0 +1,333 @@
+r"""Pixels summed over bins on any lattice.
+
+A pixel p of the lens with centre c is projected to the position u(c) on the bins, through the point P(c) of the pupil.
+Through another point c + d of its lens it is projected to u(c) + a d, with the same a for all pixels of one lens type.
+Its footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
+first counted on a grid finer than the bins, one for each type of lens; what such a sample gives to each of the bins
+about it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
+bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
+from ..lenses.common import main_lens
+from ..lenses.main_lens import MainLens
+from ..optics import rays
+from ..runtime.backend import array_module, drjit_array
+from ..runtime.fft import rows_and_columns
+from ..runtime.limits import require_memory
+
+# Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
+_FINE = 16
+_LEAST = 4
+
+# Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
+_MOST_TAPS = 9
+
+# Pixels followed at once: few enough to stay in the cache.
+_BLOCK = 2**16
+
+
+@dataclass(frozen=True)
+class Splat:
+    """The positions of the pixels on the bins, and their footprints there.
+
+    There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
+    counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
+    with these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
+    """
+
+    fine: int
+    footprints: list[np.ndarray]
+    margin: int
+    size: tuple[int, int]
+    place: np.ndarray
+    lens_type: np.ndarray
+    pixel: np.ndarray
+
+    @classmethod
+    def of(
+        cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
+    ) -> Splat:
+        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as in `ray_sums`."""
+        focal_lengths = camera.mla_focal_lengths
+        fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
+        if footprint == "lens":
+            fine = max(_LEAST, -(-_FINE // oversample))
+            step = camera.mla_pitch / (oversample * fine)
+            footprints = [_in_bins(_footprint(camera, distance, f2, step), fine) for f2 in focal_lengths]
+        # Pixels that land in bins beyond the border may still reach across it.
+        margin = max(taps.shape[0] // 2 for taps in footprints)
+        columns, rows = (count * oversample for count in camera.bin_count)
+        across, down = columns + 2 * margin, rows + 2 * margin
+        require_memory(
+            # Counted samples, bins, and what is known of every pixel while those of a block are joined.
+            down * across * (24.0 * fine**2 + 8.0 * (channels + 2)) + 100.0 * camera.shape[0] * camera.shape[1],
+            f"{columns} x {rows} bins with footprints of {2 * margin + 1} of them",
+        )
+        landing = _landing(camera, distance, radius, oversample, fine, (down, across))
+        return cls(fine, footprints, margin, (down, across), *landing)
+
+    def forward(self, image: np.ndarray) -> np.ndarray:
+        """Sum the pixels of an image (rows, columns, channels) by bin; float64, like the image."""
+        values = image.reshape(-1, image.shape[2])[self.pixel]
+        (down, across), margin = self.size, self.margin
+        total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
+        for mine, taps in self._types():
+            first = margin - taps.shape[0] // 2
+            for out, weights in zip(total, values.T, strict=True):
+                samples = np.bincount(self.place[mine], weights[mine], down * across * self.fine**2)
+                part = _spread(samples.reshape(down, across, self.fine**2), taps)
+                out[first : first + part.shape[0], first : first + part.shape[1]] += part
+        return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
+
+    def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Apply the transpose of `forward`, to float64 pixels (rows, columns, channels)."""
+        margin, (down, across) = self.margin, self.size
+        padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
+        result = np.zeros((shape[0] * shape[1], bins.shape[2]))
+        for mine, taps in self._types():
+            reach = taps.shape[0] // 2
+            first = margin - reach
+            for channel in range(bins.shape[2]):
+                window = padded[first : first + down + 2 * reach, first : first + across + 2 * reach, channel]
+                result[self.pixel[mine], channel] = _gather(window, taps).reshape(-1)[self.place[mine]]
+        return result.reshape(*shape, -1)
+
+    def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
+        """Yield for each type of lens which of the pixels are its, and its footprint."""
+        for index, taps in enumerate(self.footprints):
+            yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
+
+
+def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+    """Spread the light of every fine sample over the bins around its own."""
+    taps = footprint.shape[0]
+    footprint = footprint.reshape(taps, taps, -1)
+    rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
+    if taps <= _MOST_TAPS:
+        spread = np.zeros((rows, columns))
+        for y, x in np.ndindex(taps, taps):
+            spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ footprint[y, x]
+        return spread
+    shape = [scipy.fft.next_fast_len(size, real=True) for size in (rows, columns)]
+    spectrum = sum(
+        scipy.fft.rfft2(samples[..., fine], shape) * scipy.fft.rfft2(footprint[..., fine], shape)
+        for fine in range(footprint.shape[2])
+    )
+    return scipy.fft.irfft2(spectrum, shape)[:rows, :columns]
+
+
+def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
+    """Apply the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
+    taps = footprint.shape[0]
+    kernels = footprint.reshape(taps, taps, -1)
+    rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
+    spectrum = scipy.fft.rfft2(window)
+    # A correlation of the window with each kernel; values that wrap around lie outside the returned rows and columns.
+    return np.stack(
+        [
+            scipy.fft.irfft2(spectrum * scipy.fft.rfft2(kernels[..., fine], window.shape).conj(), window.shape)[
+                :rows, :columns
+            ]
+            for fine in range(kernels.shape[2])
+        ],
+        axis=-1,
+    )
+
+
+def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
+    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: odd size, the sum is 1."""
+    scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
+    if scale * camera.lattice.aperture_width >= pixel:
+        return camera.lattice.aperture_image(step, scale)
+    half = max(0, math.ceil((pixel / step - 1) / 2))
+    require_memory(16.0 * (2 * half + 1.0) ** 2, f"footprint of {2 * half + 1:.3g} samples across")
+    side = np.ones(2 * half + 1)
+    if half:
+        side[[0, -1]] = (pixel / step - (2 * half - 1)) / 2
+    return np.outer(side, side) / side.sum() ** 2
+
+
+def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
+    """Return the fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around it.
+
+    The footprint is drawn in fine samples; its sum is 1.
+    """
+    half = blur.shape[0] // 2
+    position = np.arange(fine) + np.arange(-half, half + 1)[:, None]
+    reach = -(-half // fine)
+    taps = np.arange(-reach, reach + 1)
+    # Whether a sample of the footprint lies in the bin: (taps, size, fine).
+    there = (position // fine == taps[:, None, None]).astype(np.float64)
+    return np.einsum("iyr,yx,jxc->ijrc", there, blur, there, optimize=True)
+
+
+def _landing(
+    camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return sample, type of lens and flat index of the pixels whose ray passes the pupil and lands on the bins.
+
+    Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
+    """
+    lattice, columns, found = camera.lattice, camera.crop_size[0], []
+    traced = _places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
+    for rows, *position, is_lit in traced:
+        lit = np.flatnonzero(is_lit)
+        x, y = (
+            values[lit] * (oversample / camera.mla_pitch) + size / 2
+            for values, size in zip(position, shape[::-1], strict=True)
+        )
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        sample = np.floor((y - row) * fine).astype(np.int64) * fine + np.floor((x - column) * fine).astype(np.int64)
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        lit, sample = lit[inside], ((row * shape[1] + column) * fine**2 + sample)[inside]
+        lens_type = np.zeros(lit.size, np.int8)
+        if len(camera.mla_focal_lengths) > 1:
+            pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
+            b, z = camera.pupil_distance, camera.reduced_distance
+            lens_type = lattice.lens_type(*lattice.cell(*(rays.chief_point(p, b, z) for p in pixel))).astype(np.int8)
+        found.append([sample, lens_type, lit + rows.start * columns])
+    sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return sample, lens_type, pixels
+
+
+def _places(
+    camera: PlenopticCamera, distance: float, radius: float
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield what `traced_places` does behind a thin main lens, where all along a ray is linear in pixel and centre."""
+    of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
+    of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
+    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // px.size)
+    for first in range(0, down.size, height):
+        p = px, down[first : first + height, None]
+        cell = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
+        shape = p[1].size, px.size
+        (Px, x), (Py, y) = (
+            [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]
+            for q, c in zip(p, camera.lattice.centre(*cell), strict=True)
+        )
+        x, y = (np.broadcast_to(values, shape).reshape(-1) for values in (x, y))
+        yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2
+
+
+_LANES = 2**22
+"""Rays that are followed at once."""
+
+_WHITE_RAYS = 32
+"""Rays of a pixel through each lens that can light it."""
+
+_STEPS = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
+"""Reciprocal powers of the root of x^5 = x + 1: an even sequence in four dimensions (Roberts, 2018)."""
+
+
+def traced_places(
+    camera: PlenopticCamera, distance: float
+) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
+    """Follow one ray a pixel, through the centre of its lens, back to an object plane.
+
+    Yields rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which corrects
+    the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
+    """
+    types, lens = array_module(), main_lens(camera)
+    half, b = camera.pixel_size / 2, camera.mla_distance
+    for rows, px, py in _pixels(camera, types):
+        cx, cy = camera.lattice.centre(*_cell(camera, px, py))
+        lit = types.Bool(False)
+        x, y = types.Float64(0), types.Float64(0)
+        for across, down in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
+            point, slope, is_open = _back(
+                camera, lens, (px + across * half, py + down * half), (cx, cy), (cx, cy), None
+            )
+            lit |= is_open
+            x, y = (-b * (p / distance + (1 - point[2] / distance) * t) for p, t in zip(point[:2], slope, strict=True))
+        dr.eval(x, y, lit)
+        yield rows, x.numpy(), y.numpy(), lit.numpy()
+
+
+def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return the capture by the ray model of a scene of uniform radiance 1, for a camera with a real main lens.
+
+    Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
+    out over the pixels of a bin.
+    """
+    types, lens, lattice, p = array_module(), main_lens(camera), camera.lattice, camera.pixel_size
+    image = np.empty(camera.shape, np.float32)
+    around = crosstalk_neighbours(camera).tolist()
+    several = len(camera.mla_focal_lengths) > 1
+    for rows, px, py in _pixels(camera, types):
+        i, j = _cell(camera, px, py)
+        number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
+        shifts = [types.Float64(_scrambled(types, number, axis)) for axis in range(4)]
+        total = types.Float64(0)
+        for ray in range(_WHITE_RAYS):
+            s, t, u, v = (
+                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, _STEPS, strict=True)
+            )
+            s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
+            position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
+            dx, dy = lattice.aperture_point(u, v)
+            for across, down in around:
+                cx, cy = lattice.centre(i + across, j + down)
+                f2: Any = camera.reduced_focal_lengths[0]
+                if several:
+                    kind = types.UInt32(lattice.lens_type(i + across, j + down))
+                    f2 = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), kind)
+                _, _, is_open = _back(camera, lens, position, (cx + dx, cy + dy), (cx, cy), f2)
+                total += dr.select(is_open, 1.0, 0.0)
+            dr.eval(total)
+        image[rows] = (total / _WHITE_RAYS).numpy().reshape(-1, camera.crop_size[0])
+    return image
+
+
+def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield some rows at a time, with x and y of their pixels' centres."""
+    rows, columns = camera.shape
+    x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
+    together = max(1, _LANES // columns)
+    for first in range(0, rows, together):
+        last = min(rows, first + together)
+        row, column = rows_and_columns(types, last - first, columns)
+        px = dr.gather(types.Float64, x, column)
+        py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
+        yield slice(first, last), px, py
+
+
+def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
+    """Return the indices of the lenses whose centres the light of the pupil's middle passes on its way to pixels."""
+    b, z = camera.pupil_distance, camera.reduced_distance
+    i, j = camera.lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
+    return i, j
+
+
+def _back(
+    camera: PlenopticCamera, lens: MainLens, position: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
+) -> Any:
+    """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
+    z = camera.reduced_distance
+    slope = [
+        (m - p) / z if f2 is None else rays.microlens_slope(p, m, c, z, f2)
+        for p, m, c in zip(position, through, centre, strict=True)
+    ]
+    return lens.trace(through, (slope[0], slope[1]))
+
+
+def _scrambled(types: Any, number: Any, axis: int) -> Any:
+    """Hash consecutive integers to evenly scattered values from 0 to 1 (Wellons, 2018)."""
+    x = types.UInt32(number) * 4 + axis
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x = (x ^ (x >> shift)) * types.UInt32(factor)
+    return types.Float64(x ^ (x >> 16)) * (1 / 2**32)

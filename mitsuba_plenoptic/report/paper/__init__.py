@@ -1,1 +1,0 @@
-"""The reproduction of the paper: its figures, timing and conclusions."""

@@ -1,0 +1,255 @@
+"""The sharpness of an image from one slanted edge in it: the edge's place, its spread, and the transfer function."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import make_lsq_spline
+from scipy.ndimage import gaussian_filter
+
+from ..errors import refuse_if, refusing
+
+_LEAST_TILT, _MOST_TILT = 1.0, 20.0
+"""Angles in degrees between edge and pixels, between which the pixels sample an edge finely and evenly."""
+
+_REACH = 16
+"""Pixels on each side of an edge, at most, that are looked at."""
+
+_LEAST_REACH = 5
+
+_KNOTS = 4
+"""Knots of the edge's profile in a pixel."""
+
+_FREQUENCIES = np.linspace(0, 1, 129)
+"""Frequencies in cycles per pixel."""
+
+
+@dataclass(frozen=True)
+class EdgeSharpness:
+    """The sharpness of an edge.
+
+    Attributes
+    ----------
+    row, column : float
+        Middle of the edge in pixels from the first pixel's centre.
+    angle : float
+        Angle in degrees from the columns, or from the rows of an edge that is nearer to these.
+    upright : bool
+        Whether the edge is nearer to the columns.
+    length : int
+        Rows, or columns of an edge that is nearer to the rows, that were used.
+    width : float
+        Distance in pixels from 10 to 90 per cent of the edge's height.
+    mtf50 : float
+        Frequency in cycles per pixel at which the transfer function first falls to one half; infinity if nowhere.
+    frequency, transfer : ndarray
+        Modulation transfer function across the edge, pixels included, at frequencies in cycles per pixel up to 1.
+        Beyond one half, the sampling limit of the image, it rests on the slant of the edge.
+    """
+
+    row: float
+    column: float
+    angle: float
+    upright: bool
+    length: int
+    width: float
+    mtf50: float
+    frequency: NDArray[np.float64]
+    transfer: NDArray[np.float64]
+
+    def at(self, frequency: float) -> float:
+        """Return the transfer function at a frequency in cycles per pixel."""
+        return float(np.interp(frequency, self.frequency, self.transfer))
+
+
+def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
+    """Measure the modulation transfer function from one slanted edge, wherever it lies in an image.
+
+    The edge's line is found first. All pixels near it sample one profile, as each lies at another distance from the
+    line; the transfer function is the Fourier transform of that profile's slope.
+
+    Parameters
+    ----------
+    image : (rows, columns) or (rows, columns, channels) array
+        Values proportional to light, of which channels are averaged. Borders that are NaN are left out.
+
+    Returns
+    -------
+    EdgeSharpness
+        Place and angle of the edge, its width, and the transfer function.
+
+    Raises
+    ------
+    InputError
+        If there is no edge or more than one, if it is not slanted by 1 to 20 degrees, or if it is saturated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mitsuba_plenoptic as mp
+    >>> rows, columns = np.mgrid[:64, :64]
+    >>> edge = mp.edge_sharpness(1 / (1 + np.exp(-(columns - 30 - 0.1 * rows))))
+    >>> round(edge.angle, 1), edge.upright
+    (5.7, True)
+    """
+    whole = np.asarray(image, np.float64)
+    if whole.ndim == 3:
+        whole = whole.mean(axis=2)
+    refuse_if(whole.ndim != 2, f"image of shape {whole.shape}: it must have rows and columns")
+    known = np.isfinite(whole)
+    rows, columns = (np.flatnonzero(known.mean(axis=1 - axis) > 0.5) for axis in (0, 1))
+    refuse_if(min(rows.size, columns.size) < 2 * _LEAST_REACH, "image: it has no edge: it is too small")
+    inside = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    refuse_if(not known[inside].all(), "image: it has unknown values (NaN) within; cut out the edge")
+    cut = whole[inside]
+    upright = _is_upright(cut)
+    found = _measure(cut if upright else cut.T)
+    row, column = (found.row, found.column) if upright else (found.column, found.row)
+    return replace(found, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
+
+
+def _slopes(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the derivatives down and across, of the image a little smoothed."""
+    down, across = (gaussian_filter(image, 1.0, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
+    return down, across
+
+
+def _is_upright(image: NDArray[np.float64]) -> bool:
+    down, across = _slopes(image)
+    return bool((across**4).sum() >= (down**4).sum())
+
+
+def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
+    """Measure an edge that is nearer to the columns than to the rows."""
+    down, across = _slopes(image)
+    slope = np.hypot(down, across)
+    tilt, start = _line(image, slope, across)
+    angle = math.degrees(math.atan(tilt))
+    rows = _rows_with_edge(image, slope, tilt, start)
+    first, last = int(rows[0]), int(rows[-1])
+    index = np.arange(first, last + 1)
+    middle = (first + last) / 2
+    _refuse_others(slope, tilt, start, index)
+    refuse_if(
+        not _LEAST_TILT <= abs(angle) <= _MOST_TILT,
+        f"image: its edge is turned by {abs(angle):.1f} degrees from the pixels: it must be {_LEAST_TILT:g} to "
+        f"{_MOST_TILT:g}",
+    )
+    # Without a whole pixel of slant, some distances from the line have no pixel.
+    refuse_if(
+        index.size * abs(tilt) < 1,
+        f"image: its edge is {index.size} pixels long: turned by {abs(angle):.2g} degrees it needs "
+        f"{math.ceil(1 / abs(tilt))}",
+    )
+    line = start + tilt * index
+    reach = min(float(_REACH), line.min(), image.shape[1] - 1 - line.max()) * math.cos(math.atan(tilt))
+    refuse_if(reach < _LEAST_REACH, f"image: its edge is nearer than {_LEAST_REACH} pixels to the border")
+    distance = (np.arange(image.shape[1]) - line[:, None]) / math.hypot(1, tilt)
+    near = np.abs(distance) <= reach
+    width, transfer = _transfer(distance[near], image[index][near], reach)
+    above = np.flatnonzero(transfer < 0.5)
+    mtf50 = math.inf
+    if above.size:
+        after = int(above[0])
+        mtf50 = float(np.interp(0.5, transfer[[after, after - 1]], _FREQUENCIES[[after, after - 1]]))
+    return EdgeSharpness(
+        middle, start + tilt * middle, angle, True, int(index.size), width, mtf50, _FREQUENCIES, transfer
+    )
+
+
+def _line(image: NDArray[np.float64], slope: NDArray[np.float64], across: NDArray[np.float64]) -> tuple[float, float]:
+    """Return slope and start of the line column = start + slope * row along the strongest edge."""
+    rows, columns = np.indices(image.shape)
+    down_over_across = np.divide(_slopes(image)[0], across, out=np.full_like(across, np.inf), where=across != 0)
+    steep = slope**2 * (np.abs(down_over_across) < 0.7)
+    refuse_if(
+        not steep.sum() > 0 or np.ptp(image) <= 0.1 * np.abs(image).max(), "image: it has no edge: all of it is alike"
+    )
+    best, tilt, start = -1.0, 0.0, 0.0
+    for trial in np.linspace(-0.6, 0.6, 121):
+        place = columns - trial * rows
+        sums = np.bincount(np.round(place - place.min()).astype(int).ravel(), weights=steep.ravel())
+        if sums.max() > best:
+            best, tilt, start = float(sums.max()), float(trial), float(sums.argmax() + place.min())
+    # Closing in on the line that was found before, by the middle of the slope in each row.
+    for reach in (6.0, 5.0, 4.0, 4.0):
+        offset = columns - (start + tilt * rows)
+        weight = slope * np.cos(math.pi * np.clip(offset / (2 * reach), -0.5, 0.5)) ** 2
+        total = weight.sum(axis=1)
+        there = total > 0.3 * np.quantile(total, 0.95)
+        refuse_if(there.sum() < _LEAST_REACH, "image: it has no edge that is straight")
+        centres = (weight * columns).sum(axis=1)[there] / total[there]
+        tilt, start = (float(one) for one in np.polyfit(np.flatnonzero(there), centres, 1))
+    return tilt, start
+
+
+def _rows_with_edge(
+    image: NDArray[np.float64], slope: NDArray[np.float64], tilt: float, start: float
+) -> NDArray[np.intp]:
+    """Return the longest run of rows in which the edge is as high as elsewhere, without its ends."""
+    rows = np.arange(image.shape[0])
+    line = start + tilt * rows
+    inside = (line > 1) & (line < image.shape[1] - 2)
+    columns = np.arange(image.shape[1])
+    strength = (slope * (np.abs(columns - line[:, None]) < 3)).sum(axis=1) * inside
+    good = strength > 0.7 * np.quantile(strength[inside], 0.8) if inside.any() else inside
+    runs = np.split(np.flatnonzero(good), np.flatnonzero(np.diff(np.flatnonzero(good)) > 1) + 1)
+    longest = max(runs, key=len)
+    ends = [2 if longest.size and longest[0] > 0 else 0, 2 if longest.size and longest[-1] < rows[-1] else 0]
+    longest = longest[ends[0] : longest.size - ends[1]]
+    refuse_if(longest.size < _LEAST_REACH, "image: it has no edge of more than a few pixels")
+    return longest
+
+
+def _refuse_others(slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp]) -> None:
+    """Refuse other edges beside the rows of one that was found."""
+    columns = np.arange(slope.shape[1])
+    offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
+    own = slope[index]
+    height = np.median(np.max(own * (offset < 3), axis=1))
+    # What crosses the edge is in few rows.
+    beside = np.quantile(np.max(own * (offset >= _LEAST_REACH + 1) * (offset <= _REACH), axis=1), 0.95)
+    wide = np.median(np.max(own * (offset >= _LEAST_REACH + 1), axis=1))
+    refuse_if(height <= 0, "image: it has no edge: all of it is alike")
+    refuse_if(max(beside, wide) > 0.3 * height, "image: it has two edges or more; cut out the one to measure")
+
+
+def _transfer(
+    distance: NDArray[np.float64], values: NDArray[np.float64], reach: float
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the width of an edge, and the transfer function, from pixels at distances from its line."""
+    order = np.argsort(distance)
+    distance, values = distance[order], values[order]
+    low, high = (float(values[part].mean()) for part in (distance < -0.7 * reach, distance > 0.7 * reach))
+    refuse_if(
+        not abs(high - low) > 0.1 * np.abs(values).max(), "image: it has no edge: both sides of its line are alike"
+    )
+    step = (values - low) / (high - low)
+    _refuse_saturated(step, values)
+    inner = np.linspace(-reach, reach, round(2 * reach * _KNOTS) + 1)
+    knots = np.concatenate((np.repeat(inner[0], 3), inner, np.repeat(inner[-1], 3)))
+    with refusing("image: its edge is sampled too sparsely:", ValueError, np.linalg.LinAlgError):
+        profile = make_lsq_spline(distance, step, knots, k=3)
+    fine = np.linspace(-reach, reach, round(2 * reach * 32) + 1)
+    rising = profile(fine)
+    width = fine[np.argmax(rising >= 0.9)] - fine[np.argmax(rising >= 0.1)]
+    # Flat over the middle, so that it does not widen the spread; noise far from the edge is faded out.
+    fade = np.clip((reach - np.abs(fine)) / (0.4 * reach), 0, 1)
+    spread = profile.derivative()(fine) * np.sin(0.5 * math.pi * fade) ** 2
+    waves = np.exp(-2j * math.pi * _FREQUENCIES[:, None] * fine)
+    found = np.abs(waves @ spread)
+    return float(width), found / found[0]
+
+
+def _refuse_saturated(step: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+    """Refuse an edge one of whose sides is cut off: many equal values, and hardly any that approach them."""
+    for limit in (values.min(), values.max()):
+        plateau = step[values == limit]
+        if plateau.size < 0.2 * values.size:
+            continue
+        height = np.abs(step - plateau[0])
+        approaching, leaving = (np.count_nonzero((part > 0.02) & (part < 0.1)) for part in (height, 1 - height))
+        refuse_if(approaching < 0.5 * leaving, "image: its edge is saturated: one side is cut off")

@@ -1,0 +1,201 @@
+"""What `mitsuba_plenoptic` serves by name: public names, public modules, and modules by their names in version 1.0."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+ROOT = __name__.rpartition(".")[0]
+
+# Public names of the core by their modules, which are imported when a name is first asked for.
+_NAMES = {
+    "camera": ("PlenopticCamera",),
+    "light.render_capture": ("estimate_capture", "render_capture"),
+    "light.scene": ("load_scene",),
+    "scene_files": ("scene_path",),
+    "light.detector": ("Detector", "expose"),
+    "errors": ("InputError",),
+    "lenses.focusing": ("focus_by_group",),
+    "io.captures": ("Capture", "read_capture", "read_raw", "write_capture", "write_raw"),
+    "io.checkpoints": ("Checkpoint",),
+    "io.examples": ("example", "example_truth"),
+    "io.truth_files": ("GroundTruth", "read_ground_truth", "write_ground_truth"),
+    "prescription.lens_file": ("read_prescription",),
+    "lenses.lens_system": ("LensSystem",),
+    "views": ("decode", "ground_truth"),
+    "prescription.objective": ("Objective",),
+    "points.operator": ("CaptureOperator",),
+    "points.point_spread": ("point_spread_function",),
+    "points.stored": ("StoredOperator",),
+    "points.volume_points": ("volume_points",),
+    "optics.guards": ("PhysicsError", "PhysicsWarning"),
+    "optics.spectrum": ("Spectrum",),
+    "camera.phase_screen": ("PhaseScreen", "frozen_flow"),
+    "plugins.other_camera": ("with_camera",),
+    "prescription": ("Prescription",),
+    "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
+    "runtime.batches": ("Cluster",),
+    "runtime.jobs": ("Job",),
+    "runtime.progress": ("progress_bar",),
+    "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
+}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+
+MOVED = {
+    "system": "light",
+    "capture": "light",
+    "system.optical_system": "light.optical_system",
+    "dataset.torch_data": "extensions.data.torch_data",
+    "benchmark.contents": "extensions.data.contents",
+    "report.sweep": "extensions.studio.sweep",
+    "report.viewer": "extensions.studio.viewer",
+    "reconstruction": "refocus",
+    "reconstruction.ray": "refocus.ray",
+    "reconstruction.radiance": "refocus.radiance",
+    "reconstruction.methods": "refocus.methods",
+    "reconstruction.partitions": "refocus.partitions",
+    "reconstruction.waves": "refocus.wave_methods",
+    "reconstruction.deconvolution": "refocus.deconvolution",
+    "reconstruction.deconvolution.variation": "refocus.deconvolution.variation",
+    "reconstruction.deconvolution.solver": "refocus.deconvolution.solver",
+    "operator": "points",
+    "operator.spectral": "points.spectral",
+    "operator.full_field": "points.full_field",
+    "operator.operator": "points.operator",
+    "operator.point_spread": "points.point_spread",
+    "operator.stored": "points.stored",
+    "operator.volumes": "points.volume_points",
+    "microlens.base": "microlens.shape",
+    "lightfield": "views",
+    "lightfield.exchange": "extensions.raw.exchange",
+    "lightfield.geometry": "views.coordinates",
+    "lenses.base": "lenses.main_lens",
+    "lens_data": "prescription.lens_data",
+    "lattice.base": "lattice.arrangement",
+    "phase_screen": "camera.phase_screen",
+    "detector": "light.detector",
+    "sharpness": "report.sharpness",
+    "collimator": "prescription.collimator",
+    "focusing": "lenses.focusing",
+    "io.zemax_file": "prescription.zemax_file",
+    "io.lens_file": "prescription.lens_file",
+    "io.codev_file": "prescription.codev_file",
+    "io.ground_truth": "io.truth_files",
+    "capture.render": "light.render_capture",
+    "capture.scene": "light.scene",
+}
+"""Modules that pages of version 1.0 named, and what they are called now."""
+
+# Public modules of the core that are not directly in the package.
+_MODULES = {"far_sources": "points.far_sources", "objective": "prescription.objective"}
+
+
+def public_names() -> list[str]:
+    """Return the public names of the core and of the extensions that are there."""
+    from .extension import entries
+
+    return sorted({*_MODULE_OF, *(name for _, _, names in entries("names") for name in names)})
+
+
+def modules() -> set[str]:
+    """Return the names of the public modules and subpackages, and of other modules of the core."""
+    from .extension import entries
+
+    here = {module.name for module in pkgutil.iter_modules(sys.modules[ROOT].__path__)} - {"__main__"}
+    return {*here, *_MODULES, *(name for _, name, _ in entries("modules"))}
+
+
+def attribute(name: str) -> Any:
+    """Return a public name or module of the package."""
+    from .extension import entries, missing
+
+    if name in _MODULE_OF:
+        return getattr(importlib.import_module(f"{ROOT}.{_MODULE_OF[name]}"), name)
+    for package, module, names in entries("names"):
+        if name in names:
+            return getattr(importlib.import_module(f"{package}.{module}"), name)
+    if name in modules() or name in MOVED:
+        return importlib.import_module(f"{ROOT}.{name}")
+    from .errors import did_you_mean
+
+    absent = missing("names", name) or missing("modules", name)
+    raise AttributeError(absent or f"module {ROOT!r} has no attribute {name!r}{did_you_mean(name, public_names())}")
+
+
+def _moved(name: str) -> str:
+    """Return what a module of version 1.0 is called now, with what it contained; an empty text for other modules."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        if now := MOVED.get(".".join(parts[:count])):
+            return ".".join([now, *parts[count:]])
+    return ""
+
+
+class _Alias(Loader):
+    """Loader of a module under another name."""
+
+    def __init__(self, name: str) -> None:
+        self._module = importlib.import_module(name)
+        self._spec = self._module.__spec__
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """Return the module itself."""
+        return self._module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Restore what the import system has overwritten; some are packages by their names in version 1.0."""
+        module.__spec__ = self._spec
+        if not hasattr(module, "__path__"):
+            module.__path__ = []
+
+
+class _MovedFinder(MetaPathFinder):
+    """Finder of modules by what they were called in version 1.0."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module that has another name now, None for all others."""
+        root, _, name = fullname.partition(".")
+        moved = _moved(name) if root == ROOT else ""
+        if not moved:
+            return None
+        warnings.warn(f"{fullname} is called {ROOT}.{moved} since version 2.0", DeprecationWarning, stacklevel=2)
+        return ModuleSpec(fullname, _Alias(f"{ROOT}.{moved}"), is_package=True)
+
+
+class _ServedFinder(MetaPathFinder):
+    """Finder of public modules that are not directly in the package, those of extensions among them."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a module that is served, None for all others."""
+        root, _, name = fullname.partition(".")
+        if root != ROOT or name in ("", "extensions") or "." in name:
+            return None
+        if name in _MODULES:
+            return ModuleSpec(fullname, _Alias(f"{ROOT}.{_MODULES[name]}"))
+        from .extension import entries, missing
+
+        for package, served, module in entries("modules"):
+            if served == name:
+                return ModuleSpec(fullname, _Alias(f"{package}.{module}"))
+        if absent := missing("modules", name):
+            raise ModuleNotFoundError(absent, name=fullname)
+        return None
+
+
+def install() -> None:
+    """Let the import system find modules under the names that they are served by."""
+    if not any(isinstance(finder, _MovedFinder) for finder in sys.meta_path):
+        # Before the finder of files, which would load files of a moved package again, under the former name.
+        sys.meta_path.insert(0, _MovedFinder())
+        sys.meta_path.append(_ServedFinder())

@@ -1,0 +1,108 @@
+"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+SHIPPED: dict[str, dict[str, str]] = {
+    "names": {
+        "calibrate": "calibrate",
+        "fit": "inverse",
+        "bank_disparity": "onchip",
+        "dual_pixel": "onchip",
+        "half_disparity": "onchip",
+        "match_halves": "onchip",
+        "psf_bank": "onchip",
+        "demosaic": "raw",
+        "Viewer": "studio",
+        "view": "studio",
+    },
+    "modules": {
+        "calibration": "calibrate",
+        "dataset": "data",
+        "benchmark": "data",
+        "fitting": "inverse",
+        "optimisation": "inverse",
+        "array_functions": "inverse",
+        "scene_functions": "inverse",
+        "torch": "inverse",
+        "jax": "inverse",
+        "laser": "laser",
+        "onchip": "onchip",
+        "exchange": "raw",
+        "wavefront": "wavefront",
+        "hcipy": "wavefront",
+    },
+    "commands": {
+        "calibrate": "calibrate",
+        "dataset": "data",
+        "benchmark": "data",
+        "fit": "inverse",
+        "dual": "onchip",
+        "reproduce": "paper",
+        "demosaic": "raw",
+        "preview": "studio",
+        "view": "studio",
+        "sweep": "studio",
+        "run": "studio",
+    },
+    "parameters": {"photodiode_response": "onchip"},
+    "presets": {"full_frame_dual": "onchip", "phone_quad": "onchip", "phone_quad_bayer": "onchip"},
+    "captures": {"small lenses": "onchip"},
+    "cameras": {"libpleno": "calibrate"},
+    "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", "parameters.cfg": "raw", ".mat": "raw"},
+}
+
+# For type checkers: at run time names are served when they are asked for.
+if TYPE_CHECKING:
+    from .extensions.calibrate import calibration as calibration
+    from .extensions.calibrate.calibration import calibrate as calibrate
+    from .extensions.data import benchmark as benchmark
+    from .extensions.data import dataset as dataset
+    from .extensions.inverse import array_functions as array_functions
+    from .extensions.inverse import fitting as fitting
+    from .extensions.inverse import optimisation as optimisation
+    from .extensions.inverse import scene_functions as scene_functions
+    from .extensions.inverse.fitting import fit as fit
+    from .extensions.laser import laser as laser
+    from .extensions.onchip import onchip as onchip
+    from .extensions.onchip.onchip import bank_disparity as bank_disparity
+    from .extensions.onchip.onchip import dual_pixel as dual_pixel
+    from .extensions.onchip.onchip import half_disparity as half_disparity
+    from .extensions.onchip.onchip import match_halves as match_halves
+    from .extensions.onchip.onchip import psf_bank as psf_bank
+    from .extensions.onchip.parameter import PhotodiodeParameter
+    from .extensions.raw import exchange as exchange
+    from .extensions.raw.demosaic import demosaic as demosaic
+    from .extensions.studio.viewer import Viewer as Viewer
+    from .extensions.studio.viewer import view as view
+    from .extensions.wavefront import wavefront as wavefront
+
+    __all__ = [
+        "Viewer",
+        "array_functions",
+        "bank_disparity",
+        "benchmark",
+        "calibrate",
+        "calibration",
+        "dataset",
+        "demosaic",
+        "dual_pixel",
+        "exchange",
+        "fit",
+        "fitting",
+        "half_disparity",
+        "laser",
+        "match_halves",
+        "onchip",
+        "optimisation",
+        "psf_bank",
+        "scene_functions",
+        "view",
+        "wavefront",
+    ]
+
+    class ShippedParameters:
+        """Parameters of the camera that extensions add."""
+
+        photodiode_response: PhotodiodeParameter

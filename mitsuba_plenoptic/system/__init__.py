@@ -1,1 +1,0 @@
-"""The optical system between a scene and the detector: microlenses, sampling, and kernels in phase space."""

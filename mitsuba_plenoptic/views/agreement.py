@@ -1,0 +1,145 @@
+"""How well the views of a light field agree that a bin is at some distance."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+import xarray as xr
+
+from .coordinates import channel_planes, view_steps
+from .refocusing import shifted
+
+# Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
+_WINDOW = 1.0
+
+# What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out less.
+_HALF = 2.0
+
+# Views that have the noise of one: decoding interpolates them between the same pixels.
+_SHARED = 2.0
+
+# Fraction of the views that must see a bin: few agree by chance.
+_SEEN = 0.25
+
+# Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
+# coordinate says, which would pull depths towards the plane in focus.
+_OPEN = 0.9
+
+# Bins that are background of the texture of a bin, and those that show it: standard deviations of Gaussian windows.
+_BACKGROUND, _PATCH = 4.0, 3.0
+
+# Correlation of a texture with its Laplacian: at most the first where it has many frequencies, above the second where
+# it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
+_BROAD, _SINGLE = 0.88, 0.96
+
+# Mean frequency of a texture, in cycles per lens, in the mean of views that were moved: interpolation leaves what is
+# broad below the first, found up to 0.28, stripes as fine as a lens stay above the second.
+_COARSE, _FINE = 0.33, 0.37
+
+
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which part of the variance views leave unexplained, moved so that points of one disparity coincide.
+
+    The results, each (t, s): that ratio, from 0 to 1, which noise alone reaches, and NaN where too few views see a bin;
+    the variance that is to be explained; and the samples, over which 1 is the variance of the ratio of noise alone.
+
+    To be explained are the variance of the views in each bin, which is left unexplained, and that of their mean among
+    the neighbouring bins. Interpolation lessens both alike. Where the ratio is less than half as great for the upper,
+    lower, left or right half of the pupil, twice that counts: next to an occluder's edge, one half of the pupil sees
+    past it.
+    """
+    variance, mean, count = _moved_views(lf, slope)
+    seen, parts, means, squares = (
+        scipy.ndimage.gaussian_filter(part, (0, _WINDOW, _WINDOW), mode="nearest")
+        for part in (count, count * variance, count * mean, count * np.square(mean))
+    )
+    parts, means, squares = (part / np.maximum(seen, 1e-6) for part in (parts, means, squares))
+    parts[count < _SEEN * count.max((1, 2), keepdims=True)] = np.nan
+    independent = np.maximum(seen / _SHARED, 1)
+    # Noise, too, leaves a variance in means.
+    whole = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
+    ratio = np.divide(parts, whole, out=np.ones_like(parts), where=~(whole <= 0))
+    ratio[1:] *= _HALF
+    samples = np.square(independent) * (2 * np.pi * _WINDOW**2)
+    best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
+    ratio, samples = (np.take_along_axis(part, best, 0)[0] for part in (ratio, samples))
+    return ratio, whole[0], samples
+
+
+def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Return how probably an image in focus everywhere, (rows, columns), shows stripes finer than two lenses.
+
+    Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
+    1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
+    averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
+    sinc(1 - f). With any complex amplitude up to these alike before, one that both can have is that of the finer ones
+    with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. Texture of many frequencies agrees only
+    at its depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These
+    are recognised by a mean frequency that is higher than moving views by more than a lens, where `moved`, leaves of
+    any other texture.
+    """
+    if min(image.shape) < 3:
+        return np.zeros(image.shape)
+    image = image.astype(np.float64)
+    detail = image - scipy.ndimage.gaussian_filter(image, _BACKGROUND)
+    bent = -scipy.ndimage.laplace(detail)
+    # At the border the Laplacian is not known.
+    inner = np.pad(np.ones((image.shape[0] - 2, image.shape[1] - 2)), 1)
+    power, bend, steepness, mean = (
+        scipy.ndimage.gaussian_filter(part * inner, _PATCH, mode="constant")
+        for part in (np.square(detail), detail * bent, np.square(bent), image)
+    )
+    seen = scipy.ndimage.gaussian_filter(inner, _PATCH, mode="constant")
+    tiny = np.finfo(np.float64).tiny
+    # Only of a single frequency is the Laplacian proportional to the image.
+    single = bend / np.sqrt(power * steepness + tiny)
+    frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
+    contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
+    coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
+    fine = np.where(moved, (frequency - _COARSE) / (_FINE - _COARSE), 0)
+    aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), fine).clip(0, 1)
+    # What is dark or has no frequency is far above 1.3, and must not overflow.
+    ratio = np.minimum(contrast, 1e3) / np.maximum(finer, 1e-6)
+    possible = aliased * ((1.3 - ratio) / 0.3).clip(0, 1)
+    return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
+
+
+def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return variance, mean and count of the views that see each bin, moved so that points of one disparity coincide.
+
+    Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, a mean over the channels.
+    Samples at the pupil's edge are left out.
+    """
+    weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
+    v, u = view_steps(lf, "v"), view_steps(lf, "u")
+    variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
+    for plane in channel_planes(lf):
+        # Counts, sums of values and of their squares over each quadrant of the pupil.
+        sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
+        for row, row_weight, down in zip(plane, weight, v, strict=True):
+            moved, moved_weight = (shifted(part, down * slope, axis=1) for part in (row * row_weight, row_weight))
+            for view, view_weight, across in zip(moved, moved_weight, u, strict=True):
+                if not view_weight.any():
+                    continue
+                # Between a bin and none, the bin's value counts, for as much as its weight.
+                total, part = (shifted(one, across * slope, axis=1) for one in (view, view_weight))
+                moments = np.stack([part, total, total * total / np.maximum(part, 1e-6)])
+                # A view on a dividing line belongs to both of its sides by half.
+                for j, vertical in enumerate(_sides(down)):
+                    for i, horizontal in enumerate(_sides(across)):
+                        if vertical * horizontal:
+                            sums[j, i] += np.float32(vertical * horizontal) * moments
+        halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
+        for index, (count, total, square) in enumerate(halves):
+            seen = np.maximum(count, 1e-6)
+            variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
+            mean[index] += total / seen
+            views[index] += count
+    channels = lf.sizes.get("c", 1)
+    return variance / channels, mean / channels, views / channels
+
+
+def _sides(step: float) -> tuple[float, float]:
+    """Return the fraction of a view that lies on the low and on the high side of the pupil's middle."""
+    high = float(np.clip(step + 0.5, 0, 1))
+    return 1 - high, high

@@ -1,0 +1,262 @@
+"""The axes of a light field, and how far a point at some distance moves from view to view.
+
+A light field is an `xarray.DataArray` with the dimensions ``v, u, t, s`` (and ``c`` where it has colour):
+
+- ``u, v``: where the ray crosses the main lens's pupil, in millimetres, ``u`` along x and ``v`` along y;
+- ``s, t``: where it crosses the object plane that is in focus, in millimetres, ``s`` along x and ``t`` along y.
+
+x and y are those of the camera frame, +x to the left and +y up. All four coordinates therefore *fall* with the
+index: index 0 is the left or the top, so that every view, mosaic and epipolar image is upright when printed as it
+is stored, and the first view is the one from the upper left of the pupil.
+
+A light field without a camera (from a file of another program, say) has coordinates in samples instead, centred
+on zero and rising with the index.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
+from ..io.captures import require_pixels
+from ..optics import rays
+from ..prescription.lens_data import image_distance
+from .lens_grid import LensGrid
+
+DIMS = ("v", "u", "t", "s")
+CHANNELS = ("R", "G", "B")
+
+
+def light_field(
+    values: np.ndarray,
+    weight: np.ndarray | None = None,
+    camera: PlenopticCamera | None = None,
+    bins: LensGrid | None = None,
+    lenses: LensGrid | None = None,
+) -> xr.DataArray:
+    """Wrap sampled values into a labelled light field.
+
+    Parameters
+    ----------
+    values : (v, u, t, s[, 3]) float32 array
+        Radiance; 0 where `weight` is 0.
+    weight : (v, u, t, s) float32 array, optional
+        Fraction of the sample that sees through the pupil, 0 to 1. Default: 0 in views that are black throughout, as
+        those beyond the pupil are, and 1 in the others.
+    camera : PlenopticCamera, optional
+        The camera, for physical coordinates.
+    bins : LensGrid, optional
+        Upright grid of the bins on the detector; needed with a camera.
+    lenses : LensGrid, optional
+        Grid of the micro-images that it was decoded from.
+
+    Returns
+    -------
+    xarray.DataArray
+        With the coordinate `weight`, and in `attrs` the camera under ``camera`` and the grid of the micro-images under
+        ``grid``, as JSON texts that every file format keeps; without them where they are unknown. `camera_of` and
+        `grid_of` read them.
+
+    Raises
+    ------
+    InputError
+        If a value is NaN, infinite or above 1e30 in magnitude, or a weight is not from 0 to 1.
+    """
+    require_pixels("light field", values)
+    if weight is None:
+        seen = values.any(axis=tuple(range(2, values.ndim)), keepdims=True)
+        weight = np.broadcast_to(seen.reshape(*seen.shape[:4]), values.shape[:4]).astype(np.float32)
+    # Written so that NaN is refused.
+    refuse_if(weight.size and not (weight.min() >= 0 and weight.max() <= 1), "light field: a weight is not from 0 to 1")
+    coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
+    for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
+        views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
+        steps = np.arange(views) - (views - 1) / 2
+        if camera is None or bins is None:
+            coordinates[angular] = (angular, steps, {"units": "views"})
+            coordinates[spatial] = (spatial, np.arange(size) - (size - 1) / 2, {"units": "lenses"})
+            continue
+        coordinates[angular] = (
+            angular,
+            pupil_places(camera, views),
+            {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
+        )
+        coordinates[spatial] = (spatial, *_object_coordinate(lens_places(camera, bins, axis), camera, "xy"[axis]))
+    attributes = {}
+    if camera is not None:
+        attributes["camera"] = json.dumps(camera.to_dict())
+    if lenses is not None:
+        attributes["grid"] = json.dumps(asdict(lenses))
+    return labelled(values, coordinates, attributes)
+
+
+def labelled(values: np.ndarray, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
+    """Return radiance (v, u, t, s[, 3]) with its coordinates and attributes."""
+    colours = {"c": ("c", list(CHANNELS))} if values.ndim == 5 else {}
+    dims = (*DIMS, *colours)
+    return xr.DataArray(values, dims=dims, coords=coordinates | colours, name="radiance", attrs=attributes)
+
+
+def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
+    """Return the coordinates on the pupil of `count` views, along x or y."""
+    # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
+    return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
+
+
+def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
+    """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
+    pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
+    p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
+    return np.asarray(rays.chief_point(p, camera.mla_distance, camera.reduced_distance))
+
+
+def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:
+    """Turn lens coordinates into millimetres in the plane in focus, or into slopes if there is no such plane."""
+    distance = camera.focus_distance
+    if 0 < distance < math.inf:
+        return -c * distance / camera.mla_distance, {
+            "units": "mm",
+            "long_name": f"{axis} in the object plane at {distance:.6g} mm",
+        }
+    return -c / camera.mla_distance, {"units": "1", "long_name": f"slope in {axis}; no real plane is in focus"}
+
+
+def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
+    """Return the camera of a light field.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+
+    Raises
+    ------
+    InputError
+        If it has none.
+    """
+    if not lf.attrs.get("camera"):
+        instead = advice(python="give a disparity", shell="use a capture, or a light field that has its camera")
+        raise InputError(f"light field: it has no camera, so distances in millimetres mean nothing; {instead}")
+    return PlenopticCamera.from_dict(_record(lf, "camera"))
+
+
+def grid_of(lf: xr.DataArray) -> LensGrid | None:
+    """Return the grid of the micro-images that a light field was decoded from, None where it is unknown."""
+    return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
+
+
+def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
+    """Return what an attribute holds as JSON."""
+    with refusing(
+        f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON:", TypeError, ValueError
+    ):
+        return dict(json.loads(lf.attrs[name]))
+
+
+def require_light_field(lf: Any) -> xr.DataArray:
+    """Check that something is a light field.
+
+    Raises
+    ------
+    InputError
+        If it is not a DataArray of finite numbers with the dimensions v, u, t, s and the coordinate `weight`.
+    """
+    refuse_if(
+        not isinstance(lf, xr.DataArray),
+        f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives",
+    )
+    refuse_if(
+        lf.dims[:4] != DIMS or lf.dims[4:] not in ((), ("c",)) or "weight" not in lf.coords,
+        f"light field with dimensions {lf.dims}: they must be v, u, t, s[, c], with a coordinate weight",
+    )
+    refuse_if(lf.dtype.kind not in "fiu", f"light field of type {lf.dtype}: it must hold real numbers")
+    require_pixels("light field", lf.values)
+    return lf
+
+
+def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
+    """Return the position of each view along ``u`` or ``v`` in views from the pupil's centre, rising with the index."""
+    coordinate = np.asarray(lf[axis].values, dtype=np.float64)
+    return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
+
+
+def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
+    """Return the camera of a light field, or refuse one whose points do not move evenly from view to view."""
+    camera = camera_of(lf)
+    camera.require_lens("an even parallax between views")
+    return camera
+
+
+def channel_planes(lf: xr.DataArray) -> list[np.ndarray]:
+    """Return the values (v, u, t, s) of each channel."""
+    values = np.asarray(lf.values)
+    return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
+
+
+def depth_range(lf: xr.DataArray) -> tuple[float, float]:
+    """Nearest and farthest distance at which a point moves by at most one lens from view to view.
+
+    Beyond it the parallax is ambiguous where the scene has fine detail. The far end is infinite if points that far
+    still move less.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    """
+    near, far = distance_of(lf, np.array([-1.0, 1.0]))
+    return float(near), float(far)
+
+
+def disparity(lf: xr.DataArray, distance: float) -> float:
+    r"""How far a point moves from one view to the next, in lenses along the index.
+
+    A scene point at distance g appears in the view from pupil point P at the lens c = u + P s(g), with u its image
+    through the pupil's centre and :math:`s = 1 + b/g - b/f_1`. Neighbouring views are
+    :math:`\Delta P = -\Delta p\, b/z` apart, so the point moves by :math:`\delta = -s\, \Delta p\, b / (z D_2)`: zero
+    in focus, negative (against the view) for nearer points.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    distance : float
+        Object distance from the main lens in millimetres.
+
+    Raises
+    ------
+    InputError
+        If the light field has no camera, or the distance is within the focal length.
+    """
+    camera = _camera_behind_a_lens(lf)
+    distance = require_number("distance", distance, finite=False)
+    image_distance(camera.focal_length, distance)
+    return -camera.defocus(distance) * camera.pupil_step / camera.mla_pitch
+
+
+def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
+    """Invert `disparity`: the distance at which a point moves so far; infinity where there is no such distance.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray or xarray.Dataset
+        A light field with a camera, or the depth map of one.
+    disparity : float or array
+        Lenses per view.
+
+    Returns
+    -------
+    float64 array of the same shape
+    """
+    camera = _camera_behind_a_lens(lf)
+    s = -np.asarray(disparity, dtype=np.float64) * camera.mla_pitch / camera.pupil_step
+    power = s - 1 + camera.mla_distance / camera.focal_length
+    with np.errstate(divide="ignore"):
+        return np.where(power > 0, camera.mla_distance / power, np.inf)

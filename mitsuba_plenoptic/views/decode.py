@@ -1,0 +1,301 @@
+"""From a capture to a light field: every micro-image sampled about its true centre, and vignetting removed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy
+import xarray as xr
+
+from ..camera import PlenopticCamera, are_alike, require_camera
+from ..design.microscope import objective_of
+from ..errors import InputError, refuse_if, short_repr, suggest_keywords
+from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
+from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
+from ..light.detector import require_demosaiced
+from ..light.lens_kinds import regular_array
+from ..runtime.limits import require_memory
+from .coordinates import DIMS, light_field
+from .fourier_views import decode_views
+from .lens_grid import LensGrid, bin_grid, lens_grid
+from .white_image import divide_by_white, scaled_white, white_image
+
+
+@suggest_keywords
+def decode(
+    capture: Capture | np.ndarray,
+    *,
+    camera: PlenopticCamera | None = None,
+    white: Capture | np.ndarray | None = None,
+    grid: LensGrid | None = None,
+    truth: GroundTruth | None = None,
+) -> xr.DataArray:
+    """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
+
+    Micro-images are not an integer of pixels apart. Each is resampled about its own centre by linear
+    interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
+    capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
+    resampled to one that is, linearly along its rows and between them.
+
+    A lens of a Fourier light-field microscope makes a picture of the whole object instead: each is a view, with one
+    sample a pixel across the field. Light fields of a microscope with the array in the native image plane are not
+    decoded.
+
+    Parameters
+    ----------
+    capture : Capture or (rows, columns[, 3]) array
+        What the detector recorded. A plain array needs `camera` or `grid`.
+    camera : PlenopticCamera, optional
+        The camera of a plain array, or another one than the capture's.
+    white : Capture or (rows, columns[, 3]) array, optional
+        A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
+        (see `mitsuba_plenoptic.views.white_image.white_radiance`). Default: computed by rays from the camera's pupil;
+        diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
+        Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
+    grid : LensGrid, optional
+        Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
+    truth : GroundTruth, optional
+        What the samples see, as `ground_truth` finds it for the same camera; it goes into the light field as
+        coordinates over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and
+        ``shape_index``.
+
+    Returns
+    -------
+    xarray.DataArray
+        Dimensions ``v, u, t, s[, c]``, see `mitsuba_plenoptic.views.coordinates`. Values are radiance in units of
+        the capture, 0 where the coordinate `weight` (the fraction of the sample that sees through the pupil) is 0.
+
+    Raises
+    ------
+    InputError
+        If neither camera nor grid is known, or the images or the ground truth do not fit each other or the camera.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> lf = mp.decode(mp.example("letters-ray"))
+    >>> dict(lf.sizes)
+    {'v': 11, 'u': 11, 't': 48, 's': 48}
+    """
+    _require_suitable(white, capture, camera)
+    image, camera = _checked(capture, camera, grid)
+    if camera is not None and camera.lens_data.images_stop:
+        for name, given in (("grid", grid), ("truth", truth)):
+            refuse_if(
+                given is not None,
+                f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
+            )
+        return decode_views(image, camera, objective_of(camera), None if white is None else _white(white, image))
+    reference = _reference(image, camera, white, grid)
+    if camera is not None:
+        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
+    elif grid is not None:
+        lenses, bins = grid, _upright(grid)
+    half, alone = view_window(camera, lenses)
+    _require_memory(image, bins, lenses, half)
+    resampling = None if lenses == bins else _between_lenses(lenses, bins)
+
+    light = _sample(image, lenses, half, resampling, bins)
+    fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
+    if camera is None:
+        fraction /= _brightness(fraction[half, half])
+    divide_by_white(light, fraction, alone[:, :, None, None])
+    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(fraction, 1), camera, bins, lenses)
+    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+
+
+def checked_images(
+    capture: Capture | np.ndarray,
+    camera: PlenopticCamera | None,
+    white: Capture | np.ndarray | None,
+    grid: LensGrid | None,
+) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
+    """Return the capture's image, the white image and the camera that `decode` is given, or refuse them.
+
+    The result has the shape (rows, columns, channels), (rows, columns, 1).
+    """
+    _require_suitable(white, capture, camera)
+    image, camera = _checked(capture, camera, grid)
+    return image, _reference(image, camera, white, grid), camera
+
+
+def _checked(
+    capture: Capture | np.ndarray, camera: PlenopticCamera | None, grid: LensGrid | None
+) -> tuple[np.ndarray, PlenopticCamera | None]:
+    """Return image and camera."""
+    if isinstance(capture, Capture):
+        require_demosaiced(capture)
+        camera = camera or capture.camera
+        capture = capture.image
+    image = _image("capture", capture)
+    if camera is not None:
+        camera = regular_array(require_camera(camera))
+    refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
+    refuse_if(
+        camera is None and grid is None,
+        "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image",
+    )
+    if camera is not None and image.shape[:2] != camera.shape:
+        raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
+    return image, camera
+
+
+def _require_suitable(
+    white: Capture | np.ndarray | None, capture: Capture | np.ndarray, camera: PlenopticCamera | None
+) -> None:
+    """Refuse a white capture of a mosaic, or by another camera."""
+    if isinstance(white, Capture):
+        require_demosaiced(white)
+        own = capture.camera if isinstance(capture, Capture) else None
+        require_suitable_white(white, [each for each in (camera, own) if each is not None])
+
+
+def _reference(
+    image: np.ndarray, camera: PlenopticCamera | None, white: Capture | np.ndarray | None, grid: LensGrid | None
+) -> np.ndarray:
+    """Return the white image, (rows, columns, 1): the given one, or what the camera would record."""
+    if camera is None:
+        if white is None:
+            raise InputError("white = None: without a camera the pupil is known from a white image only")
+        return _white(white, image)
+    computed = white_image(camera, grid)
+    return computed[..., None] if white is None else scaled_white(_white(white, image), computed, camera)
+
+
+def _coordinates(
+    truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
+) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Return ground truth as coordinates of the light field of its camera."""
+    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
+    refuse_if(
+        not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
+        "truth: it is of another camera than the light field",
+    )
+    whole = {"shape_index": np.int32}
+    return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
+
+
+def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
+    """Refuse a light field too large, before it is sampled."""
+    views, channels = 2 * half + 1, image.shape[2]
+    # Light and white, each as sampled and in the order of the light field; and the images.
+    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
+    require_memory(
+        4.0 * samples + 12.0 * image.shape[0] * image.shape[1],
+        f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
+    )
+
+
+def _image(name: str, values: np.ndarray) -> np.ndarray:
+    image = as_array(name, values)
+    refuse_if(
+        image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
+        f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels",
+    )
+    require_pixels(name, image)
+    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
+
+
+def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return a white capture in one channel, of the image's size."""
+    reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
+    refuse_if(
+        reference.shape[:2] != image.shape[:2],
+        f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}",
+    )
+    return np.asarray(reference)
+
+
+def _brightness(middle: np.ndarray) -> np.float32:
+    """Typical value of a white image in the middle of its micro-images."""
+    lit = middle[middle > 0]
+    refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
+    return np.float32(np.median(lit))
+
+
+def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
+    """Return how many views lie on either side of the central one, and mark those that see this lens alone.
+
+    The result has the shape (2 half + 1, 2 half + 1).
+    """
+    reach = lenses.nearest_distance / 2
+    views = math.inf
+    if camera is not None:
+        radius = camera.aperture_radius / camera.pupil_step
+        # Where micro-images do not touch, there is room beyond half the distance to the next lens.
+        reach = max(reach, lenses.nearest_distance - radius)
+        views = math.ceil(radius - 0.5)
+    # A sample mixes the pixels whose centres lie within one pixel of it.
+    reach = max(reach - 1, 0)
+    half = int(min(views, math.floor(reach)))
+    offset = np.arange(-half, half + 1)
+    return half, np.hypot(offset[:, None], offset) <= reach
+
+
+def _upright(lenses: LensGrid) -> LensGrid:
+    """Return a square upright grid of the same density that fills what the lenses cover."""
+    pitch = lenses.pitch
+    low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
+    if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:
+        return lenses
+    columns, rows = (max(1, round((high[axis] - low[axis]) / pitch) + 1) for axis in (0, 1))
+    middle = (low + high) / 2
+    start = (float(middle[0] - (columns - 1) / 2 * pitch), float(middle[1] - (rows - 1) / 2 * pitch))
+    return LensGrid((pitch, pitch), start, (rows, columns))
+
+
+def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
+    """Weights that interpolate from lenses to bins, (bins, lenses): linearly along the rows, and between two rows.
+
+    Lenses that would be needed beyond the grid's edge are left out, so that weights there sum to less than 1.
+    """
+    rows, columns = lenses.shape
+    dx, dy = (bins.centres().reshape(-1, 2) - lenses.offset).T
+    cosine, sine = math.cos(lenses.rotation), math.sin(lenses.rotation)
+    x, y = (cosine * dx + sine * dy) / lenses.spacing[0], (cosine * dy - sine * dx) / lenses.spacing[1]
+    entries = []
+    for row in (np.floor(y), np.floor(y) + 1):
+        along = x if lenses.shifted_rows is None else x - 0.5 * (row % 2 == lenses.shifted_rows)
+        for column in (np.floor(along), np.floor(along) + 1):
+            weight = (1 - np.abs(y - row)) * (1 - np.abs(along - column))
+            there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns) & (weight > 1e-9)
+            lens = (row * columns + column)[there].astype(np.int64)
+            entries.append((weight[there].astype(np.float32), np.flatnonzero(there), lens))
+    weight, target, source = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    return scipy.sparse.csr_array((weight, (target, source)), shape=(dx.size, rows * columns))
+
+
+def _sample(
+    image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
+) -> np.ndarray:
+    """Sample the lenses of an image, and interpolate between them.
+
+    The result has the shape (2 half + 1, 2 half + 1, rows, columns, channels).
+    """
+    samples = sample_lenses(image, lenses, half)
+    if resampling is not None:
+        samples = (resampling @ samples.reshape(len(samples) * samples.shape[1], -1)).reshape(
+            *bins.shape, *samples.shape[2:]
+        )
+    return np.ascontiguousarray(samples.transpose(2, 3, 0, 1, 4))
+
+
+def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
+    """Sample an image at whole-pixel steps about each micro-image centre.
+
+    The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
+    """
+    views, channels = 2 * half + 1, image.shape[2]
+    height, width = image.shape[:2]
+    samples = np.empty((*lenses.shape, views, views, channels), dtype=np.float32)
+    for out, row in zip(samples, lenses.centres() - 0.5, strict=True):
+        base = np.floor(row).astype(np.int64)
+        across, down = (base[:, axis, None] + np.arange(-half, half + 2) for axis in (0, 1))
+        inside = ((down >= 0) & (down < height))[:, :, None] & ((across >= 0) & (across < width))[:, None, :]
+        patch = image[down.clip(0, height - 1)[:, :, None], across.clip(0, width - 1)[:, None, :]]
+        patch = patch * inside[..., None]
+        fx, fy = (((row - base)[:, axis].astype(np.float32))[:, None, None, None] for axis in (0, 1))
+        patch = patch[:, :-1] * (1 - fy) + patch[:, 1:] * fy
+        out[...] = patch[:, :, :-1] * (1 - fx) + patch[:, :, 1:] * fx
+    return samples

@@ -1,0 +1,297 @@
+"""Depth from a light field, by how well the views agree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy
+import xarray as xr
+
+from ..camera import are_alike
+from ..design import focus_types
+from ..errors import InputError, require_count, require_number, suggest_keywords
+from ..runtime.jobs import Progress, counted
+from ..runtime.limits import require_memory
+from .agreement import finer_stripes, view_disagreement
+from .coordinates import camera_of, depth_range, disparity, distance_of, require_light_field, view_steps
+from .lens_agreement import LensComparison
+from .lens_images import MicroImages, micro_images_of
+from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
+from .refocusing import shift_and_add
+from .repetition import wrong_by_repetition
+
+RIGHT = 0.01
+"""Relative error of a depth that counts as right."""
+
+# Lenses per view up to which depth is sought by default: views, that then show blur as wide, still show coarse texture.
+_WIDEST = 2.0
+
+# Planes for each lens per view, and for each pixel that micro-images of neighbouring lenses are moved.
+_PER_LENS, _PER_PIXEL = 32, 4
+
+# Bins around one that tell how bright it is: standard deviation of the Gaussian window.
+_AROUND = 2.0
+
+
+@suggest_keywords
+def depth_map(
+    lf: xr.DataArray,
+    near: float | None = None,
+    far: float | None = None,
+    *,
+    micro_images: MicroImages | None = None,
+    planes: int | None = None,
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
+
+    For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
+    unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
+    `plane_choice` makes probabilities of it, with those of neighbouring bins, takes the most probable plane, refined by
+    a parabola, and tests whether it explains more than it would of noise alone, and how many neighbours agree.
+
+    The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
+    1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
+    where stripes may be finer than two lenses or, of a focused camera, have a period of less than five pixels within
+    micro-images. It is unknown, too, where most neighbours are at other distances. The confidence is 0 where views
+    agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
+    Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
+    there is unknown in the same way.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field of a camera.
+    near, far : float
+        Range of distances in millimetres to search. Default: where a point moves by at most two lenses from view to
+        view, twice as far as `depth_range`; of a focused camera `depth_range`.
+    micro_images : MicroImages, optional
+        What `micro_images` makes of the same capture. A focused camera whose lenses are not upright and square needs
+        them, as its light field is interpolated between lenses; others do without.
+    planes : int, optional
+        How many planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart, or
+        micro-images of a focused camera would move by more than a quarter of a pixel between them.
+    progress : callable, optional
+        Called with the planes done and their number.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over t, s: ``depth`` (distance from the main lens along the axis, mm; NaN where it is unknown), ``disparity``
+        (lenses per view, the best guess everywhere), ``confidence`` (0 to 1), and ``image``, the image in focus
+        everywhere; and, where the light field has ground truth, ``truth``, the depth that the central view sees (mm),
+        which `depth_error` compares with.
+
+    Raises
+    ------
+    InputError
+        If the light field has no camera, near is not before far, an argument is out of range, a focused camera tells
+        no depth between near and far, or its micro-images are needed and not given, or of another camera.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> capture, truth = mp.example("letters-ray"), mp.example_truth("letters-ray")
+    >>> found = mp.views.depth_map(mp.decode(capture, truth=truth), 200, 300, planes=16)
+    >>> mp.views.depth_error(found).median < 0.01  # of the distance
+    True
+    """
+    lf = require_light_field(lf)
+    nearest, farthest = _default_search(lf)
+    near = require_number("near", nearest if near is None else near)
+    far = require_number("far", farthest if far is None else far, finite=False)
+    if not near < far:
+        raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
+    if planes is not None:
+        planes = require_count("planes", planes, minimum=3, maximum=1024)
+    slopes = _slopes(lf, disparity(lf, near), disparity(lf, far), planes)
+    planes = len(slopes)
+    bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
+    # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
+    samples = lf.size if micro_images is None else micro_images.values.size
+    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 84.0 * bins
+    require_memory(
+        copies + plane * planes,
+        f"depth map of {planes} planes",
+        lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
+    )
+    choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
+    found = np.interp(choice.plane, np.arange(planes), slopes)
+    nearest_plane = np.rint(choice.plane).astype(np.int64)
+    sharp = np.empty(lf.shape[2:], dtype=np.float32)
+    for index in np.unique(nearest_plane):
+        here = nearest_plane == index
+        sharp[here] = shift_and_add(lf, slopes[index]).values[here]
+    # Several distances explain stripes alike, which no comparison of planes shows.
+    if is_focused(lf):
+        ambiguous = wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
+    else:
+        moved = np.abs(found) * view_steps(lf, "u").max() > 1
+        ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
+    probability = choice.probability * (1 - ambiguous)
+    depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, found))
+    dims = ("t", "s")
+    maps: dict[str, Any] = {
+        "depth": (dims, depth, {"units": "mm"}),
+        "disparity": (dims, found, {"units": "lenses per view"}),
+        "confidence": (dims, probability),
+        "image": (("t", "s", "c")[: sharp.ndim], sharp),
+    }
+    if "depth" in lf.coords:
+        maps["truth"] = (dims, lf.depth.sel(u=0.0, v=0.0, method="nearest").values, {"units": "mm"})
+    return xr.Dataset(
+        maps,
+        coords={dim: lf[dim] for dim in ("t", "s", "c") if dim in lf.coords},
+        attrs={**lf.attrs, "near": near, "far": far, "planes": planes},
+    )
+
+
+def beyond_search(found: xr.Dataset) -> tuple[float, float]:
+    """Return which fractions of the bins probably see what is nearer and what is farther than a depth map's search.
+
+    Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
+    """
+    distance = distance_of(found.disparity.assign_attrs(found.attrs), found.disparity.values)
+    unknown, reach = found.confidence.values == 0, 1 + 2 * RIGHT
+    near, far = distance < found.attrs["near"] * reach, distance > found.attrs["far"] / reach
+    return float((unknown & near).mean()), float((unknown & far).mean())
+
+
+def _default_search(lf: xr.DataArray) -> tuple[float, float]:
+    """Return the nearest and the farthest distance of which views or micro-images can show the depth.
+
+    Views show it while they move by up to `_WIDEST` lenses, twice as far as `depth_range`; micro-images of focused
+    cameras while their lenses are not farther apart than what they show.
+    """
+    if is_focused(lf):
+        return depth_range(lf)
+    near, far = distance_of(lf, np.array([-_WIDEST, _WIDEST]))
+    # Nothing nearer than the focal length has an image.
+    return max(float(near), 1.01 * camera_of(lf).focal_length), float(far)
+
+
+def default_slopes(lf: xr.DataArray) -> np.ndarray:
+    """Return the disparities of the planes of the default search."""
+    near, far = _default_search(lf)
+    return _slopes(lf, disparity(lf, near), disparity(lf, far), None)
+
+
+def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> np.ndarray:
+    """Return the disparities of the planes, from the first to the last.
+
+    Views move evenly from plane to plane. Micro-images of focused cameras move by the inverse of the disparity, so that
+    planes are the denser the smaller it is, and those at which neighbouring lenses have nothing in common are left out,
+    but for one in the middle of them.
+    """
+    if not is_focused(lf):
+        return np.linspace(first, last, planes or max(64, math.ceil(_PER_LENS * (last - first)) + 1))
+    # A lens's neighbour shows the same at least two views away from the last.
+    smallest = 1 / max(1, max(lf.shape[:2]) - 2)
+    dense = math.sqrt(_PER_PIXEL / _PER_LENS)
+
+    def steps(slope: np.ndarray | float) -> Any:
+        """Count planes from a disparity of `dense` on: the integral of the greater of both densities."""
+        return np.where(
+            slope < dense, _PER_PIXEL * (1 / dense - 1 / np.maximum(slope, 1e-9)), _PER_LENS * (slope - dense)
+        )
+
+    fine = np.linspace(smallest, max(abs(first), abs(last), smallest), 4096)
+    sides = [
+        (sign, *np.clip(ends, smallest, None))
+        for sign, ends in ((-1, (max(0.0, -last), -first)), (1, (max(0.0, first), last)))
+        if ends[1] > smallest
+    ]
+    if not sides:
+        return np.linspace(first, last, planes or 3)
+    counts = [float(steps(high) - steps(low)) for _, low, high in sides]
+    hole = len(sides) == 2
+    total = (planes or max(64, math.ceil(sum(counts)) + 1)) - hole
+    found = [np.zeros(1)] if hole else []
+    left = total
+    for index, ((sign, low, high), count) in enumerate(zip(sides, counts, strict=True)):
+        number = left if index == len(sides) - 1 else min(max(1, round(total * count / sum(counts))), total - 1)
+        left -= number
+        found.append(sign * np.interp(np.linspace(steps(low), steps(high), number), steps(fine), fine))
+    return np.sort(np.concatenate(found))
+
+
+def is_focused(lf: xr.DataArray) -> bool:
+    """Whether all microlenses of a light field's camera are focused on the main lens's image."""
+    return "unfocused" not in focus_types(camera_of(lf))
+
+
+def disagreement_of_planes(
+    lf: xr.DataArray,
+    slopes: np.ndarray,
+    progress: Progress | None = None,
+    micro_images: MicroImages | None = None,
+) -> tuple[Disagreement, float]:
+    """Measure how badly views agree about planes of rising disparities, and return how many samples that counts for.
+
+    `micro_images` are those of a focused camera; those of another camera are refused.
+    """
+    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
+    if is_focused(lf):
+        images = micro_images_of(lf) if micro_images is None else micro_images
+        if not are_alike(images.camera, camera_of(lf)) or images.bins.shape != lf.shape[2:4]:
+            raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
+        measure, samples = LensComparison(images).disagreement, LENSES
+    else:
+        measure, samples = partial(view_disagreement, lf), VIEWS
+    brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
+    ratio, whole, counted_for = np.empty((3, len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    for index, slope in enumerate(counted(slopes, progress)):
+        ratio[index], whole[index], counted_for[index] = measure(float(slope))
+    distances = distance_of(lf, slopes)
+    if np.isnan(ratio).all():
+        raise InputError(
+            f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
+            "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
+        )
+    return disagreement(ratio, whole, counted_for, brightness, 1 / distances), samples
+
+
+@dataclass(frozen=True)
+class DepthError:
+    """How far estimated depths are off, as fractions of the true distance.
+
+    Attributes
+    ----------
+    median, percentile_90 : float
+        Of the bins that are sure; NaN if there is none.
+    share : float
+        Fraction of the bins with a finite true depth that are sure.
+    """
+
+    median: float
+    percentile_90: float
+    share: float
+
+
+def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
+    """Compare the depths of `depth_map` with the truth, where the confidence is above a bound.
+
+    Parameters
+    ----------
+    found : xarray.Dataset
+        What `depth_map` returned.
+    confidence : float
+        Depths of a higher confidence are compared.
+
+    Raises
+    ------
+    InputError
+        If the truth is not known.
+    """
+    if "truth" not in found:
+        raise InputError("depth map: its light field had no ground truth: give it to decode()")
+    truth = found.truth.values
+    known = np.isfinite(truth)
+    sure = known & (found.confidence.values > confidence) & np.isfinite(found.depth.values)
+    error = np.abs(found.depth.values[sure] / truth[sure] - 1)
+    median, high = np.percentile(error, (50, 90)) if error.size else (np.nan, np.nan)
+    return DepthError(float(median), float(high), float(sure.sum() / max(1, known.sum())))

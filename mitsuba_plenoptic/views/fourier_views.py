@@ -1,0 +1,162 @@
+r"""Light fields of the Fourier light-field microscope: the picture that each lens makes is a view of the whole object.
+
+The lens at c in the image of the stop gets the light that has passed the stop at :math:`-c f_T / f_F`, and shows the
+object upright in the camera frame at the scale :math:`z M / f_F`, about its own centre
+(`mitsuba_plenoptic.lenses.telecentric`). A view's pixels are those of the detector, so that nothing is interpolated but
+what lies between pixels.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if
+from ..lenses.common import main_lens
+from ..prescription.objective import Objective
+from ..runtime.limits import require_memory
+from .coordinates import DIMS, labelled
+from .white_image import MINIMUM_WEIGHT, divide_by_white, white_radiance
+
+_SAMPLES = 64
+"""Positions along a lens at which the stop is looked up."""
+
+_SAME = 1e-6
+"""Fraction of a pitch by which columns of lenses may differ that are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensViews:
+    """The lenses of a Fourier microscope whose pictures are views, on a grid of columns and rows."""
+
+    # Positions of the columns and rows on the array in millimetres, rising; (columns,).
+    across: NDArray[np.float64]
+    down: NDArray[np.float64]
+    # What a lens there records of an even object, over what all the stop lets through evenly; 0 where there is no lens,
+    # as at every second position of a hexagonal array, or where it lies beyond the image of the stop; (rows, columns).
+    fraction: NDArray[np.float32]
+    # Pixels of its picture on either side of the one in the middle, along x and y.
+    half: tuple[int, int]
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
+        """Find the lenses in the image of the stop."""
+        lattice, p = camera.lattice, camera.pixel_size
+        refuse_if(
+            abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
+            f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
+            "of the detector; turn the array by a whole number of right angles",
+        )
+        half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
+        refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
+        reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
+        lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
+        x, y = (np.asarray(values, np.float64) for values in lattice.centre(*lenses.T.astype(np.float64)))
+        fraction = _in_stop(camera, lens, x, y)
+        seen = fraction >= MINIMUM_WEIGHT
+        refuse_if(not seen.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
+        tolerance = _SAME * min(camera.mla_pitches)
+        across, column = _lines(x[seen], tolerance)
+        down, row = _lines(y[seen], tolerance)
+        table = np.zeros((len(down), len(across)), np.float32)
+        table[row, column] = fraction[seen]
+        return cls(across, down, table, (half[0], half[1]))
+
+
+def decode_views(
+    image: NDArray[np.float32], camera: PlenopticCamera, lens: Objective, white: NDArray[np.float32] | None
+) -> xr.DataArray:
+    """Turn a capture of a Fourier microscope into a light field; see `decode`.
+
+    Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
+    """
+    views = LensViews.of(camera, lens)
+    rows, columns = 2 * views.half[1] + 1, 2 * views.half[0] + 1
+    shape = (*views.fraction.shape, rows, columns)
+    require_memory(
+        4.0 * math.prod(shape) * (2 * image.shape[2] + 4), f"light field of {shape[1]} x {shape[0]} views of its lenses"
+    )
+    values = _sampled(image, camera, views)
+    there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
+    weight = there * views.fraction[:, :, None, None]
+    if white is not None:
+        computed = weight.sum(axis=(2, 3)).ravel()
+        weight = _sampled(white, camera, views)[..., 0]
+        radius = np.hypot(views.across, views.down[:, None]).ravel()
+        weight /= white_radiance(weight.sum(axis=(2, 3)).reshape(-1, 1), computed, radius)
+    divide_by_white(values, weight)
+    scale = -lens.tube_focal_length / lens.last_focal_length
+    coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}
+    for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
+        coordinates[name] = (name, scale * positions, {"units": "mm", "long_name": f"{axis} on the stop"})
+    for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
+        steps = np.arange(half, -half - 1, -1) * camera.bin_size(0)
+        coordinates[name] = (name, steps, {"units": "mm", "long_name": f"{axis} in the native object plane"})
+    attributes = {"camera": json.dumps(camera.to_dict())}
+    return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
+
+
+def _room(camera: PlenopticCamera) -> tuple[float, float]:
+    """Return the width and height of a rectangle about each lens's centre that overlaps none of its neighbours'."""
+    lattice = camera.lattice
+    along, across = float(lattice.pitches[0]), float(lattice.row_distance)
+    upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
+    return (along, across) if upright else (across, along)
+
+
+def _in_stop(
+    camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Return the light that the apertures of lenses at some positions receive, relative to that of an even stop."""
+    lattice, stop = camera.lattice, main_lens(camera)
+    reach = lattice.cell_reach
+    offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
+    dx, dy = (values.ravel() for values in np.meshgrid(offset, offset))
+    inside = np.asarray(lattice.in_aperture(dx, dy), bool)
+    dx, dy = dx[inside], dy[inside]
+    growth = -lens.tube_focal_length / lens.last_focal_length
+    # The mean power over the stop is 1.
+    mean = stop.passed_power / (math.pi * stop.pupil_radius**2)
+    found = np.empty(len(x), np.float32)
+    for index, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
+        pupil = (cx + dx) * growth, (cy + dy) * growth
+        power = np.where(stop.inside(pupil) >= 0, stop.amplitude(pupil, (0.0, 0.0, 0.0)) ** 2, 0)
+        found[index] = power.mean() / mean
+    return found
+
+
+def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the distinct positions, rising, and the index of each among them."""
+    order = np.argsort(positions)
+    line_of = np.cumsum(np.diff(positions[order], prepend=-np.inf) > tolerance) - 1
+    result = np.empty(len(positions), np.int64)
+    result[order] = line_of
+    lines = np.array([positions[order][line_of == line].mean() for line in range(int(line_of[-1]) + 1)])
+    return lines, result
+
+
+def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensViews) -> NDArray[np.float32]:
+    """Return the pictures upright, (v, u, rows, columns, channels): linear between pixels, 0 beyond the image."""
+    channels = image.shape[2]
+    half = views.half
+    result = np.zeros((*views.fraction.shape, 2 * half[1] + 1, 2 * half[0] + 1, channels), np.float32)
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0))).astype(np.float32, copy=False)
+    for row, column in np.argwhere(views.fraction > 0).tolist():
+        picked: NDArray[np.float32] = padded
+        for axis, centre in ((0, views.down[row]), (1, views.across[column])):
+            position = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
+            low = math.floor(position)
+            part = np.float32(position - low)
+            index = low + np.arange(-half[1 - axis], half[1 - axis] + 2) + 1
+            lines = np.take(picked, index.clip(0, padded.shape[axis] - 1), axis)
+            first, second = (np.take(lines, np.arange(len(index) - 1) + step, axis) for step in (0, 1))
+            picked = np.asarray((1 - part) * first + part * second, np.float32)
+        # Pixels rise with x and y, the coordinates of a light field fall.
+        result[row, column] = picked[::-1, ::-1]
+    return result

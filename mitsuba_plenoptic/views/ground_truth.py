@@ -1,0 +1,203 @@
+"""Ground truth of captures and of the light fields that are decoded from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if, suggest_keywords
+from ..io.truth_files import QUANTITIES, GroundTruth, require_quantities
+from ..light.lens_kinds import regular_array
+from ..light.render_capture import plenoptic_sensor
+from ..runtime.backend import drjit_array, one_at_a_time
+from ..runtime.limits import require_memory
+from .coordinates import lens_places, pupil_places
+from .decode import view_window
+from .lens_grid import bin_grid, lens_grid
+
+_LANES = 2**21
+"""Rays that are traced at once."""
+
+_REFLECTIONS = 8
+"""Plane mirrors that a ray is followed over, one after the other, at most."""
+
+
+class FirstHits:
+    """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` reports."""
+
+    def __init__(
+        self,
+        scene: Any,
+        sensor: Any,
+        # What to find, of `QUANTITIES`.
+        names: Sequence[str],
+    ) -> None:
+        refuse_if(
+            mi.is_spectral and "albedo" in names,
+            f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant",
+        )
+        self._scene, self._names = scene, names
+        world = sensor.world_transform()
+        self._origin, self._axis = world @ mi.Point3f(0, 0, 0), world @ mi.Vector3f(0, 0, 1)
+        self._albedo = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
+        self._sampler = mi.load_dict({"type": "independent"})
+        registered = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+        self._index = np.zeros(registered.max(initial=0) + 1, np.float32)
+        self._index[registered] = np.arange(1, len(registered) + 1)
+
+    def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
+        """Trace rays, and return float32 arrays (count[, 3]) by name."""
+        found = {
+            name: np.empty((count, len(letters))[: 1 + (len(letters) > 1)], np.float32)
+            for name, letters in QUANTITIES.items()
+            if name in self._names
+        }
+        for start in range(0, count, _LANES):
+            lanes = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(_LANES, count - start))
+            for name, values in self._trace(*rays(lanes)).items():
+                found[name][start : start + _LANES] = values
+        return found
+
+    def _trace(self, ray: Any, open_: Any) -> dict[str, np.ndarray]:
+        hit = self._scene.ray_intersect(ray, _flags(), True, open_)
+        met = hit.is_valid() & open_
+        found: dict[str, Any] = {}
+        if "depth" in self._names:
+            depth = dr.dot(ray.o - self._origin, self._axis) + hit.t * dr.dot(ray.d, self._axis)
+            found["depth"] = dr.select(met, depth, dr.select(open_, dr.inf, dr.nan))
+        if "virtual_depth" in self._names:
+            depth = dr.dot(ray.o - self._origin, self._axis) + self._unfolded(ray, hit, met) * dr.dot(ray.d, self._axis)
+            found["virtual_depth"] = dr.select(open_, depth, dr.nan)
+        if "position" in self._names:
+            found["position"] = dr.select(met, hit.p, dr.nan)
+        if "normal" in self._names:
+            found["normal"] = dr.select(met, hit.sh_frame.n, dr.nan)
+        if "albedo" in self._names:
+            self._sampler.seed(0, dr.width(met))
+            aovs = mi.SamplingIntegrator.sample(self._albedo, self._scene, self._sampler, ray, None, met)[2]
+            found["albedo"] = dr.select(met, mi.Color3f(*aovs), dr.nan)
+        if "shape_index" in self._names:
+            # What is placed by an instance is that instance.
+            placed = dr.reinterpret_array(mi.UInt32, hit.instance)
+            shape = dr.select(placed != 0, placed, dr.reinterpret_array(mi.UInt32, hit.shape))
+            found["shape_index"] = dr.gather(mi.Float, drjit_array(mi.Float, self._index), shape, met)
+        dr.eval(found)
+        return {name: values.numpy().T for name, values in found.items()}
+
+    def _unfolded(self, ray: Any, hit: Any, met: Any) -> Any:
+        """Return the lengths of rays over plane mirrors, which show a thing as far behind them as it is before them."""
+        length = dr.select(met, hit.t, dr.inf)
+        for _ in range(_REFLECTIONS):
+            met = met & _is_plane_mirror(hit, ray)
+            onward = hit.to_world(mi.reflect(hit.wi))
+            # Mitsuba's rays start off the surface, along its normal; these start as far off it along themselves.
+            gap = dr.dot(hit.spawn_ray(onward).o - hit.p, hit.n) / dr.dot(onward, hit.n)
+            ray = mi.Ray3f(hit.p + gap * onward, onward)
+            hit = self._scene.ray_intersect(ray, _flags(), True, met)
+            length = dr.select(met, length + dr.select(hit.is_valid(), gap + hit.t, dr.inf), length)
+            dr.eval(ray, hit, met, length)
+        return length
+
+
+def _flags() -> Any:
+    """Return what is found of a hit: also the derivatives of normals, by which plane surfaces are known."""
+    return mi.RayFlags.All | mi.RayFlags.dNSdUV
+
+
+def _is_plane_mirror(hit: Any, ray: Any) -> Any:
+    """Return where a surface only reflects, without scattering, and is plane."""
+    flags = hit.bsdf(ray).flags()
+    reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
+    both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
+    plane = dr.squared_norm(hit.dn_du) + dr.squared_norm(hit.dn_dv) == 0
+    return reflects & plane & (both_sides | (hit.wi.z > 0))
+
+
+@suggest_keywords
+@one_at_a_time
+def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor: int | Any = 0) -> GroundTruth:
+    """Find what a plenoptic camera of the scene looks at: for each pixel, and for each sample of the light field.
+
+    A pixel sees a part of the scene, through all of its lens and so through a part of the pupil. Its ground truth is
+    that of one ray, from its middle through the centre of its lens. A sample of the light field that `decode` makes
+    stands for a point of the pupil and a bin; its ground truth is that of the ray through these, whichever pixels it
+    is interpolated from. Rays end at the first surface, as in Mitsuba's integrator ``aov``: at mirrors and glass, and
+    at masks and cut-outs, too. Only ``virtual_depth`` follows them over plane mirrors, up to eight in a row; pixels
+    where it exceeds ``depth`` show a mirror. Curved mirrors, and surfaces that also scatter or let light through, are
+    not followed.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        A scene with a sensor of type ``plenoptic``.
+    names : sequence of str
+        What to find: ``depth``, ``virtual_depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see
+        `GroundTruth`.
+    sensor : int or mitsuba.Sensor
+        As for `render_capture`.
+
+    Returns
+    -------
+    GroundTruth
+
+    Raises
+    ------
+    InputError
+        If there is no such sensor, a name is unknown, its lenses are narrower than a pixel, or it would take more
+        memory than is allowed.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> size = {"detector_width": 0.256, "resolution": 128}
+    >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
+    >>> truth = mp.ground_truth(scene, ["depth"])
+    >>> truth.pixels["depth"].shape
+    (128, 128)
+    """
+    names = require_quantities([names] if isinstance(names, str) else names)
+    chosen = plenoptic_sensor(scene, sensor)
+    camera = PlenopticCamera.from_sensor(chosen)
+    regular = regular_array(camera)
+    bins = bin_grid(regular)
+    half, _ = view_window(regular, lens_grid(regular))
+    sizes = (2 * half + 1, 2 * half + 1, *bins.shape)
+    rows, columns = camera.shape
+    values = sum(len(QUANTITIES[name]) for name in names)
+    require_memory(
+        8.0 * values * (rows * columns + math.prod(sizes)),
+        f"ground truth of {columns} x {rows} pixels and {sizes[1]} x {sizes[0]} views",
+    )
+    hits = FirstHits(scene, chosen, names)
+
+    def of_pixels(index: Any) -> tuple[Any, Any]:
+        row = index // columns
+        position = mi.Point2f((index - row * columns + 0.5) / columns, (row + 0.5) / rows)
+        return chosen.chief_ray(position)
+
+    pupil = drjit_array(mi.Float, pupil_places(camera, sizes[0]))
+    across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))
+
+    def of_views(index: Any) -> tuple[Any, Any]:
+        found = []
+        for size, coordinates in zip(sizes[::-1], (across, down, pupil, pupil), strict=True):
+            rest = index // size
+            found.append(dr.gather(mi.Float, coordinates, index - rest * size))
+            index = rest
+        s, t, u, v = found
+        return chosen.pupil_ray((u, v), (s, t))
+
+    pixels, views = hits.along(of_pixels, rows * columns), hits.along(of_views, math.prod(sizes))
+    return GroundTruth(
+        camera,
+        {name: values.reshape(rows, columns, *values.shape[1:]) for name, values in pixels.items()},
+        {name: values.reshape(*sizes, *values.shape[1:]) for name, values in views.items()},
+        tuple(shape.id() for shape in scene.shapes()),
+        np.array(chosen.world_transform().matrix, np.float64).reshape(4, 4),
+    )

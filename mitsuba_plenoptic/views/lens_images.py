@@ -1,0 +1,121 @@
+"""Micro-images as they were recorded, lens by lens: the basis of a focused camera's depth.
+
+A light field has square upright bins, which on other lattices are interpolated between lenses. Of a focused camera that
+destroys what its micro-images hold: detail finer than the pitch of the lenses.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from ..camera import PlenopticCamera
+from ..errors import InputError, advice, refuse_if
+from ..io.captures import Capture
+from ..runtime.limits import require_memory
+from .coordinates import camera_of, grid_of, view_steps
+from .decode import checked_images, sample_lenses, view_window
+from .lens_grid import LensGrid, bin_grid, lens_grid, lens_types
+from .white_image import divide_by_white
+
+
+@dataclass(frozen=True, eq=False)
+class MicroImages:
+    """Micro-images, sampled at steps of a pixel about each one's centre.
+
+    Attributes
+    ----------
+    values : (rows, columns, v, u, channels) float32 array
+        Radiance that each lens of the grid shows, 0 where the weight is 0.
+    weight : (rows, columns, v, u) float32 array
+        Fraction of the sample that sees through the pupil.
+    grid : LensGrid
+        Positions of the micro-images on the recorded image.
+    bins : LensGrid
+        Positions of the bins of the light field of the same capture.
+    camera : PlenopticCamera
+        The camera.
+    """
+
+    values: np.ndarray
+    weight: np.ndarray
+    grid: LensGrid
+    bins: LensGrid
+    camera: PlenopticCamera
+
+    @property
+    def types(self) -> np.ndarray:
+        """Index of the focal length of each lens, (rows, columns)."""
+        return lens_types(self.camera, self.grid.centres())
+
+    @property
+    def places(self) -> np.ndarray:
+        """Column and row among the bins, with fractions, of the middle of each lens, (rows, columns, 2)."""
+        return (self.grid.centres() - self.bins.offset) / self.bins.spacing
+
+
+def micro_images(
+    capture: Capture | np.ndarray,
+    *,
+    camera: PlenopticCamera | None = None,
+    white: Capture | np.ndarray | None = None,
+    grid: LensGrid | None = None,
+) -> MicroImages:
+    """Sample the micro-images of a capture, for `depth_map`.
+
+    Parameters
+    ----------
+    capture, camera, white, grid
+        As for `decode`; the camera must be known.
+
+    Returns
+    -------
+    MicroImages
+
+    Raises
+    ------
+    InputError
+        As `decode` does, if there is no camera, and of Fourier microscopes.
+    """
+    image, reference, known = checked_images(capture, camera, white, grid)
+    if known is None:
+        raise InputError("camera = None: of micro-images the camera must be known")
+    refuse_if(
+        known.lens_data.images_stop,
+        "camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode",
+    )
+    lenses = grid or lens_grid(known)
+    half, alone = view_window(known, lenses)
+    size = math.prod(lenses.shape) * (2 * half + 1) ** 2
+    require_memory(
+        4.0 * size * (image.shape[2] + 1) + 12.0 * image.shape[0] * image.shape[1],
+        f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
+    )
+    values, weight = sample_lenses(image, lenses, half), sample_lenses(reference, lenses, half)[..., 0]
+    divide_by_white(values, weight, alone)
+    return MicroImages(values, np.minimum(weight, 1), lenses, bin_grid(known), known)
+
+
+def micro_images_of(lf: xr.DataArray) -> MicroImages:
+    """Return the micro-images of a light field that was decoded without interpolation between lenses."""
+    camera = camera_of(lf)
+    bins = bin_grid(camera)
+    refuse_if(
+        (grid_of(lf) or lens_grid(camera)) != bins,
+        "micro_images = None: the bins of this light field are interpolated between lenses, which a focused "
+        f"camera's depth cannot be found from; give {advice(python='micro_images(capture)', shell='the capture')}",
+    )
+    for axis in ("v", "u"):
+        steps = view_steps(lf, axis)
+        refuse_if(
+            not np.allclose(steps, np.arange(len(steps)) - (len(steps) - 1) / 2, atol=1e-6),
+            f"light field: depth of a focused camera takes all of its views, along {axis} some lack",
+        )
+    values = np.asarray(lf.values, dtype=np.float32).reshape(*lf.shape[:4], -1).transpose(2, 3, 0, 1, 4)
+    weight = np.asarray(lf["weight"].values, dtype=np.float32).transpose(2, 3, 0, 1)
+    # A part of the field counts from its own first bin.
+    own = LensGrid(bins.spacing, bins.offset, (lf.shape[2], lf.shape[3]))
+    return MicroImages(np.ascontiguousarray(values), np.ascontiguousarray(weight), own, own, camera)

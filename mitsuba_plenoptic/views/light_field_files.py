@@ -1,0 +1,308 @@
+"""Light fields by file name: which reader and writer a suffix means."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ..camera import PlenopticCamera, are_alike
+from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
+from ..extension import format_of, place
+from ..io.captures import Capture, read_capture
+from ..io.files import atomic_output, require_file, require_size, require_writable
+from ..io.pictures import TIFF, read_picture
+from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
+from ..runtime.limits import require_memory
+from . import MicroImages, decode, estimate_lens_grid, micro_images
+from .coordinates import camera_of, require_light_field
+from .mosaics import read_mosaic, write_mosaic
+
+# The suffix that LFToolbox gives to pictures with the samples of each lens together.
+_LENSES = ".eslf.png"
+
+HCI = "parameters.cfg"
+"""File in each folder of the 4D Light Field Benchmark, which belongs to an extension."""
+
+_SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
+"""Of files to write; ``.mat`` belongs to an extension."""
+
+
+def open_light_field(
+    path: str | Path,
+    *,
+    white: str | Path | None = None,
+    views: int | None = None,
+    linear: bool = False,
+    camera: PlenopticCamera | None = None,
+    truth: str | Path | bool = False,
+) -> xr.DataArray:
+    """Read a light field, or decode one from a capture.
+
+    Parameters
+    ----------
+    path : path
+        ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
+        `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder with ``parameters.cfg``: one of the
+        4D Light Field Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with
+        `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of some plenoptic
+        camera.
+    white : path, optional
+        A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
+        it replaces the computed one; for a raw picture it shows where the micro-images are.
+    views : int, optional
+        Views along each axis of a mosaic.
+    linear : bool
+        Whether pictures hold values proportional to light, as raw data does, instead of sRGB.
+    camera : PlenopticCamera, optional
+        The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
+    truth : path or bool
+        Ground truth of a capture, for `decode`. True: what the capture names, if it lies in the same folder.
+
+    Raises
+    ------
+    InputError
+        If the name's suffix is unknown, an argument is missing or of no use for this kind of file, or the file
+        cannot be read.
+    """
+    path = Path(path)
+    name = path.name.lower()
+    if views is not None:
+        _refuse(path, camera=None if camera is None else "given")
+    refuse_if(
+        white is not None and views is not None, f"{path}: a white image and a number of views exclude each other"
+    )
+    if not any(str(one).lower().endswith((".png", *TIFF)) for one in (path, white)):
+        _refuse(path, linear=linear or None)
+    if name.endswith(".exr"):
+        _refuse(path, views=views)
+        capture = read_capture(path)
+        known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
+        by = None if white is None else _white_capture(white, linear)
+        return decode(capture, camera=camera, white=by, truth=known)
+    _refuse(path, truth=None if isinstance(truth, bool) else truth)
+    key = HCI if (path / HCI).is_file() else path.suffix.lower()
+    if of_extension := format_of(key, "light field", str(path)):
+        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
+        return place(*of_extension)(path)
+    if name.endswith((".nc", ".zarr")):
+        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
+        return read_labelled(path)
+    if name.endswith((".png", *TIFF)):
+        if views is not None:
+            layout = "lenses" if name.endswith(_LENSES) else "views"
+            return read_mosaic(path, views, layout=layout, linear=linear)
+        reference = None if white is None else _white(white, linear)
+        if camera is not None:
+            return decode(read_picture(path, linear=linear), camera=camera, white=reference)
+        if reference is None:
+            raise InputError(
+                f"{path}: give {argument('white')} or {argument('camera')} for a raw picture, or {argument('views')} "
+                "for a mosaic of views"
+            )
+        return decode(read_picture(path, linear=linear), white=reference, grid=estimate_lens_grid(reference))
+    refuse_if(
+        format_of(path.suffix.lower(), "capture", str(path)),
+        f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
+    )
+    raise InputError(
+        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(_SUFFIXES)} or .tiff, or is a "
+        f"folder with {HCI}"
+    )
+
+
+def open_micro_images(
+    path: str | Path,
+    *,
+    white: str | Path | None = None,
+    linear: bool = False,
+    camera: PlenopticCamera | None = None,
+) -> MicroImages | None:
+    """Sample the micro-images of a capture's file, for the depth maps of focused cameras.
+
+    Parameters
+    ----------
+    path, white, linear, camera
+        As for `open_light_field`.
+
+    Returns
+    -------
+    MicroImages or None
+        None if the file is no capture of this package: light fields have no micro-images any more.
+
+    Raises
+    ------
+    InputError
+        As for `open_light_field`.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".exr":
+        return None
+    by = None if white is None else _white_capture(white, linear)
+    return micro_images(read_capture(path), camera=camera, white=by)
+
+
+def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
+    """Write a light field to keep, or for another program.
+
+    Parameters
+    ----------
+    path : path
+        ``.nc`` or ``.zarr``: NetCDF or Zarr, with axes, weights and camera; ``.mat``: LFToolbox; ``.eslf.png``:
+        samples of each lens together; ``.png``: a mosaic of views.
+    lf : xarray.DataArray
+        The light field.
+
+    Raises
+    ------
+    InputError
+        If the name's suffix is unknown or the file cannot be written.
+    """
+    name = require_light_field_path(path).name.lower()
+    if name.endswith((".nc", ".zarr")):
+        write_labelled(path, lf)
+    elif of_extension := format_of(Path(path).suffix.lower(), "light field", str(path), write=True):
+        place(*of_extension)(path, lf)
+    else:
+        write_mosaic(path, lf, layout="lenses" if name.endswith(_LENSES) else "views")
+
+
+def require_light_field_path(path: str | Path) -> Path:
+    """Check, before a long computation, that a light field can be written there, in the format of its suffix.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the name's suffix is unknown or the file cannot be written.
+    """
+    return require_writable(path, *_SUFFIXES)
+
+
+def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:
+    """Read the ground truth of a capture: a file, or the one that the capture names, if it is there and is its own."""
+    if not isinstance(truth, bool):
+        return read_ground_truth(truth)
+    name = capture.metadata.get(NAME)
+    # A name from a file leads nowhere but to its own folder.
+    if not truth or not isinstance(name, str) or Path(name).name != name or not name.endswith(SUFFIX):
+        return None
+    if not (path.parent / name).is_file():
+        return None
+    found = read_ground_truth(path.parent / name)
+    return found if are_alike(found.camera, capture.camera) else None
+
+
+def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:
+    """Read a white capture with its camera, or a picture, which has no camera."""
+    return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
+
+
+def _white(path: str | Path, linear: bool) -> np.ndarray:
+    """Read a white image."""
+    found = _white_capture(path, linear)
+    return found.image if isinstance(found, Capture) else found
+
+
+def _refuse(path: Path, **options: object) -> None:
+    for name, value in options.items():
+        refuse_if(value is not None, f"{name} = {value}: of no use for {path}")
+
+
+# Bytes that reading takes for each of a file: the file, and the arrays of which a light field is made and checked.
+_PER_BYTE = 3
+
+# Files in which Zarr keeps shapes and attributes, and their bytes at most.
+_ZARR_RECORDS = ("zarr.json", ".zgroup", ".zarray", ".zattrs", ".zmetadata")
+_LARGEST_RECORD = 2**24
+
+
+def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
+    """Write a light field whose file `read_labelled` or ``xarray.open_dataarray`` opens.
+
+    Parameters
+    ----------
+    path : path
+        A name that ends in ``.nc`` for NetCDF 3, or in ``.zarr`` for a folder of Zarr, which needs the package zarr.
+    lf : xarray.DataArray
+        The light field.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    path, lf = Path(path), require_light_field(lf)
+    with atomic_output(path, ".nc", ".zarr") as temporary:
+        if path.suffix.lower() == ".nc":
+            lf.to_netcdf(temporary, engine="scipy")
+        else:
+            require_zarr(path)
+            # The third format has no texts of fixed length yet, as the names of the channels are.
+            lf.to_zarr(temporary, zarr_format=2)
+
+
+def read_labelled(path: str | Path) -> xr.DataArray:
+    """Read a light field that `write_labelled` wrote.
+
+    NetCDF 4 is HDF5, whose files can link to others, and is not read here.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is damaged or something else.
+    """
+    path = Path(path)
+    with refusing(f"{path}: it cannot be read as a light field:"):
+        if path.suffix.lower() == ".nc":
+            require_memory(_PER_BYTE * require_file(path).stat().st_size, f"{path}: a light field")
+            with path.open("rb") as file:
+                begins = file.read(3)
+            refuse_if(
+                begins != b"CDF",
+                f"{path}: it is not NetCDF 3; open other formats with xarray and convert them in Python",
+            )
+            stored = xr.load_dataarray(path, engine="scipy")
+        else:
+            refuse_if(
+                not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
+                f"{path}: there is no such folder of Zarr",
+            )
+            require_zarr(path)
+            _require_zarr_memory(path)
+            stored = xr.load_dataarray(path, engine="zarr")
+    with naming(path):
+        lf = require_light_field(stored)
+        if lf.attrs.get("camera"):
+            camera_of(lf)
+    return lf
+
+
+def _require_zarr_memory(path: Path) -> None:
+    """Refuse a folder whose arrays, or the chunks in which they are read, would not fit into memory."""
+    import zarr
+
+    for file in path.rglob("*"):
+        if file.name in _ZARR_RECORDS:
+            require_size(file, _LARGEST_RECORD)
+    sizes = [
+        array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
+        for _, array in zarr.open_group(str(path), mode="r").arrays()
+    ]
+    require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
+
+
+def require_zarr(path: Path) -> None:
+    """Refuse a file of Zarr where the package is not installed."""
+    require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")

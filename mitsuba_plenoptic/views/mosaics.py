@@ -1,0 +1,79 @@
+"""Mosaics of light fields in pictures: the samples of each lens, or of each view, together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from ..errors import refuse_if, require_choice, require_count
+from ..io.pictures import read_picture, write_picture
+from .coordinates import light_field, require_light_field
+from .viewpoints import lens_mosaic, view_mosaic
+
+LAYOUTS = ("lenses", "views")
+
+
+def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") -> None:
+    """Write a light field as a 16-bit PNG mosaic, its largest value white.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    lf : xarray.DataArray
+        A light field. Its coordinates and weights are lost; samples without weight are black.
+    layout : {"lenses", "views"}
+        Whether the samples of a lens or of a view lie together.
+
+    Raises
+    ------
+    InputError
+        If the layout is unknown or the file cannot be written.
+    """
+    require_choice("layout", layout, LAYOUTS)
+    lf = require_light_field(lf)
+    peak = float(np.max(lf.values, initial=0)) or 1.0
+    write_picture(path, (lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)) / peak)
+
+
+def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:
+    """Read a light field from a PNG mosaic.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+    views : int
+        Views along each axis; 14 in files of Lytro's programs.
+    layout : {"lenses", "views"}
+        Whether the samples of a lens or of a view lie together.
+    linear : bool
+        Whether the values are proportional to light, instead of encoded in sRGB.
+
+    Returns
+    -------
+    xarray.DataArray
+        A light field without a camera, values from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or its sides are not whole multiples of the number of views.
+    """
+    require_choice("layout", layout, LAYOUTS)
+    image = read_picture(path, linear=linear)
+    views = require_count("views", views, maximum=min(image.shape[:2]))
+    rows, columns = image.shape[:2]
+    refuse_if(
+        rows % views or columns % views,
+        f"{path}: {columns} x {rows} pixels are not a whole number of {views} x {views} views",
+    )
+    rest = image.shape[2:]
+    if layout == "lenses":
+        values = image.reshape(rows // views, views, columns // views, views, *rest)
+        values = values.transpose(1, 3, 0, 2, *range(4, values.ndim))
+    else:
+        values = image.reshape(views, rows // views, views, columns // views, *rest).swapaxes(1, 2)
+    return light_field(np.ascontiguousarray(values))

@@ -1,0 +1,321 @@
+"""White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled."""
+
+from __future__ import annotations
+
+import logging
+import math
+import warnings
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..errors import refuse_if
+from ..light.lens_kinds import regular_array
+from ..optics import rays
+from ..runtime.fft import blur
+from ..runtime.limits import require_memory
+from .lens_grid import LensGrid, lens_numbers, lens_types, micro_image_centres
+
+# Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
+MINIMUM_WEIGHT = 0.1
+
+# Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
+_SAMPLES = 16
+_WIDEST = 4096
+
+# Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
+_POINTS = 8
+
+
+class PupilFraction:
+    r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
+
+    Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
+    position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
+    the pupil's disc covers is averaged over the lens's aperture: what the pixel reads of a scene of uniform radiance 1.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        # Which of its types of lenses, if there are several.
+        lens_type: int = 0,
+    ) -> None:
+        smear = abs(camera.pupil_shift(camera.mla_focal_lengths[lens_type]))
+        reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
+        pixels = 2 * reach / camera.pupil_step
+        samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))
+        require_memory(
+            100.0 * (samples * pixels) ** 2,
+            f"white image of a lens, {2 * camera.aperture_radius / camera.pupil_step:.3g} pixels wide, smeared over "
+            f"{2 * smear * camera.lattice.aperture_reach / camera.pupil_step:.3g}",
+        )
+        self._step = camera.pupil_step / samples
+        lens = camera.lattice.aperture_image(self._step, smear)
+        half = math.ceil(camera.aperture_radius / self._step + samples) + lens.shape[0] // 2
+        axis = np.arange(-half, half + 1) / samples
+        disc = _square_in_disc(axis, axis[:, None], camera.aperture_radius / camera.pupil_step)
+        fraction = blur(disc, lens)
+        # The rounding of the transform is not light.
+        self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
+        self._half = half
+        self.reach = half * self._step
+
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the fraction for pixels that see (x, y) in the pupil plane through their lens's centre."""
+        x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
+        last = 2 * self._half - 1
+        column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
+        fx, fy = ((axis - base).clip(0, 1).astype(np.float32) for axis, base in ((x, column), (y, row)))
+        table, size = self._table.ravel(), self._table.shape[1]
+        index = row * size + column
+        low = table[index] * (1 - fx) + table[index + 1] * fx
+        return low * (1 - fy) + (table[index + size] * (1 - fx) + table[index + size + 1] * fx) * fy
+
+
+def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
+    """Return the fraction of a unit square about (x, y) that lies within a disc of this radius about the origin."""
+    x, y = np.broadcast_arrays(x, y)
+    distance = np.hypot(x, y)
+    fraction = (distance < radius).astype(np.float64)
+    edge = np.abs(distance - radius) < math.sqrt(0.5)
+    offsets = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+    chord = np.sqrt(np.maximum(0, radius**2 - (x[edge][:, None] + offsets) ** 2))
+    low, high = y[edge][:, None] - 0.5, y[edge][:, None] + 0.5
+    fraction[edge] = np.maximum(0, np.minimum(high, chord) - np.maximum(low, -chord)).mean(1)
+    return fraction
+
+
+# Micro-images drawn at once.
+_BLOCK = 128
+
+# Lenses of a tilted array whose heights differ by less, in detector distances, are blurred alike.
+_ALIKE = 0.01
+
+# Pixels of micro-images, an hour.
+_MOST_WORK = 3e10
+
+# Lenses with less than this fraction of the computed light of the fullest are cut by the border too much to be judged.
+_WHOLE = 0.2
+
+# Light of a lens over that of the brightest: below three stops, more than main lenses vignette by, a white is refused.
+_DARKEST, _DIM = 1 / 8, 1 / 2
+
+# Light that lies within micro-images as computed; waves leave 0.4 in those narrower than the microlens's own blur.
+_LEAST_COMMON = 1 / 4
+
+# Fraction of the lenses by which the radiance is found, and how far from 1 it counts as 1.
+_CENTRAL, _SAME_RADIANCE = 0.25, 0.05
+
+_RESPONSE_RAYS = 4096
+
+_log = logging.getLogger(__name__)
+
+
+def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
+    """Compute what a camera records of a scene of uniform radiance 1.
+
+    The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
+    array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    grid : LensGrid, optional
+        Micro-image centres; default those of the camera, with the ones beyond the image that reach into it, displaced
+        as its tilt has it.
+
+    Returns
+    -------
+    (rows, columns) float32 array
+
+    Raises
+    ------
+    InputError
+        If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
+    """
+    camera.require_thin("white images are computed")
+    camera = regular_array(camera)
+    fractions = _Fractions(camera)
+    half = fractions.half
+    rows, columns = camera.shape
+    require_memory(
+        4.0 * (rows + 2 * half) * (columns + 2 * half) + 100.0 * _BLOCK * (2 * half + 1) ** 2,
+        f"white image of {columns} x {rows} pixels, {2 * half + 1} x {2 * half + 1} for each lens",
+    )
+    if grid is None:
+        centres = micro_image_centres(camera, half)
+    else:
+        centres = grid.centres().reshape(-1, 2)
+        # Those whose micro-image reaches the detector.
+        centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
+    work = float(len(centres)) * (2 * half + 1) ** 2
+    refuse_if(
+        not work <= _MOST_WORK,
+        f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
+        f"{len(centres)} lenses are up to {2 * half + 1} pixels wide",
+    )
+    image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
+    window = np.arange(-half, half + 1)
+    for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
+        height = fractions.heights(row)
+        if grid is None and any(camera.mla_tilt):
+            # Where the tilt has moved them: c (b + z) / (b - h).
+            middle = np.array(camera.resolution) / 2 - camera.crop_offset
+            row = middle + (row - middle) / (1 - height[:, None] / camera.mla_distance)
+        base = np.floor(row).astype(np.int64)
+        # Positions on the pupil that each pixel sees through its lens's centre, except for their sign.
+        distance = camera.reduced_distance + height / camera.mla_medium
+        step = camera.pixel_size * (camera.mla_distance - height) / distance
+        x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
+        fraction = fractions(lens_types(camera, row), height, x, y)
+        down = base[:, 1, None, None] + window[:, None] + half
+        across = base[:, 0, None, None] + window + half
+        keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
+        keep &= fraction > 0
+        index = (down * image.shape[1] + across)[keep]
+        first = index.min(initial=image.size)
+        added = np.bincount(index - first, weights=fraction[keep])
+        image.reshape(-1)[first : first + added.size] += added
+    return image[half : half + rows, half : half + columns]
+
+
+def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
+    """Scale a recorded white image to a radiance of 1, and refuse one that does not fill the view.
+
+    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
+    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+
+    Shapes: `white` (rows, columns, channels), `computed` (rows, columns); the result (rows, columns, channels).
+    """
+    lenses = lens_numbers(camera).ravel()
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    radius = np.bincount(lenses, np.hypot(x, y[:, None]).ravel()) / np.maximum(np.bincount(lenses), 1)
+    light = np.stack([np.bincount(lenses, channel.ravel()) for channel in np.moveaxis(white, 2, 0)], axis=-1)
+    model = computed.ravel() * _mean_response(camera)
+    expected = np.bincount(lenses, model)
+    radiance = white_radiance(light, expected, radius)
+    # Where a lens's light lies: of white the common part of both images is nearly all.
+    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = white.sum(axis=2).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[lenses]
+    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
+    _require_most(
+        common,
+        _LEAST_COMMON,
+        f"white: {common:.0%} of its light is distributed over the micro-images as the camera distributes it",
+        "it must be by this camera and fill the view of the whole pupil",
+    )
+    return np.asarray(white / radiance, np.float32)
+
+
+def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return the radiance of a recorded white for each channel: what it is to be divided by.
+
+    It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
+    main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between microlenses with
+    gaps.
+
+    Shapes: `light` (lenses, channels), `computed` (lenses,), `radius` (lenses,).
+    """
+    whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
+    ratio = light[whole] / computed[whole, None]
+    brightest = ratio.max(axis=0, initial=0)
+    refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
+    least = (ratio / brightest).min(axis=1)
+    limit = _DARKEST if least.min() < _DARKEST else _DIM
+    _require_most(
+        float(least.min()),
+        _DARKEST,
+        f"white: {np.count_nonzero(least < limit)} of {len(least)} lenses have less than {limit:g} of the light of the "
+        "brightest",
+        "it must fill the view",
+    )
+    near = radius[whole] <= np.quantile(radius[whole], _CENTRAL)
+    radiance = np.median(ratio[near], axis=0)
+    other = np.abs(radiance - 1) > _SAME_RADIANCE
+    if other.any():
+        _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
+    return np.asarray(np.where(other, radiance, 1))
+
+
+def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
+    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+
+    So they do where a sample is not of one lens `alone`.
+    """
+    fraction[(fraction < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
+    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
+    light[fraction == 0] = 0
+
+
+def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
+    """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
+    refuse_if(fraction < least, f"{text}: {rule}")
+    if fraction < _DIM:
+        warnings.warn(f"{text}: {rule}", stacklevel=2)
+
+
+def _mean_response(camera: PlenopticCamera) -> float:
+    """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
+    if not camera.pixel_response and not camera.mla_absorption:
+        return 1.0
+    # Importing this takes longer than most commands of a shell need in all.
+    from scipy.stats import qmc
+
+    s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
+    distance = camera.micro_image_diameter / 2 * np.sqrt(u)
+    x, y = camera.lattice.aperture_point(s, t)
+    across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
+    response = np.exp(-camera.mla_absorption * np.hypot(across, camera.detector_distance))
+    if camera.pixel_response:
+        angle = np.degrees(np.arctan(across / camera.detector_distance))
+        response *= np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])
+    return float(response.mean())
+
+
+class _Fractions:
+    """`PupilFraction` for lenses of all types and heights."""
+
+    def __init__(self, camera: PlenopticCamera) -> None:
+        self._camera = camera
+        self._slopes = np.tan(np.deg2rad(camera.mla_tilt))
+        self._step = _ALIKE * camera.detector_distance
+        self._tables: dict[tuple[int, int], PupilFraction] = {}
+        reach = max(math.hypot(*(camera.pixel_coordinates(axis)[end] for axis in (0, 1))) for end in (0, -1))
+        rise = round(reach * math.hypot(*self._slopes) / self._step)
+        pixels = [
+            self._table(lens_type, level).reach / self._at(level).pupil_step
+            for lens_type in range(len(camera.mla_focal_lengths))
+            for level in {-rise, rise}
+        ]
+        self.half = math.ceil(max(pixels))
+
+    def heights(self, centres: np.ndarray) -> np.ndarray:
+        """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
+        camera = self._camera
+        p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
+        chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
+        lens = np.stack(camera.lattice.centre(*camera.lattice.cell(*chief.T)), axis=-1)
+        return np.asarray(lens @ self._slopes)
+
+    def __call__(self, lens_type: np.ndarray, height: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
+        fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
+        kinds, which = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
+        for index, (kind, level) in enumerate(kinds.T.astype(int)):
+            mine = which.ravel() == index
+            fraction[mine] = self._table(kind, level)(x[mine, None, :], y[mine, :, None])
+        return fraction
+
+    def _at(self, level: int) -> PlenopticCamera:
+        camera, height = self._camera, level * self._step
+        if not level:
+            return camera
+        b, z = camera.mla_distance - height, camera.detector_distance + height
+        return camera.replace(mla_distance=b, detector_distance=z, mla_tilt=(0.0, 0.0))
+
+    def _table(self, lens_type: int, level: int) -> PupilFraction:
+        if (lens_type, level) not in self._tables:
+            self._tables[lens_type, level] = PupilFraction(self._at(level), lens_type)
+        return self._tables[lens_type, level]

@@ -1,0 +1,83 @@
+"""Presets of cameras: methods that know regular arrays take those whose lenses are aligned to chief rays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+from mitsuba_plenoptic.fitting import View
+from mitsuba_plenoptic.light.lens_kinds import chief_ray_shift, regular_array
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.units import brightness_of
+from mitsuba_plenoptic.refocus import RayRefocus
+
+ON_CHIP = ("full_frame_dual", "phone_quad", "phone_quad_bayer")
+LENSES = 5
+
+
+def around(name, part):
+    """Return the crop of five by five lenses at a part of the half diagonal, and the middle lens's indices."""
+    camera = mp.PlenopticCamera.preset(name)
+    half = np.array(camera.resolution) // 2
+    index = (part * half / 2).astype(int)
+    corner = half + 2 * index - (LENSES - 1)
+    return camera.replace(crop_offset=tuple(corner.tolist()), crop_size=(2 * LENSES, 2 * LENSES)), index
+
+
+@pytest.mark.parametrize("name", ON_CHIP)
+@pytest.mark.parametrize("part", [0.0, 0.95])
+def test_regular_lenses_are_where_the_aligned_ones_are(name, part):
+    camera, index = around(name, part)
+    regular = regular_array(camera)
+    i, j = (np.array([-2.0, 0.0, 2.0]) + start for start in index)
+    place, near = camera.lattice.centre(i, j), regular.lattice.centre(i, j)
+    assert not regular.mla_cra
+    assert regular_array(regular) is regular
+    shift = chief_ray_shift(camera, *place)
+    assert np.max(np.abs(shift)) > part * 2e-4
+    for regular_place, aligned, aside in zip(near, place, shift, strict=True):
+        assert regular_place == pytest.approx(aligned + aside, abs=2e-6)
+
+
+@pytest.mark.parametrize("name", ON_CHIP)
+def test_points_are_captured_as_banks_have_them(name):
+    camera, index = around(name, 0.9)
+    (i, j), distance = index, 0.98 * camera.focus_distance
+    middle = np.array(camera.lattice.centre(float(i), float(j)))
+    lens = middle + np.array(chief_ray_shift(camera, *middle))
+    point = (*(-lens * distance / camera.mla_distance).tolist(), distance)
+    operator = mp.CaptureOperator(camera, [point], wavelength=550, accuracy=0)
+    field = [tuple(middle.tolist())]
+    bank = mp.psf_bank(camera, [distance], field, layout=(2, 2), model="wave", size=LENSES)[0, 0]
+    image = operator.forward([1.0]).reshape(LENSES, 2, LENSES, 2).transpose(1, 3, 0, 2)
+    assert image.sum() > 0.2
+    assert np.linalg.norm(image - bank.values) < 0.01 * np.linalg.norm(image)
+
+
+@pytest.mark.filterwarnings("ignore:fit")
+@pytest.mark.parametrize("name", ON_CHIP[1:])
+def test_methods_of_regular_arrays_take_aligned_presets(name):
+    """Small crops, as full presets need much memory; the smallest results tell that light arrives."""
+    camera, _ = around(name, 0.5)
+    regular, distance = regular_array(camera), camera.focus_distance
+    place = np.array([camera.pixel_coordinates(axis).mean() for axis in (0, 1)])
+    points = [(*(-place * distance / camera.mla_distance).tolist(), distance)]
+    operator = mp.CaptureOperator(camera, points, wavelength=550)
+    image = operator.forward([1.0])
+    assert image == pytest.approx(mp.CaptureOperator(regular, points, wavelength=550).forward([1.0]))
+    gradient = operator.gradient([1.0], image)
+    assert gradient["detector_distance"] != 0
+    capture = CameraCapture(lambda changed: mp.CaptureOperator(changed, points, wavelength=550), camera, ("mla_pitch",))
+    pitch = np.array(regular.mla_pitch)
+    assert capture.at(np.ones(1), pitch).value == pytest.approx(image)
+    system = OpticalSystem(regular, 550)
+    view = View(brightness_of(regular, system.lens) * image, points, [1.0], noise=1e-3)
+    fit = mp.fit(camera, view, "mla_focal_length", wavelength=550, accuracy=0.01, steps=2)
+    assert fit.camera.mla_focal_length == pytest.approx(camera.mla_focal_length, rel=1e-3)
+    assert not fit.camera.mla_cra
+    even = np.ones(camera.shape, np.float32)
+    assert mp.decode(even, camera=camera).shape[2:] == (LENSES, LENSES)
+    assert np.isfinite(mp.reconstruct(even, distance, camera=camera).image).any()
+    assert RayRefocus(camera, distance).camera == regular

@@ -1,0 +1,460 @@
+"""Calibration from corners: known cameras come back, deviations are true, and mistakes get one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import calibration_cases as cases
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.calibration import (
+    Board,
+    LensIndex,
+    Table,
+    calibrate,
+    cross_validate,
+    evaluate,
+    read_camera,
+    read_centres,
+    read_corners,
+    write_calibration,
+)
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
+
+NOISE = 0.1
+START = PlenopticCamera.preset("raytrix").replace(
+    resolution=(2000, 1500), crop_size=(2000, 1500), detector_width=2000 * 0.0055
+)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return cases.corners(NOISE)[0]
+
+
+@pytest.fixture(scope="module")
+def centres():
+    k, l = (index.ravel() for index in np.mgrid[0:81, 0:73])  # noqa: E741
+    pixel, _ = predict_centres(numbers_of(cases.CAMERA), cases.INDEX.unit(k, l), pixel_size=0.0055, row_ratio=0.75**0.5)
+    kept = ((pixel > 12) & (pixel < np.array(cases.CAMERA.crop_size) - 12)).all(1)
+    pixel = pixel[kept] + np.random.default_rng(5).normal(0, 0.05, (kept.sum(), 2))
+    return Table("centres.csv", {"k": k[kept], "l": l[kept], "u": pixel[:, 0], "v": pixel[:, 1]})
+
+
+@pytest.fixture(scope="module")
+def found(table, centres):
+    return calibrate(table, cases.BOARD, START, centres)
+
+
+def test_a_known_camera_comes_back(found, table):
+    # Noise is 0.1 pixels an axis; every number lies within four deviations, the principal point rounded.
+    assert found.evaluation.error == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
+    for name in ("focal_length", "mla_distance", "detector_distance", "pitch_along", "pitch_across", "k1"):
+        assert abs(found.numbers[name] - true[name]) < 4 * found.deviations[name] + 1e-9, name
+    assert found.numbers["focal_length"] == pytest.approx(true["focal_length"], rel=0.02)
+    np.testing.assert_allclose(found.evaluation.poses[:, 5], cases.POSES[:, 5], rtol=0.01)
+    assert found.camera.crop_size == START.crop_size
+    assert len(found.evaluation.outliers) < 3
+
+
+def test_the_camera_alone_explains_as_much(found, table, tmp_path):
+    path = tmp_path / "camera.json"
+    write_calibration(path, found, cases.BOARD)
+    camera, index = read_camera(path)
+    assert camera == found.camera
+    assert index == found.index
+    for how in (index, None):
+        again = evaluate(table, cases.BOARD, camera, how)
+        assert again.error == pytest.approx(found.evaluation.error, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_deviations_are_true():
+    # The mean squared error over the variance, of each combination of the numbers that the data tell well; with little
+    # noise, so that the model is linear over the errors.
+    noise = 0.02
+    every = cases.corners()[1]
+    rows = slice(None, None, max(1, len(every) // 800))
+    seen = Observations(every.lens[rows], every.pixel[rows], every.board[rows], every.pose[rows])
+    true = numbers_of(cases.CAMERA)
+    lens = every.lens[:: max(1, len(every) // 400)]
+    middle, _ = predict_centres(true, lens, pixel_size=0.0055, row_ratio=0.75**0.5)
+    ratios = []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        pixel, at = (exact + generator.normal(0, noise, exact.shape) for exact in (seen.pixel, middle))
+        corners = Observations(seen.lens, pixel, seen.board, seen.pose)
+        problem = Problem(corners, 0.0055, 0.75**0.5, Observations(lens, at, at, at))
+        found = adjust(problem, true, cases.POSES)
+        # Rows of the camera alone: what the poses leave undecided is not counted.
+        _, rows = problem.blocks(found.numbers, found.poses, np.ones(len(seen)), np.arange(len(NAMES)))
+        triangle = np.linalg.qr(np.concatenate(rows)[:, :-1], mode="r") / noise
+        _, singular, directions = np.linalg.svd(triangle / np.abs(triangle).max(0))
+        error = (found.numbers - true) * np.abs(triangle).max(0)
+        ratios.append((singular * (directions @ error))[:12])
+    mean = (np.array(ratios) ** 2).mean(0)
+    assert (mean > 0.45).all()
+    assert (mean < 1.8).all()
+    assert mean.mean() == pytest.approx(1, abs=0.15)
+
+
+def test_outliers_neither_hide_nor_spoil(table, centres, found):
+    u = table["u"].copy()
+    u[::400] += 20
+    spoiled = calibrate(Table("corners.csv", {**table.columns, "u": u}), cases.BOARD, START, centres)
+    assert set(np.arange(0, len(u), 400)) <= set(spoiled.evaluation.outliers)
+    assert abs(spoiled.numbers["focal_length"] - found.numbers["focal_length"]) < 4 * found.deviations["focal_length"]
+
+
+def errors(found, table, bad):
+    """The RMS of the rows that are right."""
+    rest = np.delete(found.evaluation.residuals, bad, axis=0)
+    return np.sqrt((rest**2).sum(1).mean())
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("few", marks=pytest.mark.slow),
+        "many",
+        pytest.param("corners", marks=pytest.mark.slow),
+        pytest.param("one frame", marks=pytest.mark.slow),
+    ],
+)
+def test_gross_errors_are_named_and_change_nothing(table, centres, found, kind):
+    generator = np.random.default_rng(3)
+    columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
+    if kind == "one frame":
+        first = np.flatnonzero(table["frame"] == 14)
+        bad = generator.choice(first, len(first) // 4, replace=False)
+    else:
+        bad = generator.choice(rows, int(rows * (0.005 if kind == "few" else 0.05)), replace=False)
+    if kind == "corners":
+        columns["cluster"][bad] = (columns["cluster"][bad] + generator.integers(1, 24, len(bad))) % 24
+    else:
+        for name in "uv":
+            columns[name][bad] += generator.choice([-1, 1], len(bad)) * generator.uniform(20, 500, len(bad))
+    spoiled = calibrate(Table("corners.csv", columns), cases.BOARD, START, centres)
+    assert set(bad) <= set(spoiled.evaluation.outliers)
+    assert len(spoiled.evaluation.outliers) < len(bad) + 3
+    assert errors(spoiled, table, bad) == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    assert spoiled.evaluation.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    for name, value in spoiled.numbers.items():
+        # A twentieth of the rows less moves numbers by a fifth of their deviations.
+        assert abs(value - found.numbers[name]) < 1.5 * found.deviations[name] + 1e-12, name
+    again = evaluate(Table("corners.csv", columns), cases.BOARD, spoiled.camera)
+    assert set(bad) <= set(again.outliers)
+    assert again.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
+
+
+def test_wrong_centres_are_left_out(table, centres, found):
+    bad = np.arange(7, len(centres["k"]), 50)
+    u = centres["u"].copy()
+    u[bad] += 9
+    spoiled = calibrate(table, cases.BOARD, START, Table("centres.csv", {**centres.columns, "u": u}))
+    np.testing.assert_array_equal(spoiled.centre_outliers, bad)
+    doubtful = np.zeros(len(u), dtype=int)
+    doubtful[bad] = 1
+    marked = calibrate(table, cases.BOARD, START, Table("centres.csv", {**centres.columns, "doubtful": doubtful}))
+    np.testing.assert_array_equal(marked.centre_outliers, bad)
+    for given in (spoiled, marked):
+        for name in NAMES:
+            assert abs(given.numbers[name] - found.numbers[name]) < found.deviations[name] + 1e-12
+
+
+def bent_frames(table, size):
+    """Displace each frame by a smooth field of its own, in pixels: rows of a frame err together."""
+    columns = {name: values.copy() for name, values in table.columns.items()}
+    generator = np.random.default_rng(0)
+    for frame in np.unique(table["frame"]):
+        mine = table["frame"] == frame
+        x, y = (columns["u"][mine] / 1000 - 1, columns["v"][mine] / 750 - 1)
+        for name in "uv":
+            columns[name][mine] += size * np.array([x, y, x * y, x * x, y * y]).T @ generator.normal(size=5)
+    return Table("corners.csv", columns)
+
+
+def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
+    assert not found.by_frames
+    # As large as the noise.
+    bent = calibrate(bent_frames(table, 0.1), cases.BOARD, START, centres)
+    assert bent.by_frames
+    assert bent.disagreement > 2
+    true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
+    apart = [
+        (bent.numbers[name] - true[name]) / bent.deviations[name] for name in NAMES if not name.startswith("offset")
+    ]
+    assert np.sqrt(np.mean(np.square(apart))) < 1.5
+
+
+def wrong_corners(table):
+    frame = table["frame"] == 12
+    generator = np.random.default_rng(0)
+    return {**table.columns, "cluster": np.where(frame, generator.integers(0, 24, len(frame)), table["cluster"])}
+
+
+def mirrored(table):
+    cluster = table["cluster"]
+    columns = cases.BOARD.columns
+    return {**table.columns, "cluster": cluster - 2 * (cluster % columns) + columns - 1}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (mirrored, "seen mirrored"),
+        (wrong_corners, "frame 12: most of its corners do not lie as on a board, as those of other frames do"),
+        (
+            lambda table: {**table.columns, "u": table["u"] + 60 * (table["frame"] == 12)},
+            "frame 12: 300 of its 300 rows lie farther than a lens's width",
+        ),
+        (lambda table: table.keep(table["frame"] < 12).columns, "2 poses .* at least 3"),
+        (lambda table: table.keep(table["cluster"] < 5).columns, "corners of the board are seen"),
+        (lambda table: {**table.columns, "u": table["u"] * 5.5}, "detector has 2000 x 1500 pixels"),
+        (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.3}, "corners|frame"),
+        (lambda table: {**table.columns, "u": table["u"] * 0.0055, "v": table["v"] * 0.0055}, "must be in pixels"),
+        (lambda table: {**table.columns, "k": table["l"], "l": table["k"] * 0}, "one line"),
+        (lambda table: {**table.columns, "k": table["k"][::-1]}, "regular grid"),
+    ],
+)
+def test_mistakes_get_one_line(table, change, words):
+    with pytest.raises(InputError, match=words):
+        calibrate(Table("corners.csv", change(table)), cases.BOARD, START)
+
+
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [
+        (Board(4, 6, 6.0), "not lie as on a board of 4x6 inner corners: they do on one with 6 along each row"),
+        (Board(7, 4, 6.0), "not lie as on a board of 7x4 inner corners: they do on one with 6 along each row"),
+        (Board(6, 4, 60.0), r"squares of 60 mm and .* f-number .* radius of .* check the distance of the board's"),
+        pytest.param(
+            Board(6, 4, 0.6),
+            r"squares of 0.6 mm and .* radius of .* but micro-images are .* pixels apart: check",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_boards_of_another_size_are_not_called_mirrored(table, centres, board, words):
+    with pytest.raises(InputError, match=words):
+        calibrate(table, board, START, centres)
+
+
+def test_the_scale_is_that_of_the_squares(table, centres, found):
+    """Squares of another size explain the corners as well, by other lengths."""
+    larger = calibrate(table, Board(6, 4, 1.2 * 6.0), START, centres)
+    assert larger.evaluation.error == pytest.approx(found.evaluation.error, rel=1e-3)
+    assert larger.numbers["detector_distance"] == pytest.approx(found.numbers["detector_distance"] / 1.2, rel=0.01)
+    np.testing.assert_allclose(larger.evaluation.poses[:, 5], 1.2 * found.evaluation.poses[:, 5], rtol=1e-3)
+
+
+def test_rows_of_a_hexagonal_lattice_that_run_along_its_columns_are_refused(table):
+    # The same lenses, counted along what was their columns: shifted rows half a pitch apart.
+    x, y = (cases.INDEX.unit(table["k"], table["l"]) * [2, 1]).round().astype(int).T
+    turned = {**table.columns, "k": y // 2, "l": x}
+    with pytest.raises(InputError, match="turn pictures of a hexagonal lattice by 90 degrees"):
+        calibrate(Table("corners.csv", turned), cases.BOARD, START)
+
+
+def test_a_lattice_that_is_not_the_cameras_is_refused(table, centres):
+    square = START.replace(mla_lattice="square", mla_focal_length=0.56)
+    for given in (centres, None):
+        with pytest.raises(
+            InputError, match=r"shifts its odd rows by half a pitch, other than the camera's mla_lattice"
+        ):
+            calibrate(table, cases.BOARD, square, given)
+    k, l = (index.ravel() for index in np.mgrid[0:60, 0:50])  # noqa: E741
+    straight = Table("centres.csv", {"k": k, "l": l, "u": 30.0 + 23.3 * k, "v": 30.0 + 23.3 * l})
+    with pytest.raises(InputError, match="does not shift its odd rows"):
+        calibrate(table, cases.BOARD, START, straight)
+
+
+def test_boards_at_one_distance_tell_too_little():
+    poses = np.tile([0.0, 0.0, 3.1, 14, 9, 300], (4, 1)) + [[0, 0, 0, shift, shift, 0] for shift in range(4)]
+    with pytest.raises(InputError, match="same distance"):
+        calibrate(cases.corners(0.0, 0, poses)[0], cases.BOARD, START)
+
+
+def some(table, part):
+    """A part of the rows."""
+    return table.keep(np.random.default_rng(0).random(len(table["k"])) < part)
+
+
+@pytest.mark.slow
+def test_boards_that_are_never_tilted_leave_open_what_no_prediction_needs():
+    poses = cases.POSES.copy()
+    poses[:, :3] = 0, 0, 3.1
+    found = calibrate(some(cases.corners(0.1, 0, poses)[0], 0.15), cases.BOARD, START)
+    moved = found.open_direction
+    # The distances in the camera grow together, by their deviations.
+    assert moved["focal_length"] == pytest.approx(found.deviations["focal_length"])
+    assert moved["mla_distance"] == pytest.approx(found.deviations["mla_distance"], rel=0.01)
+    assert moved["focal_length"] > 20
+    assert abs(found.numbers["focal_length"] - cases.CAMERA.focal_length) < 2 * found.deviations["focal_length"]
+    # Tilted boards without noise are seen where this camera predicts them.
+    error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
+    assert 0.3 * found.prediction_deviation < error < 3 * found.prediction_deviation < 1
+
+
+def test_corners_that_leave_predictions_open_are_refused():
+    """As frames that disagree about the camera by pixels do; by less, the stated deviation is that from the truth."""
+    table = some(cases.corners(0.1)[0], 0.15)
+    found = calibrate(bent_frames(table, 1.0), cases.BOARD, START)
+    error = evaluate(cases.corners()[0], cases.BOARD, found.camera).error
+    assert error / 2 < found.prediction_deviation < 2 * error
+    with pytest.raises(InputError, match=r"open where .* in other poses, \+- .* pixels: give centres of .* tilted"):
+        calibrate(bent_frames(table, 4.0), cases.BOARD, START)
+
+
+def test_the_command_names_what_corners_leave_open(tmp_path, capsys):
+    table = cases.corners(0.5)[0]
+    few = some(table.keep(table["frame"] < 13), 0.15)
+    path, start, output = (tmp_path / name for name in ("corners.csv", "start.json", "camera.json"))
+    rows = np.column_stack(list(few.columns.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(few.columns), comments="")
+    start.write_text(START.to_json())
+    given = ["--board", "6x4", "--square", "6", "--camera", str(start), "-o", str(output)]
+    assert main(["calibrate", str(path), *given]) == 0
+    printed = capsys.readouterr().out
+    assert "leave the focal length open; with +" in printed and "go mla_distance +" in printed
+    assert "boards in other poses are predicted to 0." in printed
+    record = json.loads(output.read_text())["calibration"]
+    assert record["open_direction"]["mla_distance"] > 1
+    assert 0.1 < record["prediction_deviation_px"] < 1
+
+
+def test_corners_alone_tell_where_micro_images_are(table, found):
+    """Corners are seen through the pupil, so that micro-images lie about them."""
+    alone = calibrate(table, cases.BOARD, START)
+    assert not alone.open_direction
+    assert abs(alone.numbers["focal_length"] - cases.CAMERA.focal_length) < 3 * alone.deviations["focal_length"]
+    assert alone.deviations["focal_length"] > 2 * found.deviations["focal_length"]
+    unit = found.index.unit(table["k"], table["l"])
+    theirs, ours = (
+        predict_centres(np.array(list(each.numbers.values())), unit, pixel_size=0.0055, row_ratio=0.75**0.5)[0]
+        for each in (found, alone)
+    )
+    assert np.sqrt(((ours - theirs) ** 2).sum(1).mean()) < 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no column k"),
+        ("k,l,u,v,cluster\n1,1,1,1,1\n", "no column frame"),
+        ("k,l,u,v,cluster,frame\n", "no rows"),
+        ("k,l,u,v,cluster,frame\n1,1,nan,1,1,1\n", "row 2: u = nan"),
+        ("k,l,u,v,cluster,frame\n1.5,1,1,1,1,1\n", "row 2: k = 1.5"),
+        ("k,l,u,v,cluster,frame\n1,1,1,1,99,1\n", "cluster = 99"),
+        ("k,l,u,v,cluster,frame\n1,1,x,1,1,1\n", "no table of numbers"),
+    ],
+)
+def test_bad_tables_get_one_line(tmp_path, capsys, text, words):
+    path, output = tmp_path / "corners.csv", tmp_path / "camera.json"
+    path.write_text(text)
+    arguments = ["calibrate", str(path), "--board", "6x4", "--square", "6", "--camera", "raytrix", "-o", str(output)]
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert words in message
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("board", ["9", "x5", "9x1", "9x5x3"])
+def test_bad_boards(board):
+    with pytest.raises(InputError, match="board"):
+        Board.parse(board, 10.0)
+
+
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_a_real_camera(tmp_path, capsys):
+    output = tmp_path / "camera.json"
+    board = ["--board", "9x5", "--square", "10"]
+    corners = str(cases.REAL / "corners.csv")
+    given = ["--camera", "raytrix", "--centres", str(cases.REAL / "centres.csv"), "-o", str(output)]
+    assert main(["calibrate", corners, *board, *given]) == 0
+    assert main(["calibrate", "--evaluate", corners, "--camera", str(output), *board]) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    error, rest = last.removeprefix("reprojection error ").split(" ", 1)
+    assert rest == "px over 12433 observations of 11 poses"
+    assert float(error) <= 0.965
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+@pytest.mark.parametrize("part", [0.005, 0.05])
+def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
+    header, *lines = (cases.REAL / "corners.csv").read_text().splitlines()
+    names, generator = header.split(","), np.random.default_rng(0)
+    rows = [line.split(",") for line in lines if line]
+    bad = generator.choice(len(rows), int(part * len(rows)), replace=False)
+    for row in bad:
+        for name in "uv":
+            place = names.index(name)
+            rows[row][place] = f"{float(rows[row][place]) + generator.uniform(-500, 500):.3f}"
+    spoiled, output, report = tmp_path / "corners.csv", tmp_path / "camera.json", tmp_path / "report.html"
+    spoiled.write_text("\n".join([header, *map(",".join, rows)]) + "\n")
+    board = ["--board", "9x5", "--square", "10"]
+    given = ["--camera", "raytrix", "--centres", str(cases.REAL / "centres.csv"), "-o", str(output)]
+    assert main(["calibrate", str(spoiled), *board, *given, "--report", str(report)]) == 0
+    named = set(json.loads(output.read_text())["calibration"]["outlier_rows"])
+    assert len(set(bad + 2) - named) <= 2
+    printed = capsys.readouterr().out
+    assert f"{len(named)} outliers, in lines" in printed
+    assert f"{len(named)} rows are outliers" in report.read_text()
+    # The camera is judged by the data as they were measured.
+    assert main(["calibrate", "--evaluate", str(cases.REAL / "corners.csv"), "--camera", str(output), *board]) == 0
+    error = capsys.readouterr().out.splitlines()[-1].removeprefix("reprojection error ").split(" ", 1)[0]
+    assert float(error) <= 0.965
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_corners_of_a_real_camera_alone_predict_poses_that_are_left_out():
+    board, start = Board(9, 5, 10.0), PlenopticCamera.preset("raytrix")
+    corners = read_corners(cases.REAL / "corners.csv", board, start.crop_size)
+    found, centres = calibrate(corners, board, start), read_centres(cases.REAL / "centres.csv")
+    assert np.mean(list(cross_validate(corners, board, found).values())) < 1.12
+    both = calibrate(corners, board, start, centres)
+    apart = found.numbers["focal_length"] - both.numbers["focal_length"]
+    assert abs(apart) < 2 * found.deviations["focal_length"]
+    assert found.deviations["focal_length"] > 2 * both.deviations["focal_length"]
+    unit = found.index.unit(centres["k"], centres["l"])
+    numbers = np.array(list(found.numbers.values()))
+    pixel, _ = predict_centres(numbers, unit, pixel_size=0.0055, row_ratio=0.75**0.5)
+    assert np.sqrt(((pixel - centres.pixel) ** 2).sum(1).mean()) < 1.2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, capsys):
+    text = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text()
+    camera, output = tmp_path / "start.json", tmp_path / "camera.json"
+    camera.write_text(text.split("```json\n")[1].split("```")[0])
+    given = ["--centres", str(cases.REAL / "centres.csv"), "--board", "9x5", "--square", "10", "--camera", str(camera)]
+    assert main(["calibrate", str(cases.REAL / "corners.csv"), *given, "-o", str(output)]) == 0
+    assert "reprojection error 0.96" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_compote_cameras_are_read():
+    # Errors of three poses by COMPOTE's own model (tools/bench/cases/calibration.py), which distorts points, not rays.
+    camera, index = read_camera(cases.REAL / "compote_intrinsics.json")
+    assert index is None
+    board = Board(9, 5, 10.0)
+    table = read_corners(cases.REAL / "corners.csv", board, camera.crop_size)
+    found = evaluate(table.keep(np.isin(table["frame"], [0, 8, 14])), board, camera)
+    np.testing.assert_allclose(found.pose_errors, [1.112, 0.802, 0.684], atol=0.03)
+    assert len(read_centres(cases.REAL / "centres.csv")["k"]) > 26000
+
+
+def test_lenses_are_counted_as_rows_are_shifted():
+    index = LensIndex(0.5, -1, (3, 1))
+    places = index.unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
+    np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])

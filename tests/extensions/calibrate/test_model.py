@@ -1,0 +1,132 @@
+"""The model of corners and centres: its derivatives, and the rays that the sensor traces."""
+
+from __future__ import annotations
+
+import calibration_cases as cases
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    PlenopticCamera,
+    estimate_capture,
+    load_scene,
+    reconstruct,
+    render_capture,
+    with_camera,
+)
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, camera_of, numbers_of, predict, predict_centres
+from mitsuba_plenoptic.lenses.distortion import undistort
+
+GEOMETRY = {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return cases.corners()[1]
+
+
+def slope(function, values, index):
+    step = np.zeros_like(values)
+    step[index] = max(abs(values[index]), {12: 1e-3, 13: 1e-5, 14: 1e-7}.get(index, 1e-3)) * 1e-5
+    return (function(values + step) - function(values - step)) / (2 * step[index])
+
+
+def test_derivatives_are_those_of_differences(seen):
+    numbers = numbers_of(cases.CAMERA)
+    pixel, by_numbers, by_pose = predict(numbers, cases.POSES, seen, **GEOMETRY)
+    for index in range(len(NAMES)):
+        near = slope(lambda values: predict(values, cases.POSES, seen, **GEOMETRY)[0], numbers, index)
+        assert np.abs(near - by_numbers[:, :, index]).max() < 1e-5 * np.abs(near).max(), NAMES[index]
+    for index in range(6):
+        moved = cases.POSES.copy()
+        ends = []
+        for sign in (1, -1):
+            moved[:, index] = cases.POSES[:, index] + sign * 1e-5
+            ends.append(predict(numbers, moved, seen, **GEOMETRY)[0])
+        near = (ends[0] - ends[1]) / 2e-5
+        assert np.abs(near - by_pose[:, :, index]).max() < 1e-5 * np.abs(near).max()
+    assert np.abs(pixel - seen.pixel).max() < 1e-9
+
+
+def test_derivatives_of_centres(seen):
+    numbers = numbers_of(cases.CAMERA)
+    _, by_numbers = predict_centres(numbers, seen.lens, **GEOMETRY)
+    for index in range(len(NAMES)):
+        near = slope(lambda values: predict_centres(values, seen.lens, **GEOMETRY)[0], numbers, index)
+        assert np.abs(near - by_numbers[:, :, index]).max() < 1e-5 * max(np.abs(near).max(), 1e-9), NAMES[index]
+
+
+def test_the_sensor_sees_the_corners(seen):
+    # From the predicted pixel, rays through the middle of the lens's small aperture reach the corner on the board.
+    sensor = mi.load_dict(cases.CAMERA.replace(mla_aperture="circle", mla_fill=1e-3).to_sensor())
+    pixel = (seen.pixel + 0.5) / cases.CAMERA.crop_size
+    n = len(pixel)
+    middle = mi.Point2f(np.zeros((2, n), dtype=np.float32))
+    ray, weight = sensor.sample_ray(0.0, 0.5, mi.Point2f(pixel.T.astype(np.float32)), middle)
+    assert (weight.numpy() > 0).all()
+    corner = np.concatenate([seen.board, np.zeros((n, 1))], axis=1)
+    place = Rotation.from_rotvec(cases.POSES[seen.pose, :3]).apply(corner) + cases.POSES[seen.pose, 3:]
+    origin, direction = (np.array(v, dtype=np.float64).T for v in (ray.o, ray.d))
+    length = (place[:, 2] - origin[:, 2]) / direction[:, 2]
+    miss = np.hypot(*(origin + length[:, None] * direction - place)[:, :2].T)
+    # Of a board some 300 mm away: single precision, and a pixel is 0.1 mm there.
+    assert np.sqrt((miss**2).mean()) < 3e-3
+
+
+def test_numbers_make_the_camera_and_back():
+    numbers = numbers_of(cases.CAMERA)
+    again = camera_of(numbers, cases.CAMERA)
+    np.testing.assert_allclose(numbers_of(again), numbers, rtol=0, atol=1e-12)
+    assert again.crop_size == cases.CAMERA.crop_size
+    assert again.pixel_size == pytest.approx(cases.CAMERA.pixel_size, rel=1e-14)
+
+
+def test_a_distorted_lens_bends_rays_as_its_polynomial_says():
+    plain = PlenopticCamera(resolution=(64, 64), detector_width=8.192)
+    k1, p1 = 2e-3, 1e-3
+    rays = []
+    for camera in (plain, plain.replace(distortion=(k1, 0, 0, p1, 0))):
+        sensor = mi.load_dict(camera.replace(mla_aperture="circle", mla_fill=1e-3).to_sensor())
+        grid = (np.arange(64) + 0.5) / 64
+        film = mi.Point2f(np.stack(np.meshgrid(grid, grid)).reshape(2, -1).astype(np.float32))
+        ray, _ = sensor.sample_ray(0.0, 0.5, film, mi.Point2f(np.zeros((2, 64 * 64), dtype=np.float32)))
+        o, d = (np.array(v, dtype=np.float64).T for v in (ray.o, ray.d))
+        rays.append((o, o + d * (240 / d[:, 2])[:, None]))
+    (pupil, straight), (same, bent) = rays
+    np.testing.assert_allclose(pupil, same, atol=1e-5)
+    # In focus at 240 mm the places on the array are half as far from the axis, upside down.
+    x, y = undistort(*(-straight[:, :2].T / 2), (k1, 0, 0, p1, 0))
+    np.testing.assert_allclose(bent[:, :2], -2 * np.stack([x, y], axis=-1), atol=2e-4)
+
+
+@pytest.mark.parametrize("changes", [{"mla_tilt": (0.1, 0)}, {"distortion": (1e-4, 0, 0, 0, 0)}])
+def test_waves_refuse_what_they_do_not_know(changes):
+    camera = PlenopticCamera(resolution=(256, 256), detector_width=0.512, **changes)
+    scene = with_camera(load_scene("letters"), camera)
+    for work in (
+        lambda: CaptureOperator(camera, np.array([[0.0, 0.0, 240.0]]), wavelength=633.0),
+        lambda: render_capture(scene, model="wave", method="points"),
+        lambda: estimate_capture(scene, model="wave", method="points"),
+        lambda: reconstruct(np.ones((256, 256)), 240.0, camera=camera, method="partial", wavelength=633.0),
+    ):
+        with pytest.raises(InputError, match=rf"\A{next(iter(changes))} = .*through cameras without it only.*\Z"):
+            work()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mla_tilt": (6, 0)}, "mla_tilt"),
+        ({"mla_tilt": (5, 0), "detector_distance": 0.1}, "touches"),
+        ({"mla_tilt": 1}, "2 numbers"),
+        ({"distortion": (-1, 0, 0, 0, 0)}, "folds"),
+        ({"distortion": (1, 2)}, "5 numbers"),
+    ],
+)
+def test_cameras_that_cannot_be(changes, words):
+    with pytest.raises(InputError, match=words):
+        PlenopticCamera(**changes)

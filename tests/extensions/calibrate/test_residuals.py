@@ -1,0 +1,83 @@
+"""Residuals by lens, field, depth and pose add up, and show where a camera misses."""
+
+from __future__ import annotations
+
+import calibration_cases as cases
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
+from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
+from mitsuba_plenoptic.extensions.calibrate.calibration_page import write_calibration_report
+from mitsuba_plenoptic.extensions.calibrate.calibration_result import GROUPED_BY
+
+TABLE, SEEN = cases.corners()
+ODD = (TABLE["k"] == TABLE["k"][500]) & (TABLE["l"] == TABLE["l"][500])
+
+
+@pytest.fixture
+def calibration():
+    # Exact, but for one lens that shows everything two pixels to the right, and noise.
+    residuals = np.random.default_rng(1).normal(0, 0.1, (len(SEEN), 2))
+    residuals[ODD, 0] -= 2
+    frames = np.unique(TABLE["frame"])
+    numbers = dict(zip(NAMES, numbers_of(cases.CAMERA).tolist(), strict=True))
+    return Calibration(
+        cases.CAMERA,
+        cases.INDEX,
+        Evaluation(residuals, frames, SEEN.pose, cases.POSES),
+        numbers,
+        dict.fromkeys(numbers, 1.0),
+        np.eye(len(numbers)),
+        np.zeros((0, 2)),
+        1,
+    )
+
+
+@pytest.mark.parametrize("by", GROUPED_BY)
+def test_groups_add_up_to_all(calibration, by):
+    found = residual_map(calibration, cases.BOARD, TABLE, by)
+    assert found.key.shape == (len(found.count), len(GROUPED_BY[by]))
+    assert found.count.sum() == len(SEEN)
+    square = (found.error**2 * found.count).sum() / len(SEEN)
+    assert np.sqrt(square) == pytest.approx(calibration.evaluation.error)
+    mean = (found.mean * found.count[:, None]).sum(0) / len(SEEN)
+    np.testing.assert_allclose(mean, -calibration.evaluation.residuals.mean(0), atol=1e-12)
+
+
+def test_the_lens_that_errs_is_told(calibration):
+    found = residual_map(calibration, cases.BOARD, TABLE, "lens")
+    worst = int(found.error.argmax())
+    assert tuple(found.key[worst, :2]) == (TABLE["k"][500], TABLE["l"][500])
+    assert found.count[worst] == ODD.sum()
+    assert found.mean[worst] == pytest.approx((2, 0), abs=0.3)
+    unit = cases.INDEX.unit(TABLE["k"][500:501], TABLE["l"][500:501])
+    middle, _ = predict_centres(numbers_of(cases.CAMERA), unit, pixel_size=0.0055, row_ratio=0.75**0.5)
+    np.testing.assert_allclose(found.key[worst, 2:], middle[0], atol=1e-9)
+
+
+def test_poses_and_depths_are_those_of_the_boards(calibration):
+    pose = residual_map(calibration, cases.BOARD, TABLE, "pose")
+    np.testing.assert_allclose(pose.error, calibration.evaluation.pose_errors)
+    np.testing.assert_array_equal(pose.key[:, 0], calibration.evaluation.frames)
+    depth = residual_map(calibration, cases.BOARD, TABLE, "depth", 4)
+    assert np.ptp(depth.count) <= 1
+    assert (depth.key[1:, 0] >= depth.key[:-1, 1]).all()
+    # The first corner of the nearest board is 240 mm away and that of the farthest 345 mm.
+    assert 225 < depth.key[0, 0] < 245
+    assert 345 <= depth.key[-1, 1] < 365
+
+
+def test_the_report_shows_lenses(calibration, tmp_path):
+    write_calibration_report(tmp_path / "report.html", calibration, cases.BOARD, TABLE, None)
+    text = (tmp_path / "report.html").read_text()
+    lenses = len(residual_map(calibration, cases.BOARD, TABLE, "lens").count)
+    assert text.count('r="2"') == lenses
+    assert "Error of each lens" in text
+
+
+@pytest.mark.parametrize(("by", "parts"), [("colour", 6), ("depth", 0)])
+def test_other_groups_are_refused(calibration, by, parts):
+    with pytest.raises(InputError, match=r"\A(by|parts) = "):
+        residual_map(calibration, cases.BOARD, TABLE, by, parts)

@@ -1,0 +1,154 @@
+"""Centres of micro-images in white images that are drawn from closed forms."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
+from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.views import LensGrid, lens_grid, white_image
+
+PITCH, ROTATION, PHOTONS = 16.37, 0.3, 2000
+
+
+def drawn(shape, shifted, diameters, seed=0):
+    """Discs with rims a pixel soft at known places, and 2000 photons in a full pixel."""
+    row = math.sqrt(0.75) * PITCH if shifted is not None else PITCH
+    grid = LensGrid((PITCH, row), (11.3, 4.6), (60, 60), math.radians(ROTATION), shifted)
+    centres = grid.centres().reshape(-1, 2)
+    image = np.zeros(shape)
+    y, x = np.indices(shape) + 0.5
+    for number, (cx, cy) in enumerate(centres):
+        left, top = max(0, int(cx) - 10), max(0, int(cy) - 10)
+        part = np.s_[top : int(cy) + 11, left : int(cx) + 11]
+        radius = diameters[number % len(diameters)] / 2
+        image[part] += np.clip(radius + 0.5 - np.hypot(x[part] - cx, y[part] - cy), 0, 1)
+    return np.random.default_rng(seed).poisson(PHOTONS * (0.02 + 0.98 * image)) / PHOTONS, centres
+
+
+@pytest.mark.parametrize(
+    ("shifted", "diameters"),
+    [
+        (None, (14.0, 13.4, 13.7)),
+        (0, (14.0, 13.4, 13.7)),
+        (1, (14.0,)),
+        pytest.param(None, (14.0,), marks=pytest.mark.slow),
+        pytest.param(0, (14.0,), marks=pytest.mark.slow),
+        pytest.param(1, (14.0, 13.4, 13.7), marks=pytest.mark.slow),
+    ],
+)
+def test_centres_are_found(shifted, diameters, tmp_path):
+    image, true = drawn((640, 700), shifted, diameters)
+    found = find_centres(image)
+    nearest = np.abs(found.pixel[:, None] + 0.5 - true).max(-1).min(1)
+    assert len(found.pixel) > 1200
+    error = np.array([true[np.hypot(*(true - p - 0.5).T).argmin()] - p - 0.5 for p in found.pixel])
+    assert np.sqrt((error**2).sum(1).mean()) < 0.05
+    assert nearest.max() < 0.2
+    assert found.grid.spacing[0] == pytest.approx(PITCH, rel=1e-4)
+    assert math.degrees(found.grid.rotation) == pytest.approx(ROTATION, abs=2e-3)
+    assert found.light.max() == 1
+    path = tmp_path / "centres.csv"
+    write_centres(path, found)
+    np.testing.assert_allclose(read_centres(path).pixel, found.pixel, atol=1e-4)
+
+
+@pytest.mark.parametrize("diameters", [pytest.param((14.0,), marks=pytest.mark.slow), (14.0, 13.4, 13.7)])
+def test_centres_that_dust_displaces_are_doubtful(diameters, tmp_path, capsys):
+    image, true = drawn((640, 700), 0, diameters)
+    assert not find_centres(image).doubtful.any()
+    y, x = np.indices(image.shape) + 0.5
+    for number, (column, row) in enumerate(np.random.default_rng(3).uniform(60, 580, (10, 2))):
+        image *= 1 - 0.7 * np.clip(2.5 + 2 * (number % 4) - np.hypot(x - column, y - row), 0, 1)
+    camera = CAMERA.replace(resolution=(700, 640), detector_width=3.85)
+    write_capture(tmp_path / "white.exr", Capture(image.astype(np.float32), camera))
+    assert main(["calibrate", str(tmp_path / "white.exr"), "-o", str(tmp_path / "centres.csv")]) == 0
+    found = read_centres(tmp_path / "centres.csv")
+    error = np.array([np.hypot(*(true - place - 0.5).T).min() for place in found.pixel])
+    doubtful = found["doubtful"] == 1
+    assert (error > 0.15).sum() > 8
+    assert doubtful[error > 0.15].all()
+    assert not doubtful[error < 0.05].any()
+    assert f"{doubtful.sum()} doubtful centres" in capsys.readouterr().out
+
+
+CAMERA = PlenopticCamera.preset("raytrix").replace(
+    resolution=(460, 340), detector_width=2.53, mla_rotation=0.3, mla_aperture="circle", mla_fill=0.6
+)
+
+
+def rendered(camera):
+    scene = {"type": "scene", "lamp": {"type": "constant"}, "integrator": {"type": "path", "max_depth": 1}}
+    return render_capture(mi.load_dict(scene | {"camera": camera.to_sensor()}), spp=32).image
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (2.0, -1.0)])
+def test_white_images_of_tilted_arrays_are_those_that_rays_draw(tilt):
+    camera = CAMERA.replace(mla_tilt=tilt, distortion=(3e-4, 0, 0, -1e-4, 5e-5), mla_focal_length=0.56)
+    image = rendered(camera)
+    error = np.sqrt(((white_image(camera) - image) ** 2).mean())
+    # A pixel of fraction f has the noise sqrt(f (1 - f) / 32).
+    expected = white_image(camera)
+    assert error == pytest.approx(np.sqrt((expected * (1 - expected)).clip(0).mean() / 32), rel=0.15)
+
+
+def test_centres_at_several_apertures(tmp_path, capsys):
+    apertures = [CAMERA.replace(aperture_radius=CAMERA.aperture_radius * part) for part in (1.0, 0.6)]
+    paths = [str(tmp_path / f"white{number}.exr") for number in range(2)]
+    generator = np.random.default_rng(1)
+    for path, camera in zip(paths, apertures, strict=True):
+        image = generator.poisson(PHOTONS * white_image(camera)) / PHOTONS
+        write_capture(path, Capture(image.astype(np.float32), camera))
+    assert main(["calibrate", *paths, "-o", str(tmp_path / "centres.csv")]) == 0
+    assert "turned by 0.30" in capsys.readouterr().out
+    found, true = read_centres(tmp_path / "centres.csv").pixel, camera_centres(CAMERA).pixel
+    error = np.array([(true - place)[np.hypot(*(true - place).T).argmin()] for place in found])
+    assert len(error) > 150
+    assert np.sqrt((error**2).sum(1).mean()) < 0.05
+    with pytest.raises(InputError, match="2 sizes"):
+        find_centres(white_image(CAMERA), white_image(CAMERA)[:100])
+
+
+def test_centres_of_other_programs(tmp_path):
+    grid = lens_grid(CAMERA)
+    model = {
+        "HSpacing": grid.spacing[0], "VSpacing": grid.spacing[1], "HOffset": grid.offset[0] + 0.5,
+        "VOffset": grid.offset[1] + 0.5, "Rot": grid.rotation, "UMax": grid.shape[1], "VMax": grid.shape[0],
+        "FirstPosShiftRow": grid.shifted_rows + 1, "Orientation": "horz",
+    }  # fmt: skip
+    places = grid.centres() - 0.5
+    mics = [[*places[row, column, ::-1], row, column] for row, column in np.ndindex(grid.shape)]
+    for name, values in (
+        ("white.grid.json", {"CamInfo": {}, "LensletGridModel": model}),
+        ("white.json", {"pat_type": "hex", "ptc_mean": [20.2, 23.3], "mic_list": mics}),
+    ):
+        path = tmp_path / name
+        path.write_text(json.dumps(values))
+        found = read_centres(path)
+        np.testing.assert_allclose(found.pixel, places.reshape(-1, 2), atol=1e-9)
+        np.testing.assert_array_equal(found["k"][: grid.shape[1]], np.arange(grid.shape[1]))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "no grid"),
+        ("[1]", "neither"),
+        ('{"mic_list": [[1, 2, 3]]}', "no grid"),
+        ('{"mic_list": [[1, NaN, 0, 0]]}', "row 1: u = nan"),
+        ('{"mic_list": [[1, 1, 0.5, 0]]}', "l = 0.5"),
+        ('{"LensletGridModel": {"VMax": 3}}', "no grid"),
+        ('{"LensletGridModel": {"Orientation": "vert"}}', "transpose"),
+    ],
+)
+def test_damaged_centres_of_other_programs(tmp_path, text, words):
+    path = tmp_path / "white.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_centres(path)

@@ -1,0 +1,307 @@
+"""Data sets: the same bits however they were made, and what is read of them."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import weakref
+
+import h5py
+import mitsuba as mi
+import numpy as np
+import pytest
+import yaml
+from dataset_cases import SMALL, small
+from stopped_runs import start_command
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.dataset import DataSet, make_dataset, make_sample, parse_recipe
+from mitsuba_plenoptic.extensions.data import dataset_production as production
+from mitsuba_plenoptic.extensions.data import shards
+
+
+def files(folder):
+    """All files of a data set with their bytes."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    mi.set_variant("llvm_ad_mono")
+    folder = tmp_path_factory.mktemp("data") / "whole"
+    make_dataset(parse_recipe(small()), folder)
+    return folder
+
+
+class KilledError(Exception):
+    """Stands in for the end of a process."""
+
+
+def test_a_run_that_was_stopped_or_grew_ends_with_the_same_bits(made, tmp_path, monkeypatch):
+    # Stopped before and after each of its writes, in turn; then the count grows.
+    write, writes = production.write_samples, []
+
+    def stopping(path, samples):
+        writes.append(path)
+        if len(writes) in (2, 5):
+            (path.parent / f".{path.name}.half").mkdir()
+            raise KilledError
+        write(path, samples)
+        if len(writes) in (4, 7):
+            raise KilledError
+
+    monkeypatch.setattr(production, "write_samples", stopping)
+    folder, stops = tmp_path / "stopped", 0
+    for count in (1, 3, 5, 5, 5, 5, 5):
+        try:
+            make_dataset(parse_recipe(small(count=count)), folder)
+        except KilledError:
+            stops += 1
+    assert stops == 4
+    # The recipe's own count stands in manifest and card as it was last given.
+    assert files(folder) == files(made)
+
+
+def test_samples_hold_what_the_library_itself_makes(made):
+    sample = DataSet(made)[1]
+    assert json.loads(json.dumps(make_sample(parse_recipe(small()), 1).facts)) == sample.facts
+    assert set(sample.arrays) == {"ray", "ray_exposed", "depth", "normal", "views_depth", "views_normal"}
+    capture = sample.capture("ray")
+    assert capture.camera.shape == (64, 64)
+    again = mp.expose(capture, mp.Detector(), photons=sample.facts["draws"]["noise"]["photons"],
+                      seed=sample.facts["captures"]["ray_exposed"]["metadata"]["exposure"]["seed"])  # fmt: skip
+    np.testing.assert_array_equal(again.image, sample.capture("ray", exposed=True).image)
+    lf = mp.decode(capture, truth=sample.truth)
+    np.testing.assert_array_equal(lf.depth.values, sample.arrays["views_depth"])
+    assert np.nanmin(sample.arrays["depth"]) > 100
+
+
+def test_a_scene_file_is_captured_as_by_the_command(made):
+    recipe = parse_recipe(small())
+    index = next(index for index in range(5) if recipe.plan(index).source == 1)
+    sample = DataSet(made, ["ray"])[index]
+    scene = mp.with_camera(mp.load_scene("white", parameters={"resolution": "64"}), sample.camera)
+    seed = sample.facts["captures"]["ray"]["metadata"]["seed"]
+    capture = mp.render_capture(scene, model="ray", spp=2, seed=seed)
+    np.testing.assert_array_equal(capture.image, sample.arrays["ray"])
+
+
+def test_another_recipe_is_refused_with_the_difference(made, tmp_path):
+    for changes, message in (
+        ({"seed": 4}, "it holds samples of another recipe: recipe.seed was 3, is 4; choose another folder"),
+        ({"count": 4}, r"count = 4: .* holds 5 samples; it may only grow"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make_dataset(parse_recipe(small(**changes)), made)
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match="it holds something else"):
+        make_dataset(parse_recipe(small()), tmp_path)
+
+
+def test_damage_is_found(made, tmp_path):
+    assert DataSet(made).damaged() == []
+    folder = tmp_path / "copy"
+    for name, content in files(made).items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]) if name.startswith("shards/shard-00001") else content)
+    assert DataSet(folder).damaged() == ["shards/shard-00001.h5"]
+    (folder / "checksums.sha256").write_text(f"{'0' * 64}  ../../whole/README.md\n")
+    assert DataSet(folder).damaged() == ["../../whole/README.md"]
+    (folder / "shards/shard-00000.h5").write_bytes(b"no HDF5")
+    with pytest.raises(InputError, match=r"shard-00000.h5: it is damaged"):
+        DataSet(folder)[0]
+    (folder / "shards/shard-00002.h5").unlink()
+    with pytest.raises(InputError, match=r"shard-00002.h5: it is missing"):
+        DataSet(folder)
+
+
+def flipped(path, index, array):
+    """Change one bit in the middle of an array of a sample, as a failing disk does."""
+    with h5py.File(path, "r") as file:
+        stored = file[f"{index:06d}/{array}"]
+        place = stored.id.get_offset() + stored.nbytes // 2
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_rerun_renders_damaged_samples_again(made, tmp_path, capsys):
+    shutil.copytree(made, tmp_path / "copy")
+    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "copy"
+    recipe.write_text(yaml.safe_dump(small()))
+    flipped(folder / "shards/shard-00000.h5", 1, "ray")
+    flipped(folder / "shards/shard-00001.h5", 2, "facts")
+    # A byte that belongs to no sample, and a shard of which nothing is left.
+    content = (folder / "shards/shard-00002.h5").read_bytes()
+    (folder / "shards/shard-00002.h5").write_bytes(content + b"?")
+    with pytest.raises(InputError, match="sample 1 is damaged: ray is not what was written"):
+        DataSet(folder)[1]
+    assert DataSet(folder, ["depth"])[1].arrays["depth"].shape == (64, 64)
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
+    said = capsys.readouterr().err
+    assert "sample 1 is damaged: ray is not what was written; it is rendered again" in said
+    assert "sample 2 is damaged: facts is not what was written" in said
+    assert "shard-00002.h5: its checksum differs" in said
+    assert files(folder) == files(made)
+    (folder / "shards/shard-00002.h5").write_bytes(content[:100])
+    make_dataset(parse_recipe(small()), folder)
+    assert files(folder) == files(made)
+
+
+def test_a_data_set_without_digests_is_read_with_a_warning_and_never_repaired(made, tmp_path, capsys):
+    """As version 0.2.0 made them, whose source had another digest."""
+    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "old"
+    shutil.copytree(made, folder)
+    recipe.write_text(yaml.safe_dump(small()))
+    for path in (folder / "shards").iterdir():
+        with h5py.File(path, "r+") as file:
+            for sample in file.values():
+                del sample["digests"]
+    with pytest.warns(UserWarning, match=r"old: its samples have no digests, as those of version 0\.2\.0") as warned:
+        sample = DataSet(folder)[1]
+    assert len(warned) == 1 and warned[0].filename == __file__
+    np.testing.assert_array_equal(sample.arrays["ray"], DataSet(made)[1].arrays["ray"])
+    assert sample.facts == DataSet(made)[1].facts
+    manifest = json.loads((folder / "dataset.json").read_text())
+    manifest["software"]["mitsuba_plenoptic"] = "ba0617f68a4b6c45"
+    (folder / "dataset.json").write_text(json.dumps(manifest))
+    before = files(folder)
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "old: it holds samples made by other software: software.mitsuba_plenoptic was 'ba0617f68a4b6c45'" in said
+    assert files(folder) == before
+
+
+def test_samples_of_a_stopped_run_that_were_damaged_are_rendered_again(made, tmp_path):
+    folder, recipe = tmp_path / "stopped", parse_recipe(small())
+
+    def stopped(tasks):
+        yield tasks[0].prepare()()
+        raise KilledError
+
+    with pytest.raises(KilledError):
+        make_dataset(recipe, folder, batch_map=stopped)
+    flipped(folder / "samples/000000.h5", 0, "depth")
+    # A process that was killed leaves its lock file behind, without the lock.
+    (folder / ".lock").touch()
+    make_dataset(recipe, folder)
+    assert files(folder) == files(made)
+
+
+def test_a_second_process_in_the_folder_is_refused(made, tmp_path, capsys):
+    recipe, folder = tmp_path / "recipe.yaml", tmp_path / "data"
+    recipe.write_text(yaml.safe_dump(small()))
+    found = []
+
+    def meanwhile(tasks):
+        # The lock is that of an opened file, so that it keeps this process out as it does others.
+        found.append(main(["dataset", str(recipe), "-o", str(folder)]))
+        return (task.prepare()() for task in tasks)
+
+    make_dataset(parse_recipe(small()), folder, batch_map=meanwhile)
+    assert found == [2]
+    assert capsys.readouterr().err.splitlines() == [
+        f"mitsuba-plenoptic: error: {folder}: another process is making this data set; wait until it has ended"
+    ]
+    assert files(folder) == files(made)
+
+
+def test_what_is_asked_for_and_not_there_is_named(made):
+    with pytest.raises(IndexError):
+        DataSet(made)[5]
+    with pytest.raises(InputError, match="sample 0: it has no wave; it has depth, digests, facts"):
+        DataSet(made, ["wave"])[0]
+    assert [sample.index for sample in pickle.loads(pickle.dumps(DataSet(made, ["ray"])))] == [0, 1, 2, 3, 4]
+
+
+def test_few_files_are_open_at_once(made, monkeypatch):
+    opened, open_shard = [], shards.open_shard
+
+    def noting(path):
+        file = open_shard(path)
+        opened.append(weakref.ref(file))
+        return file
+
+    monkeypatch.setattr(shards, "_MOST_OPEN", 1)
+    monkeypatch.setattr(shards, "open_shard", noting)
+    samples = DataSet(made, ["ray"])
+    assert [samples[index].index for index in (0, 2, 4, 3, 1)] == [0, 2, 4, 3, 1]
+    assert [each() is not None for each in opened] == [False] * 4 + [True]
+
+
+def test_pytorch_reads_tensors(made):
+    torch = pytest.importorskip("torch")
+    from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset
+
+    loader = torch.utils.data.DataLoader(TorchDataset(made, ["ray", "normal"]), batch_size=5)
+    (batch,) = loader
+    assert batch["ray"].shape == (5, 64, 64)
+    assert batch["normal"].shape == (5, 3, 64, 64)
+    expected = np.moveaxis(DataSet(made)[3].arrays["normal"], -1, 0)
+    np.testing.assert_array_equal(batch["normal"][3].numpy(), expected)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+    def stopped(recipe, folder, *, batch_map, progress):
+        progress(2, 5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(mp.dataset, "make_dataset", stopped)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(yaml.safe_dump(small()))
+    assert main(["dataset", str(recipe), "-o", str(tmp_path / "data")]) == 130
+    assert "stopped at 40 %: the same command goes on from there" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_killed_processes_on_workers_end_with_the_bits_of_one_process(tmp_path):
+    # Pairs of captures by rays and by waves, of a small aperture, so that waves are quick.
+    camera = {**small()["camera"], "aperture_radius": 1}
+    scenes = [{"generator": "shapes", "objects": 4, "near": 225, "far": 260}]
+    content = small(models=["ray", "wave"], wave={"spp": 1}, camera=camera, scenes=scenes)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(yaml.safe_dump(content))
+
+    def start(folder, *options):
+        words = ["-m", "mitsuba_plenoptic", "dataset", recipe, "-o", tmp_path / folder, *options]
+        return subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.DEVNULL)
+
+    assert start("whole").wait() == 0
+    for kept in (1, 3):
+        process = start("killed", "--workers", "1")
+        while process.poll() is None and len(list((tmp_path / "killed").rglob("*.h5"))) < kept:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert start("killed", "--workers", "1").wait() == 0
+    assert files(tmp_path / "killed") == files(tmp_path / "whole")
+
+
+def test_a_full_disk_leaves_finished_shards_and_a_rerun_goes_on(tmp_path):
+    """Here a limit on the size of files stands in for it; HDF5 left alone crashes at the end of the process."""
+    recipe, folder = tmp_path / "small.yaml", tmp_path / "made"
+    content = small(scenes=SMALL["scenes"][:1])
+    recipe.write_text(json.dumps(content | {"count": 2}))
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
+    first = (folder / "shards" / "shard-00000.h5").read_bytes()
+    recipe.write_text(json.dumps(content))
+    # Samples fit, the two of a shard do not.
+    run = start_command("dataset", recipe, "-o", folder, limit=len(first) * 3 // 4)
+    _, errors = run.communicate(timeout=300)
+    assert run.returncode == 2, errors
+    assert errors.splitlines()[-1].endswith("shard-00001.h5: it cannot be written: File too large")
+    assert "Traceback" not in errors
+    shards = [path.name for path in (folder / "shards").iterdir()]
+    assert shards == ["shard-00000.h5"] and (folder / "shards" / shards[0]).read_bytes() == first
+    assert sorted(path.name for path in (folder / "samples").iterdir()) == ["000002.h5", "000003.h5"]
+    assert main(["dataset", str(recipe), "-o", str(folder)]) == 0
+    assert len(DataSet(folder)) == 5 and DataSet(folder).damaged() == []
+    assert (folder / "shards" / shards[0]).read_bytes() == first

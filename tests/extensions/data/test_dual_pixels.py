@@ -1,0 +1,87 @@
+"""Data sets of dual pixels: pictures of both halves, what is in focus, depth and blur of each lens."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from dataset_cases import small
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, dual_pixel, half_disparity, render_capture
+from mitsuba_plenoptic.dataset import make_dataset, make_sample, parse_recipe
+from mitsuba_plenoptic.extensions.data.dual_samples import truth_of_lenses
+from mitsuba_plenoptic.extensions.onchip.disparity import blur_radius
+
+CAMERA = {"preset": "phone_quad", "crop_offset": [4000, 2992], "crop_size": [64, 64]}
+
+
+def dual(**changes):
+    scenes = [{"generator": "shapes", "objects": 3, "near": 600, "far": 1600}]
+    return small(camera=CAMERA, scenes=scenes, photodiodes=[2, 1], truth=[], ray={"spp": 16}, **changes)
+
+
+def test_a_sample_of_a_pair():
+    mi.set_variant("llvm_ad_mono")
+    sample = make_sample(parse_recipe(dual()), 1)
+    halves = dual_pixel(sample.capture("ray"))
+    np.testing.assert_array_equal(sample.arrays["ray_left"], halves[0, 0])
+    np.testing.assert_array_equal(
+        sample.arrays["ray_exposed_right"], dual_pixel(sample.capture("ray", exposed=True))[0, 1]
+    )
+    assert {sample.arrays[name].shape for name in ("sharp", "lens_depth", "blur_radius", "ray_left")} == {(32, 32)}
+    depth, camera = sample.arrays["lens_depth"], sample.camera
+    assert ((depth > 500) & (depth < 2000)).all()
+    defocus = 1 + camera.mla_distance / depth - camera.mla_distance / camera.focal_length
+    expected = camera.aperture_radius * defocus / camera.mla_pitch
+    assert sample.arrays["blur_radius"] == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_the_card_says_what_they_are(tmp_path):
+    mi.set_variant("llvm_ad_mono")
+    make_dataset(parse_recipe(dual(count=1)), tmp_path / "pairs")
+    card = (tmp_path / "pairs" / "README.md").read_text()
+    assert (
+        "| `ray_exposed_left` | 32 x 32 | sums of the pixels of `ray_exposed` below each lens that lie left |" in card
+    )
+    assert "| `blur_radius` | 32 x 32 |" in card
+
+
+def test_what_is_sharp_is_the_sum_in_focus():
+    """A pattern in the plane in focus, at an edge of the field: registered to a fraction of a lens."""
+    mi.set_variant("llvm_ad_mono")
+    camera = PlenopticCamera(
+        **(PlenopticCamera.preset("phone_quad").to_dict() | {"crop_offset": (7800, 5800), "crop_size": (96, 96)})
+    )
+    texture = mi.Bitmap(np.random.default_rng(0).uniform(0.2, 1, (400, 400, 1)).astype(np.float32))
+    x, y = (-camera.pixel_coordinates(axis).mean() * 1000 / camera.mla_distance for axis in (0, 1))
+    wall = mi.ScalarTransform4f().translate([x, y, 1000]).rotate([0, 1, 0], 180).scale(200)
+    light = {"type": "bitmap", "bitmap": texture, "raw": True}
+    scene = {
+        "type": "scene",
+        "camera": camera.to_sensor(),
+        "wall": {"type": "rectangle", "to_world": wall, "light": {"type": "area", "radiance": light}},
+        "integrator": {"type": "direct"},
+    }
+    scene = mi.load_dict(scene)
+    truth = truth_of_lenses(scene, 256, 0)
+    total = dual_pixel(render_capture(scene, spp=1024)).sum(("v", "u")).values
+    assert truth["lens_depth"] == pytest.approx(1000, rel=1e-4)
+    assert np.abs(truth["blur_radius"]).max() < 1e-3
+    assert truth["sharp"].mean() == pytest.approx(total.mean(), rel=0.01)
+    assert np.corrcoef(truth["sharp"].ravel(), total.ravel())[0, 1] > 0.98
+
+
+def test_blur_radii_have_the_closed_form():
+    camera = PlenopticCamera.preset("full_frame_dual")
+    depths = np.array([800.0, 5000.0, np.inf])
+    expected = camera.aperture_radius * camera.defocus(800.0) / camera.mla_pitch
+    assert blur_radius(camera, depths)[0] == pytest.approx(expected)
+    assert blur_radius(camera, depths)[2] < blur_radius(camera, depths)[1] < 0
+    assert half_disparity(camera, 800.0) == pytest.approx(-8 * expected / (3 * np.pi))
+
+
+def test_mistakes():
+    with pytest.raises(InputError, match=r"photodiodes: layout = \[3, 1\]: it must be one of"):
+        parse_recipe(dual() | {"photodiodes": [3, 1]})
+    with pytest.raises(InputError, match="a lens over photodiodes must cover 2 x 2 pixels"):
+        parse_recipe(small(photodiodes=[2, 1]))

@@ -1,0 +1,134 @@
+"""Recipes: what they draw, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from dataset_cases import small
+from scipy import stats
+
+from mitsuba_plenoptic import InputError, design
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
+from mitsuba_plenoptic.extensions.data.generators import Illumination, Shapes
+from mitsuba_plenoptic.extensions.data.recipe import draw, parse
+
+
+def drawn(value, count=2000):
+    return [draw({"x": parse("x", value)}, 1, index, "test")["x"] for index in range(count)]
+
+
+def test_values_have_the_distributions_that_they_are_said_to_have():
+    linear, log = drawn({"from": 2, "to": 5}), drawn({"from": 0.1, "to": 10, "scale": "log"})
+    assert stats.kstest(linear, stats.uniform(2, 3).cdf).pvalue > 0.01
+    assert stats.kstest(log, stats.loguniform(0.1, 10).cdf).pvalue > 0.01
+    steps = drawn({"from": 1, "to": 4, "step": 1})
+    assert stats.chisquare(np.bincount(steps)[1:]).pvalue > 0.01
+    assert set(steps) == {1, 2, 3, 4}
+    assert set(drawn({"one_of": ["a", "b"]}, 50)) == {"a", "b"}
+    assert drawn([1, 2], 2) == [[1, 2]] * 2
+
+
+def test_a_draw_depends_on_the_seed_the_sample_and_the_name_alone():
+    recipe, other = (parse_recipe(small(count=count, light=light)) for count, light in ((5, {}), (9, {"lamp": 1})))
+    for index in range(5):
+        plan, again = recipe.plan(index), other.plan(index)
+        assert plan.camera == again.camera
+        assert plan.photons == again.photons
+        assert plan.draws["scene"] == again.draws["scene"]
+    assert len({recipe.plan(index).camera for index in range(5)}) == 5
+    assert parse_recipe(small(seed=4)).plan(0).camera != recipe.plan(0).camera
+
+
+def test_scenes_are_chosen_by_their_shares():
+    scenes = [{"generator": "shapes", "share": 3}, {"scene": "white"}]
+    recipe = parse_recipe(small(scenes=scenes, count=800))
+    chosen = sum(recipe.plan(index).source for index in range(800))
+    assert stats.binomtest(chosen, 800, 0.25).pvalue > 0.01
+
+
+def test_shapes_stand_where_the_camera_resolves_them():
+    camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
+    near, far = design.refocus_range(camera)
+    scene = Shapes(objects=200, tilt=0).scene(camera, Illumination(), np.random.default_rng(0))
+    places = [item["to_world"].matrix for name, item in scene.items() if name.startswith("object")]
+    depths = np.array([matrix[2, 3] for matrix in places])
+    assert near < depths.min() < depths.max() < far
+    # Evenly in disparity, which goes with the inverse distance.
+    share = (1 / depths - 1 / far) / (1 / near - 1 / far)
+    assert stats.kstest(share, "uniform").pvalue > 0.01
+    # Rotations and one scale but for cylinders: no shear.
+    for matrix in places:
+        axes = np.array(matrix)[:3, :3].T @ np.array(matrix)[:3, :3]
+        assert np.abs(axes - np.diag(np.diag(axes))).max() < 1e-5 * np.abs(axes).max()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"count": 0}, "count = 0: it must be at least 1"),
+        ({"count": None}, "recipe: count is missing"),
+        ({"cuont": 3}, "recipe: cuont: it is not one of name, count"),
+        ({"models": ["rays"]}, "models = 'rays': it must be one of ray, wave"),
+        ({"camera": {"focal": 3}}, "camera: focal: it is not one of focal_length"),
+        ({"camera": {"aperture_radius": {"from": 5, "to": 3}}}, "camera: aperture_radius: from = 5, to = 3: 'from'"),
+        (
+            {"camera": {"focal_length": {"from": 1, "to": 1e20, "step": 1}}},
+            "length: from = 1, to = 1e+20: a range must be",
+        ),
+        ({"camera": {"aperture_radius": {"from": -1e308, "to": 1e308}}}, "to = 1e+308: a range must be finite"),
+        ({"camera": {"aperture_radius": {"from": -1, "to": 3}}}, "sample 0: camera: aperture_radius = -"),
+        ({"camera": {"aperture_radius": {"low": 5}}}, "camera: aperture_radius: low: it is not one of from"),
+        ({"camera": {"preset": "canon"}}, "camera: preset = 'canon': it must be one of paper"),
+        ({"scenes": [{"generator": "shape"}]}, "scenes: entry 1: generator = 'shape': it must be one of shapes"),
+        ({"scenes": [{"generator": "shapes", "objects": 2.5}]}, "generator shapes: objects = 2.5: it must be a whole"),
+        ({"scenes": [{"scene": "nowhere"}]}, "scenes: entry 1: scene = 'nowhere': there is no such file"),
+        ({"scenes": [{}]}, "scenes: entry 1 = {}: it must have either 'generator' or 'scene'"),
+        ({"noise": {"read_noise": 3}}, "noise: photons is missing"),
+        ({"noise": {"photons": 5, "bits": 40}}, "sample 0: noise: bits = 40: it must be at most 16"),
+        ({"light": {"sky": 0, "lamp": 0}}, "light: sky = 0 and lamp = 0: scenes would be dark"),
+        ({"truth": ["deep"]}, "aov = 'deep': it must be one of depth"),
+        ({"ray": {"spp": 0}}, "sample 0: ray: spp = 0: it must be at least 1"),
+        (
+            {"models": ["ray", "wave"], "wave": {"metod": 1}},
+            "metod: it is not one of spp, wavelength, method, accuracy; did you mean method?",
+        ),
+        ({"wave": {"spp": 1}}, "wave: models = ['ray'] has no wave captures; leave it out"),
+    ],
+)
+def test_what_is_wrong_with_a_recipe_is_told_in_one_line(changes, message, tmp_path):
+    path = tmp_path / "recipe.yaml"
+    path.write_text(yaml.safe_dump(small(**changes)))
+    with pytest.raises(InputError) as caught:
+        read_recipe(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert message in str(caught.value)
+
+
+def test_recipes_are_yaml_or_json_and_nothing_else(tmp_path):
+    path = tmp_path / "recipe.json"
+    path.write_text(json.dumps(small()))
+    assert read_recipe(path) == parse_recipe(small())
+    for text, message in (
+        ("count: 1\ncount: 2\n", "count is given twice"),
+        ("count: &a 1\nseed: *a\n", r"aliases \(\*name\) are not allowed"),
+        ("count: [1\n", "it is not YAML"),
+        ("!!python/object:os.system {}", "it is not YAML"),
+        ("- 1\n", "a recipe must be a mapping"),
+        ("#" * 70000, "70000 bytes: it may have at most 65536"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=message):
+            read_recipe(path)
+
+
+def test_the_recipe_in_the_documentation_is_one():
+    text = (Path(__file__).parents[3] / "docs" / "datasets.md").read_text()
+    recipe = parse_recipe(yaml.safe_load(re.search(r"```yaml\n(.*?)```", text, re.DOTALL)[1]))
+    assert recipe.count == 100
+    assert {recipe.plan(index).source for index in range(20)} == {0, 1}

@@ -1,0 +1,160 @@
+"""Figures of designs against independent estimates, their gradients against differences, and the search."""
+
+import numpy as np
+import pytest
+from wave_cases import HALF, WAVELENGTH, small_camera
+
+from mitsuba_plenoptic import CaptureOperator, InputError
+from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
+from mitsuba_plenoptic.refocus import reconstruct
+
+CAMERA = small_camera(4, **HALF, detector_distance=0.512, wavefront=(*(0.0,) * 10, 0.05))
+POINT = [(0.03, 0.01, 116.0)]
+
+
+def difference(figure, **change):
+    """Return the central difference of a figure along changes of numbers."""
+    sides = []
+    for side in (1, -1):
+        moved = {name: np.add(getattr(CAMERA, name), np.multiply(side, step)) for name, step in change.items()}
+        sides.append(figure.value(CAMERA.replace(**{name: value.tolist() for name, value in moved.items()})))
+    return (sides[0] - sides[1]) / 2
+
+
+def spherical(amount):
+    """Return a wavefront of the eleventh term."""
+    return [0.0] * 10 + [amount]
+
+
+def test_contrast_is_that_of_the_refocused_image():
+    figure = RefocusedContrast(CAMERA, POINT, (0.5,), oversample=2)
+    capture = CaptureOperator(CAMERA, POINT, wavelength=WAVELENGTH, accuracy=0.02).forward([1.0])
+    bins = np.nan_to_num(reconstruct(capture, 116.0, camera=CAMERA, oversample=2).image)
+    quarter = np.exp(-1j * np.pi / 2 * np.arange(8))  # half a period a bin of one lens, of which there are two
+    expected = (abs((bins.sum(0) * quarter).sum()) + abs((bins.sum(1) * quarter).sum())) / 2 / bins.sum()
+    assert figure.value(CAMERA) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["mla_focal_length", "wavefront"])
+def test_gradient_of_contrast_against_differences(name):
+    figure = RefocusedContrast(CAMERA, POINT, (0.5, 0.8))
+    step = 2e-3 if name == "mla_focal_length" else spherical(0.02)
+    value, gradient = figure.gradient(CAMERA, [name])
+    assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
+    found = np.vdot(gradient[name][: np.size(step)], step)
+    # At this accuracy derivatives keep another part of the diffracted light than spreads.
+    assert found == pytest.approx(difference(figure, **{name: step}), rel=0.06)
+
+
+@pytest.mark.parametrize("name", [pytest.param("focal_length", marks=pytest.mark.slow), "wavefront"])
+def test_gradient_of_depth_against_differences(name):
+    figure = DepthInformation(POINT, 3000.0)
+    step = 4e-3 if name == "focal_length" else spherical(0.02)
+    value, gradient = figure.gradient(CAMERA, [name])
+    assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
+    found = np.vdot(gradient[name][: np.size(step)], step)
+    assert found == pytest.approx(difference(figure, **{name: step}), rel=0.05)
+
+
+def test_deviation_is_that_of_estimates_from_noise():
+    """Least squares with all unknowns, of counts with Poisson's noise, spreads as is stated."""
+    background = 2.0
+    figure = DepthInformation(POINT, 3000.0, background=background)
+    image, *slopes = (part[0] for part in figure.expected(CAMERA))
+    noise = image.clip(0) + background
+    rows = np.stack([*slopes, image]).reshape(4, -1).T / np.sqrt(noise.ravel())[:, None]
+    rng, found = np.random.default_rng(0), []
+    for _ in range(400):
+        counts = rng.poisson(noise) - noise
+        found.append(np.linalg.lstsq(rows, (counts / np.sqrt(noise)).ravel(), rcond=None)[0][2])
+    # A standard deviation of 400 numbers is known to 3.5 %.
+    assert np.std(found) == pytest.approx(figure.deviations(CAMERA)[0], rel=0.12)
+
+
+@pytest.mark.parametrize("g", [pytest.param(82.0, marks=pytest.mark.slow), 240.0])
+def test_deviation_of_depth_is_that_of_differences_refined(g):
+    """Plain differences by X, Y and g of captures, of two steps each, from which Richardson's rule takes the error."""
+    camera, point = small_camera(4, aperture_radius=1.0), np.array([0.0004, 0.0001, 1.0]) * g
+
+    def image(move):
+        return CaptureOperator(camera, [point + move], wavelength=WAVELENGTH, accuracy=0.02).forward([1.0]).ravel()
+
+    rows = [1e4 * image(0).astype(np.float64)]
+    for axis, step in enumerate((6e-6 * g, 6e-6 * g, 1.5e-5 * g**2)):
+        coarse, fine = (
+            1e4 * (image(move).astype(np.float64) - image(-move)) / (2 * move[axis])
+            for move in (part * step * np.eye(3)[axis] for part in (1.0, 0.5))
+        )
+        rows.append((4 * fine - coarse) / 3)
+    whitened = np.stack(rows) / np.sqrt(rows[0].clip(0) + 1)
+    stated = DepthInformation([point], 1e4).deviations(camera)[0]
+    assert stated == pytest.approx(np.sqrt(np.linalg.inv(whitened @ whitened.T)[3, 3]), rel=3e-3)
+
+
+def test_deviation_of_depth_far_away():
+    """Vergence is told as well at any distance far beyond the focal length, and dg = -g^2 d(1/g)."""
+    camera = small_camera(4, aperture_radius=1.0)
+    points = np.array([[0.0004, 0.0001, 1.0]]) * [[1e6], [1e8]]
+    near, far = DepthInformation(points, 1e4).deviations(camera)
+    assert far == pytest.approx(1e4 * near, rel=2e-3)
+
+
+class Hill:
+    """A figure whose best is known."""
+
+    def value(self, camera):
+        return self.gradient(camera, [])[0]
+
+    def gradient(self, camera, names):
+        f, c = camera.mla_focal_length - 0.47, np.array(camera.wavefront) - spherical(0.25)
+        slopes = {"mla_focal_length": np.array([-2e2 * f]), "wavefront": np.pad(-2 * c, (0, 25))}
+        return -1e2 * f**2 - float(c @ c), {name: slopes[name] for name in names}
+
+
+def test_search_finds_the_top_of_a_hill_and_keeps_to_bounds():
+    seen = []
+    bounds = {"mla_focal_length": (0.4, 0.6), "wavefront.11": (-1.0, 0.1)}
+    design = maximise(Hill(), CAMERA, bounds, progress=lambda tried, value, best: seen.append((value, best)))
+    assert design.values["mla_focal_length"] == pytest.approx(0.47, abs=1e-4)
+    assert design.values["wavefront.11"] == pytest.approx(0.1)
+    assert design.camera.wavefront[:10] == (0.0,) * 10
+    assert design.tried == len(seen) and design.figure == max(value for value, _ in seen)
+    assert seen[-1][1] == design.camera
+
+
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ({}, "bounds: name at least one"),
+        ({"f_number": (1, 2)}, "f_number"),
+        ({"mla_focal_length": (0.6, 0.7)}, "bounds: mla_focal_length starts at 0.512"),
+        ({"mla_focal_length": (0.6, 0.5)}, "bounds: .*mla_focal_length.* the lowest and the highest"),
+        ({"wavefront.12": (-1, 1)}, "bounds: .*wavefront.12.*: the camera has wavefront.2, .*wavefront.11"),
+        ({"wavefront": (-1, 1), "wavefront.5": (-1, 1)}, "bounds: a parameter has two"),
+    ],
+)
+def test_mistakes_in_bounds(bounds, message):
+    with pytest.raises(InputError, match=message):
+        maximise(Hill(), CAMERA, bounds)
+
+
+def test_mistakes_in_figures():
+    with pytest.raises(InputError, match=r"frequencies = .*at most 2"):
+        RefocusedContrast(CAMERA, POINT, (2.5,))
+    with pytest.raises(InputError, match="background"):
+        DepthInformation(POINT, 3000.0, background=0.0)
+    figure = RefocusedContrast(CAMERA, POINT, (0.5,))
+    with pytest.raises(InputError, match="mla_pitch: refocusing does not follow it"):
+        figure.gradient(CAMERA, ["mla_pitch"])
+    with pytest.raises(InputError, match=r"focal_length = 41\.0: this figure is of cameras with 40\.0"):
+        figure.value(CAMERA.replace(focal_length=41.0))
+    far = RefocusedContrast(CAMERA, [(90.0, 0.0, 116.0)], (0.5,))
+    with pytest.raises(InputError, match="points: one of them sends no light"):
+        far.value(CAMERA)
+
+
+def test_full_fields_take_no_accuracy():
+    with pytest.raises(InputError, match=r"accuracy = 0\.02: method = full_field takes none"):
+        DepthInformation(POINT, 1e4, method="full_field", accuracy=0.02)
+    tiny = CAMERA.replace(crop_size=(16, 16))
+    assert DepthInformation(POINT, 1e4, method="full_field").expected(tiny)[0].shape[1:] == (16, 16)

@@ -1,0 +1,280 @@
+"""Captures and reconstructions as functions of JAX's arrays: values, differences, transforms, sums not repeated."""
+
+import gc
+import importlib
+import sys
+import weakref
+from functools import partial
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from wave_cases import WAVELENGTH, scattered, small_camera
+
+from mitsuba_plenoptic import CaptureOperator, InputError, StoredOperator, load_scene
+from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+
+jax = pytest.importorskip("jax")
+bridge = importlib.import_module("mitsuba_plenoptic.jax")
+
+CAMERA = small_camera(2)
+POINTS = scattered(3, image=0.05)
+
+
+def computing(camera):
+    return CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0)
+
+
+def stored(camera=CAMERA):
+    return StoredOperator(camera, POINTS, wavelength=WAVELENGTH, dtype="float64")
+
+
+def random(*shape, low=-1.0):
+    return np.random.default_rng(len(shape)).uniform(low, 1, shape)
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def directional(function, given, change, step):
+    """Return the derivative of a scalar from the reverse pass, and from central differences."""
+    reverse = (jax.grad(function)(given) * change).sum()
+    difference = (function(given + step * change) - function(given - step * change)) / (2 * step)
+    return float(reverse), float(difference)
+
+
+def test_values_and_gradients_of_points():
+    operator, weights, images = stored(), random(2, 3), random(*CAMERA.shape)
+    made = bridge.forward(operator, weights)
+    assert made.dtype == np.float64
+    np.testing.assert_allclose(made[1], operator.forward(weights[1]))
+    np.testing.assert_allclose(bridge.adjoint(operator, images), operator.adjoint(images))
+    cubes = lambda w: (bridge.forward(operator, w) ** 3).sum()  # noqa: E731
+    reverse, difference = directional(cubes, weights, random(2, 3), 1e-4)
+    assert reverse == pytest.approx(difference, rel=1e-6)
+    # The derivative of a gradient is one more product in each direction.
+    squares = lambda w: (jax.grad(cubes)(w) ** 2).sum()  # noqa: E731
+    reverse, difference = directional(squares, weights, random(2, 3), 1e-4)
+    assert reverse == pytest.approx(difference, rel=1e-6)
+
+
+def test_compiled_and_mapped():
+    operator, weights = stored(), random(4, 3)
+    squares = lambda w: (bridge.forward(operator, w) ** 2).sum()  # noqa: E731
+    expected = 2 * operator.adjoint(np.moveaxis(operator.forward(weights.T), -1, -1)).T
+    np.testing.assert_allclose(jax.jit(jax.grad(squares))(weights), expected)
+    np.testing.assert_allclose(jax.vmap(jax.grad(squares))(weights), expected)
+
+
+def test_cameras():
+    felt, made = random(*CAMERA.shape).cumsum(0).cumsum(1), []
+
+    def make(camera):
+        made.append(computing(camera))
+        return made[-1]
+
+    def figure(distance, weights):
+        return (bridge.capture(make, CAMERA, {"mla_distance": distance}, weights) * felt).sum()
+
+    start, weights = np.array(CAMERA.mla_distance), np.array([1.0, 0.5, 2.0])
+    value, (by_distance, by_weights) = jax.value_and_grad(figure, (0, 1))(start, weights)
+    assert len(made) == 2  # one for the shape, none for the reverse pass
+    difference = (figure(start + 0.02, weights) - figure(start - 0.02, weights)) / 0.04
+    assert float(by_distance) == pytest.approx(float(difference), rel=2e-3)
+    assert float((by_weights * weights).sum()) == pytest.approx(float(value), rel=1e-5)
+
+
+OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_refocusing(kind, monkeypatch):
+    by = kind(CAMERA, 225.0, **OPTIONS[kind])
+    captures, calls = np.moveaxis(stored().forward(random(3, 2, low=0.5)), -1, 0) + 1e-4, []
+    if kind is not RayRefocus:
+        at = by.at
+        monkeypatch.setattr(by, "at", lambda capture: calls.append(1) or at(capture))
+    figure = lambda c: (bridge.refocus(by, c) ** 2).sum()  # noqa: E731
+    expected = by.forward(np.moveaxis(captures, 0, -1))
+    np.testing.assert_allclose(bridge.refocus(by, captures)[1], expected[..., 1], rtol=1e-6)
+    calls.clear()
+    jax.grad(figure)(captures)
+    assert len(calls) == (kind is not RayRefocus)
+    reverse, difference = directional(figure, captures, random(2, *CAMERA.shape, low=0) * captures, 1e-3)
+    assert reverse == pytest.approx(difference, rel=1e-3)
+
+
+def along(function, given, change, step):
+    """Return the change of a function of arrays in a direction in forward mode, and from central differences."""
+    _, made = jax.jvp(function, given, change)
+    ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
+    felt = np.random.default_rng(9).normal(size=made.shape).cumsum(-1).cumsum(-2)
+    return float((made * felt).sum()), float(((ahead - back) * felt).sum() / (2 * step))
+
+
+def test_forward_mode_of_points_and_cameras():
+    operator, weights = stored(), random(2, 3)
+    cubes = lambda w: bridge.forward(operator, w) ** 3  # noqa: E731
+    forward, difference = along(cubes, (weights,), (random(2, 3)[::-1],), 1e-4)
+    assert forward == pytest.approx(difference, rel=1e-6)
+
+    def captured(distance, weights):
+        return bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights)
+
+    start, weights = np.array(CAMERA.mla_distance), np.array([1.0, 0.5, 2.0])
+    forward, difference = along(captured, (start, weights), (np.array(1.0), 0.3 * weights), 0.01)
+    assert forward == pytest.approx(difference, rel=1e-3)
+    # What does not change takes no derivative.
+    only = jax.jvp(lambda d: captured(d, weights), (start,), (np.array(1.0),))[1]
+    both = jax.jvp(captured, (start, weights), (np.array(1.0), 0 * weights))[1]
+    np.testing.assert_allclose(only, both)
+
+
+def test_gradients_that_are_not_needed_are_not_computed(monkeypatch):
+    operator = computing(CAMERA)
+    monkeypatch.setattr(operator, "adjoint", lambda image: pytest.fail("the gradient by the weights was computed"))
+    figure = lambda d: (bridge.capture(lambda _: operator, CAMERA, {"mla_distance": d}, np.ones(3)) ** 2).sum()  # noqa: E731
+    assert np.isfinite(jax.grad(figure)(np.array(CAMERA.mla_distance)))
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_forward_mode_of_refocusing(kind):
+    by = kind(CAMERA, 225.0, **OPTIONS[kind])
+    captures = np.moveaxis(stored().forward(random(3, 2, low=0.5)), -1, 0) + 1e-4
+    change = random(2, *CAMERA.shape, low=0) * captures
+    forward, difference = along(lambda c: bridge.refocus(by, c), (captures,), (change,), 1e-3)
+    assert forward == pytest.approx(difference, rel=1e-3)
+    # Captures one by one are those of a batch.
+    mapped = jax.vmap(lambda c, d: jax.jvp(lambda x: bridge.refocus(by, x), (c,), (d,))[1])(captures, change)
+    np.testing.assert_allclose(mapped, jax.jvp(lambda c: bridge.refocus(by, c), (captures,), (change,))[1], rtol=1e-5)
+
+
+def test_compiled_and_mapped_derivatives_of_cameras():
+    weights, distances = np.array([1.0, 0.5, 2.0]), CAMERA.mla_distance + np.array([0.0, 0.1])
+    figure = lambda d: (bridge.capture(computing, CAMERA, {"mla_distance": d}, weights) ** 2).sum()  # noqa: E731
+    expected = [jax.grad(figure)(each) for each in distances]
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(figure)))(distances), expected, rtol=1e-5)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        jax.grad(jax.grad(figure))(distances[0])
+
+
+def test_captures_of_scenes():
+    mi.set_variant("llvm_ad_mono")
+    scene = load_scene(
+        "letters", parameters={"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
+    )
+    integrator, names = (
+        mi.load_dict({"type": "plenoptic_wave"}),
+        [f"{one}.emitter.radiance.value" for one in ("f", "hash")],
+    )
+    start = [np.array(mi.traverse(scene)[name], np.float64) for name in names]
+
+    def image(*values, seed=0):
+        made = dict(zip(names, values, strict=True))
+        return bridge.render(scene, made, integrator=integrator, spp=8, seed=seed)
+
+    made, forward = jax.jvp(image, start, [np.ones(1), 0.5 * np.ones(1)])
+    assert made.shape == (32, 32, 1) and made.dtype == np.float64
+    # Derivatives draw from another seed, which Mitsuba derives from the first.
+    other = int(mi.sample_tea_32(0, 1)[0])
+    ahead, back = (image(start[0] + step, start[1] + step / 2, seed=other) for step in (0.1, -0.1))
+    felt = random(32, 32, 1, low=0)
+    assert float((forward * felt).sum()) == pytest.approx(float(((ahead - back) * felt).sum()) / 0.2, rel=1e-3)
+    first, second = jax.grad(lambda *values: (image(*values) * felt).sum(), (0, 1))(*start)
+    (again,) = jax.jit(jax.grad(lambda value: (image(value, start[1]) * felt).sum(), (0,)))(start[0])
+    np.testing.assert_allclose(again, first, rtol=1e-5)
+    assert float(first[0] + 0.5 * second[0]) == pytest.approx(float((forward * felt).sum()), rel=1e-4)
+
+
+def test_captures_of_scenes_keep_their_values_for_the_reverse_pass():
+    """Though the scene has others by then; in another variant they are refused."""
+    mi.set_variant("llvm_ad_mono")
+    small = {"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
+    scene, integrator = load_scene("letters", parameters=small), mi.load_dict({"type": "plenoptic_wave"})
+
+    def image(distance, radiance):
+        values = {"camera.mla_distance": distance, "f.emitter.radiance.value": radiance}
+        return bridge.render(scene, values, integrator=integrator, spp=8)
+
+    felt = random(32, 32, 1, low=0)
+    figure = lambda *values: (image(*values) * felt).sum()  # noqa: E731
+    first, second = [np.array([120.0]), np.array([1.0])], [np.array([120.6]), np.array([1.5])]
+    alone = [*jax.grad(figure, (0, 1))(*first), *jax.grad(figure, (0, 1))(*second)]
+    both = jax.grad(lambda a, b, c, d: figure(a, b) + figure(c, d), (0, 1, 2, 3))(*first, *second)
+    np.testing.assert_allclose(both, alone, rtol=1e-5)
+    _, back = jax.vjp(image, *first)
+    mi.set_variant("llvm_ad_rgb")
+    with pytest.raises(Exception, match="scene: it is of the variant llvm_ad_mono, but llvm_ad_rgb is active"):
+        back(felt)
+    mi.set_variant("llvm_ad_mono")
+    np.testing.assert_allclose(back(felt)[0], alone[0], rtol=1e-5)
+
+
+def test_steps_of_a_loop_keep_nothing():
+    """Each step makes new functions, whose values and operators must be gone some steps later."""
+    operators = []
+
+    def make(camera):
+        made = computing(camera)
+        operators.append(weakref.ref(made))
+        return made
+
+    def figure(distance):
+        return (bridge.capture(make, CAMERA, {"mla_distance": distance}, np.ones(3)) ** 2).sum()
+
+    gradient = jax.grad(figure)
+    for step in range(2 * bridge._VALUES):
+        gradient(np.array(CAMERA.mla_distance + 1e-4 * step))
+    gc.collect()
+    assert sum(each() is not None for each in operators) <= bridge._VALUES
+
+
+@pytest.mark.slow
+def test_memory_of_a_long_loop():
+    resource = pytest.importorskip("resource")
+    figure = lambda d: (bridge.capture(computing, CAMERA, {"mla_distance": d}, np.ones(3)) ** 2).sum()  # noqa: E731
+    peaks = []
+    for step in range(200):
+        jax.grad(figure)(np.array(CAMERA.mla_distance + 1e-4 * step))
+        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    # In KiB; at 3 MiB a step these were 450 MiB.
+    assert peaks[-1] - peaks[49] < 30 * 1024
+
+
+def test_types():
+    operator = stored()
+    half = bridge.forward(operator, np.ones(3, np.float16))
+    assert half.dtype == np.float16
+    np.testing.assert_allclose(half, operator.forward(np.ones(3)), rtol=1e-3, atol=1e-6)
+    with pytest.raises(InputError, match=r"^weights: its type is int64: it must be of floating point$"):
+        bridge.forward(operator, [1, 2, 3])
+
+
+@pytest.mark.parametrize("compiled", [lambda function: function, jax.jit], ids=["called", "compiled"])
+def test_wrong_shapes_are_refused_before_anything_runs_on_the_host(compiled):
+    """In one line: what is raised on the host comes back within an error of JAX."""
+    with pytest.raises(InputError, match=r"^weights of shape \(2, 4\): it must not be empty, and its last axes must"):
+        compiled(partial(bridge.forward, stored()))(random(2, 4))
+    with pytest.raises(InputError, match=r"^images of shape \(64, 63\): .* its last axes must be \(64, 64\)"):
+        compiled(partial(bridge.adjoint, stored()))(random(64, 63))
+    with pytest.raises(InputError, match=r"^weights of shape \(0, 3\): it must not be empty"):
+        compiled(partial(bridge.capture, stored, CAMERA, {}))(random(0, 3))
+    for kind, options in OPTIONS.items():
+        # Colours are axes before the rows.
+        with pytest.raises(InputError, match=r"^captures of shape \(64, 64, 3\): .* its last axes must be \(64, 64\)"):
+            compiled(partial(bridge.refocus, kind(CAMERA, 225.0, **options)))(random(64, 64, 3))
+
+
+def test_mistakes():
+    with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
+        bridge.capture(stored, CAMERA, {"wavelength": 633.0}, random(3))
+
+
+def test_jax_that_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax", None)
+    monkeypatch.delitem(sys.modules, "mitsuba_plenoptic.jax")
+    with pytest.raises(InputError, match=r"^mitsuba_plenoptic\.jax needs the package jax: pip install"):
+        importlib.import_module("mitsuba_plenoptic.jax")

@@ -1,0 +1,551 @@
+"""Captures and reconstructions as functions of PyTorch's tensors, by gradcheck and by differences."""
+
+import gc
+import importlib
+import re
+import sys
+import weakref
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from wave_cases import WAVELENGTH, scattered, small_camera
+
+from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene, volume_points
+from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+
+torch = pytest.importorskip("torch")
+bridge = importlib.import_module("mitsuba_plenoptic.torch")
+forward_ad = importlib.import_module("torch.autograd.forward_ad")
+
+CAMERA = small_camera(2)
+POINTS = scattered(3, image=0.05)
+
+# Of central differences, and relative differences: derivatives and captures cut light at different angles.
+# By the array's parameters derivatives are right to some percent, and the sum changes little with `mla_offset`.
+STEPS = [("mla_distance", 0.02, 2e-3), ("mla_offset", 2e-4, 0.04)]
+
+
+def stored(**options):
+    return StoredOperator(CAMERA, POINTS, dtype="float64", **(options or {"wavelength": WAVELENGTH}))
+
+
+def computing(camera):
+    return CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0)
+
+
+def random(*shape, low=-1.0):
+    """Return a tensor in double precision of which derivatives are taken."""
+    values = np.random.default_rng(len(shape)).uniform(low, 1, shape)
+    return torch.tensor(values, requires_grad=True)
+
+
+def directional(function, given, change, step):
+    """Return the derivative of a scalar from the reverse pass, and from central differences."""
+    given = given.detach().requires_grad_()
+    (gradient,) = torch.autograd.grad(function(given), given)
+    with torch.no_grad():
+        difference = (function(given + step * change) - function(given - step * change)) / (2 * step)
+    return float((gradient * change).sum()), float(difference)
+
+
+# -- weights and images ------------------------------------------------------------------------------
+
+
+def test_gradients_of_weights_and_images_in_double_precision():
+    operator = stored()
+    once = {"check_forward_ad": True, "fast_mode": True}
+    assert torch.autograd.gradcheck(lambda w: bridge.forward(operator, w), random(2, 3), **once)
+    assert torch.autograd.gradcheck(
+        lambda y: bridge.adjoint(operator, y)[..., :2], random(*CAMERA.shape), fast_mode=True
+    )
+    assert torch.autograd.gradgradcheck(lambda w: bridge.forward(operator, w) ** 2, random(3), fast_mode=True)
+
+
+def test_batches_are_the_operator_one_by_one():
+    operator, weights = stored(), random(2, 4, 3)
+    images = bridge.forward(operator, weights)
+    assert images.shape == (2, 4, *CAMERA.shape)
+    assert images.dtype == torch.float64 and images.is_contiguous()
+    np.testing.assert_allclose(images[1, 2].detach(), operator.forward(weights[1, 2].detach().numpy()))
+    np.testing.assert_allclose(bridge.adjoint(operator, images)[1, 2].detach(), operator.adjoint(images[1, 2].detach()))
+
+
+def test_spectra_have_channels_before_rows():
+    operator = stored(spectrum=Spectrum((633.0, 532.0), ((1.0, 0.1), (0.0, 1.0), (0.5, 0.5))))
+    weights = random(2, 2, 3)
+    images = bridge.forward(operator, weights)
+    assert images.shape == (2, 3, *CAMERA.shape)
+    expected = operator.forward(weights[1].detach().numpy().T)
+    np.testing.assert_allclose(images[1].detach(), np.moveaxis(expected, -1, 0))
+    assert bridge.adjoint(operator, images).shape == weights.shape
+    assert torch.autograd.gradcheck(lambda w: bridge.forward(operator, w), weights, fast_mode=True)
+
+
+def test_a_step_of_richardson_and_lucy():
+    """Unrolled in PyTorch, through both directions of the operator."""
+    operator, white = stored(), torch.ones(CAMERA.shape, dtype=torch.float64)
+    image = bridge.forward(operator, torch.tensor([1.0, 2.0, 0.5], dtype=torch.float64))
+
+    def step(weights, image):
+        ratio = image / bridge.forward(operator, weights).clamp(min=1e-9)
+        return weights * bridge.adjoint(operator, ratio) / bridge.adjoint(operator, white)
+
+    assert torch.autograd.gradcheck(step, (random(3, low=0.5), image.requires_grad_()), fast_mode=True, atol=1e-4)
+
+
+def test_spreads_are_computed_once(monkeypatch):
+    operator, weights, calls = stored(), random(3), []
+    compute = operator._matrix
+    monkeypatch.setattr(operator, "_matrix", lambda spreads: calls.append(1) or compute(spreads))
+    for _ in range(2):
+        bridge.forward(operator, weights).square().sum().backward()
+    assert len(calls) == 1
+
+
+def test_single_precision_without_copies():
+    operator = computing(CAMERA)
+    weights = torch.ones(3, requires_grad=True)
+    image = bridge.forward(operator, weights)
+    assert image.dtype == torch.float32
+    assert np.shares_memory(bridge._array(image), image.detach().numpy())
+    image.square().sum().backward()
+    np.testing.assert_allclose(weights.grad, 2 * operator.adjoint(image.detach().numpy()), rtol=1e-5)
+
+
+def test_operators_get_the_memory_of_tensors(monkeypatch):
+    operator, given = stored(), []
+    for name in ("forward", "adjoint"):
+        function = getattr(operator, name)
+        monkeypatch.setattr(operator, name, lambda array, f=function: given.append(array) or f(array))
+    weights, images = torch.ones(2, 3), torch.ones(2, *CAMERA.shape)
+    made = bridge.forward(operator, weights), bridge.adjoint(operator, images)
+    for array, tensor in zip(given, (weights, images), strict=True):
+        assert np.shares_memory(array, tensor.numpy())
+    assert np.shares_memory(np.from_dlpack(made[0]), made[0].numpy())
+
+
+def test_tensors_of_other_types_and_layouts():
+    operator = stored()
+    weights = random(2, 3).detach()
+    expected = bridge.forward(operator, weights)
+    # Every second entry of a larger tensor, transposed.
+    strided = torch.zeros(6, 4, dtype=torch.float64)
+    strided[::2, ::2] = weights.T
+    np.testing.assert_allclose(bridge.forward(operator, strided[::2, ::2].T), expected)
+    by = RayRefocus(CAMERA, 225.0)
+    np.testing.assert_allclose(bridge.refocus(by, expected.mT.contiguous().mT), bridge.refocus(by, expected))
+    assert not bridge.forward(operator, weights).requires_grad
+    for kind, limit in ((torch.float16, 1e-3), (torch.bfloat16, 1e-2)):
+        made = bridge.forward(operator, weights.to(kind))
+        assert made.dtype == kind
+        torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
+
+
+def test_a_quarter_of_the_precision():
+    made = bridge.forward(stored(), torch.ones(3).to(torch.float8_e5m2))
+    assert made.dtype == torch.float8_e5m2
+    expected = bridge.forward(stored(), torch.ones(3))
+    torch.testing.assert_close(made.float(), expected, rtol=0.13, atol=0.01 * float(expected.max()))
+
+
+def test_exchange_with_other_libraries_by_dlpack():
+    """Without copies: what NumPy owns, a tensor made of it, and the results."""
+    operator, owned = stored(), np.ones(3)
+    weights = torch.from_dlpack(owned)
+    image = bridge.forward(operator, weights)
+    owned[:] = 2
+    torch.testing.assert_close(bridge.forward(operator, weights), 2 * image)
+    assert np.from_dlpack(image).__array_interface__["data"][0] == image.data_ptr()
+
+
+# -- forward mode ------------------------------------------------------------------------------------
+
+
+def along(function, given, change, step):
+    """Return the change of a function in a direction, by its forward mode and by central differences, and a dot test.
+
+    The last two are the products of the change with a random image, and of the direction with the reverse pass by it.
+    """
+    _, made = torch.func.jvp(function, given, change)
+    ahead, back = (function(*(a + sign * step * c for a, c in zip(given, change, strict=True))) for sign in (1, -1))
+    felt = torch.tensor(np.random.default_rng(9).uniform(size=made.shape), dtype=made.dtype)
+    leaves = [each.clone().requires_grad_() for each in given]
+    gradients = torch.autograd.grad((function(*leaves) * felt).sum(), leaves)
+    reverse = sum(float((g.double() * c).sum()) for g, c in zip(gradients, change, strict=True))
+    return made, (ahead - back) / (2 * step), float((made.double() * felt).sum()), reverse
+
+
+def require_close(made, expected, limit):
+    assert float((made - expected).norm() / expected.norm()) < limit
+
+
+PLANE = [(x, y, 236.0) for x in (-0.02, 0.0, 0.02) for y in (-0.01, 0.01)]
+VOLUME = volume_points(np.ones((2, 2, 2)), (-0.02, -0.02, 230.0), (0.02, 0.02, 242.0))[0]
+
+
+@pytest.mark.parametrize("points", [POINTS, PLANE, VOLUME], ids=["points", "plane", "volume"])
+@pytest.mark.parametrize("kind", [CaptureOperator, StoredOperator])
+def test_forward_mode_of_points(points, kind):
+    operator = kind(CAMERA, points, wavelength=WAVELENGTH)
+    weights, change = (random(2, len(points)).detach().float() + shift for shift in (0, 0.5))
+    made, difference, *products = along(lambda w: bridge.forward(operator, w), (weights,), (change,), 0.5)
+    require_close(made, difference, 1e-5)
+    assert products[0] == pytest.approx(products[1], rel=1e-5)
+    images = random(2, *CAMERA.shape).detach().float()
+    made, difference, *products = along(lambda y: bridge.adjoint(operator, y), (images,), (images + 0.5,), 0.5)
+    require_close(made, difference, 1e-4)
+    assert products[0] == pytest.approx(products[1], rel=1e-5)
+
+
+OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_forward_mode_of_refocusing(kind):
+    by = kind(CAMERA, 225.0, **OPTIONS[kind])
+    captures = bridge.forward(stored(), random(2, 3, low=0.5)).detach() + 1e-4
+    change = random(2, *CAMERA.shape, low=0).detach() * captures
+    refocus = lambda c: bridge.refocus(by, c)  # noqa: E731
+    made, difference, *products = along(refocus, (captures,), (change,), 1e-2)
+    require_close(made, difference, 1e-3)
+    assert products[0] == pytest.approx(products[1], rel=1e-5)
+    # Rows that `torch.vmap` takes one by one are those of a batch.
+    rows = torch.vmap(lambda c, d: torch.func.jvp(refocus, (c,), (d,))[1])(captures, change)
+    torch.testing.assert_close(rows, made, rtol=1e-5, atol=1e-6 * float(made.abs().max()))
+
+
+def test_transforms_of_derivatives():
+    """Of PyTorch, which map changes, gradients, and arrays."""
+    start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([0.5], dtype=torch.float64)
+    make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
+
+    def halves(distance, weights):
+        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, weights)
+        return image.reshape(2, -1).square().sum(-1)
+
+    ahead, back = (mode(halves, (0, 1))(start, weights) for mode in (torch.func.jacfwd, torch.func.jacrev))
+    for one, other in zip(ahead, back, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=0)
+    slope = torch.func.grad(lambda distance, weights: halves(distance, weights).sum())
+    rows = torch.vmap(slope, (0, None))(torch.stack([start + 0.1, start]), weights)
+    torch.testing.assert_close(rows[1], ahead[0].sum(), rtol=1e-4, atol=0)
+    assert float(rows[0]) != float(rows[1])
+    operator, many = stored(), random(4, 2, 3).detach()
+    mapped = torch.vmap(lambda w: bridge.forward(operator, w), 1, 1)(many)
+    torch.testing.assert_close(mapped, bridge.forward(operator, many))
+
+
+def derived_twice():
+    """Yield functions that have first derivatives only, and a tensor for them."""
+    one = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
+    weights, refocus = torch.ones(3, dtype=torch.float64), CoherentRefocus(CAMERA, 225.0, WAVELENGTH)
+    yield lambda d: bridge.capture(one, CAMERA, {"mla_distance": d}, weights[:1]).sum(), torch.tensor(120.0)
+    yield lambda c: bridge.refocus(refocus, c).sum(), bridge.forward(computing(CAMERA), weights).float() + 1e-4
+
+
+@pytest.mark.parametrize(("function", "at"), list(derived_twice()), ids=["capture", "refocus"])
+def test_derivatives_of_derivatives_are_refused(function, at):
+    """Also where the gradient that comes from above is constant, which PyTorch would take for a constant result."""
+    given = at.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(function(given), given, create_graph=True)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: captures by a camera's parameters, refoc"):
+        (gradient.square().sum() + given.square().sum()).backward()
+    once = torch.func.grad(function)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        torch.func.grad(lambda x: once(x).sum())(at)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        torch.func.jvp(once, (at,), (at,))
+
+
+# -- cameras -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "step", "limit"), STEPS)
+def test_gradients_of_the_camera(name, step, limit):
+    start = np.array(getattr(CAMERA, name))
+    felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
+    weights = torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
+
+    def figure(value):
+        return (bridge.capture(computing, CAMERA, {name: value}, weights) * felt).sum()
+
+    reverse, difference = directional(figure, torch.tensor(start), torch.ones(start.shape), step)
+    assert reverse == pytest.approx(difference, rel=limit)
+
+
+def test_weights_and_camera_together():
+    weights, made = random(2, 3), []
+    pitch, offset = torch.tensor(0.064, requires_grad=True), torch.tensor([1e-3, 0.0], requires_grad=True)
+
+    def make(camera):
+        made.append(StoredOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0))
+        return made[-1]
+
+    image = bridge.capture(make, CAMERA, {"mla_pitch": pitch, "mla_offset": offset}, weights)
+    image.square().sum().backward()
+    (operator,), given = made, 2 * np.moveaxis(image.detach().numpy(), 0, -1)
+    expected = operator.gradient(weights.detach().numpy().T, given, ["mla_pitch", "mla_offset"])
+    assert float(pitch.grad) == pytest.approx(float(expected["mla_pitch"].sum()), rel=1e-5)
+    np.testing.assert_allclose(offset.grad, expected["mla_offset"], rtol=1e-5)
+    np.testing.assert_allclose(weights.grad, operator.adjoint(given).T, rtol=1e-5)
+
+
+def test_steps_of_a_loop_keep_nothing():
+    operators = []
+
+    def make(camera):
+        made = CaptureOperator(camera, POINTS, wavelength=WAVELENGTH, accuracy=0)
+        operators.append(weakref.ref(made))
+        return made
+
+    for step in range(4):
+        distance = torch.tensor(CAMERA.mla_distance + 1e-4 * step, dtype=torch.float64, requires_grad=True)
+        image = bridge.capture(make, CAMERA, {"mla_distance": distance}, torch.ones(3, dtype=torch.float64))
+        (image**2).sum().backward()
+    del image
+    gc.collect()
+    assert not any(each() for each in operators)
+
+
+def test_cameras_in_forward_mode():
+    felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
+    start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
+
+    def figure(distance, weights):
+        return (bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights) * felt).sum()
+
+    with forward_ad.dual_level():
+        changing = forward_ad.make_dual(start, torch.ones_like(start)), forward_ad.make_dual(weights, 0.3 * weights)
+        forward = forward_ad.unpack_dual(figure(*changing)).tangent
+    step = 0.02
+    ahead, back = (figure(start + one, weights * (1 + 0.3 * one)) for one in (step, -step))
+    assert float(forward) == pytest.approx(float(ahead - back) / (2 * step), rel=1e-3)
+
+
+def test_a_list_of_one_number_for_all_parts():
+    """As of both pitches; of aberrations it is the first."""
+    weights = torch.tensor([0.5], dtype=torch.float64)
+    make = lambda camera: CaptureOperator(camera, POINTS[:1], wavelength=WAVELENGTH, accuracy=0)  # noqa: E731
+    pitch, phases = torch.tensor([CAMERA.mla_pitch], dtype=torch.float64), torch.tensor([0.1, 0.2, 0.3])
+    for name, value in (("mla_pitch", pitch), ("wavefront", phases[:1]), ("wavefront", phases)):
+        captured = lambda value, name=name: bridge.capture(make, CAMERA, {name: value}, weights)  # noqa: E731
+        _, _, forward, reverse = along(captured, (value,), (torch.ones_like(value),), 1e-5)
+        assert forward == pytest.approx(reverse, rel=1e-5, abs=1e-6)
+
+
+def test_tensors_that_were_overwritten_are_refused():
+    weights = torch.ones(3, requires_grad=True)
+    distance = torch.tensor(120.0, requires_grad=True)
+    image = bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights)
+    with torch.no_grad():
+        weights += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+# -- reconstructions ---------------------------------------------------------------------------------
+
+
+def test_refocusing_by_rays():
+    by = RayRefocus(CAMERA, 225.0)
+    captures = random(2, *CAMERA.shape, low=0.1)
+    images = bridge.refocus(by, captures)
+    np.testing.assert_allclose(images[1].detach(), by.forward(captures[1].detach()), rtol=1e-6)
+    change = torch.tensor(np.random.default_rng(5).normal(size=captures.shape))
+    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 0.01)
+    assert reverse == pytest.approx(difference, rel=1e-3)
+
+
+def test_refocusing_by_waves(monkeypatch):
+    by = CoherentRefocus(CAMERA, 225.0, WAVELENGTH)
+    captures = bridge.forward(stored(), random(2, 3, low=0.5)) + 1e-4
+    change = torch.tensor(np.random.default_rng(5).normal(size=captures.shape)) * captures.detach()
+    calls, at = [], by.at
+    monkeypatch.setattr(by, "at", lambda capture: calls.append(1) or at(capture))
+    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 1e-2)
+    assert reverse == pytest.approx(difference, rel=1e-3)
+    assert len(calls) == 3
+
+
+def test_steps_of_deconvolution():
+    by = DeconvolvedRefocus(CAMERA, 225.0, iterations=3)
+    captures = bridge.forward(stored(), random(2, 3, low=0.5)).detach() + 1e-4
+    np.testing.assert_allclose(bridge.refocus(by, captures)[1], by.forward(captures[1]), rtol=1e-6)
+    change = torch.tensor(np.random.default_rng(5).uniform(size=captures.shape)) * captures
+    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 1e-2)
+    assert reverse == pytest.approx(difference, rel=1e-3)
+
+
+# -- scenes ------------------------------------------------------------------------------------------
+
+
+RADIANCES = ("f.emitter.radiance.value", "hash.emitter.radiance.value")
+
+
+@pytest.fixture(scope="module")
+def letters():
+    """Return the capture of two letters as a function of values and the seed, with their names and first values."""
+    mi.set_variant("llvm_ad_mono")
+    small = {"resolution": "32", "detector_width": "0.064", "letter_scale": "0.0078125"}
+    scene, integrator = load_scene("letters", parameters=small), mi.load_dict({"type": "plenoptic_wave"})
+
+    def image(*values, names=RADIANCES, seed=0):
+        made = dict(zip(names, values, strict=True))
+        return bridge.render(scene, made, integrator=integrator, spp=8, seed=seed)
+
+    image.scene = scene
+    return image
+
+
+def test_captures_of_scenes(letters):
+    start, change = [torch.ones(1), torch.ones(1)], [torch.ones(1), 0.5 * torch.ones(1)]
+    # Derivatives draw from another seed, which Mitsuba derives from the first.
+    other = int(mi.sample_tea_32(0, 1)[0])
+    made, _, forward, reverse = along(letters, tuple(start), tuple(change), 0.02)
+    ahead, back = (
+        letters(*(a + step * c for a, c in zip(start, change, strict=True)), seed=other) for step in (0.02, -0.02)
+    )
+    require_close(made, (ahead - back) / 0.04, 1e-3)
+    assert forward == pytest.approx(reverse, rel=1e-5)
+
+
+def test_captures_of_scenes_by_the_camera_in_forward_mode(letters):
+    """As Dr.Jit has them, and as in reverse."""
+    name, start = "camera.mla_distance", torch.tensor([120.0])
+    by_camera = lambda value: letters(value, names=(name,))  # noqa: E731
+    made, _, forward, reverse = along(by_camera, (start,), (torch.ones(1),), 0.01)
+    assert forward == pytest.approx(reverse, rel=1e-5)
+    parameters, integrator = mi.traverse(letters.scene), mi.load_dict({"type": "plenoptic_wave"})
+    parameters[name] = mi.Float(120.0)
+    dr.enable_grad(parameters[name])
+    dr.set_grad(parameters[name], 1.0)
+    parameters.update()
+    dr.forward(parameters[name], dr.ADFlag.ClearEdges)
+    expected = dr.forward_to(mi.render(letters.scene, parameters, integrator=integrator, spp=8))
+    np.testing.assert_allclose(made, expected.numpy(), rtol=1e-5, atol=1e-6)
+
+
+def test_captures_of_scenes_keep_their_values_for_the_reverse_pass(letters):
+    """Though the scene has others by then; and the scene keeps no gradients."""
+    felt = torch.tensor(np.random.default_rng(3).uniform(size=(32, 32, 1)), dtype=torch.float32)
+    names = ("camera.mla_distance", RADIANCES[0])
+
+    def leaves(scale):
+        return [torch.tensor([120.0 * scale], requires_grad=True), torch.tensor([scale], requires_grad=True)]
+
+    def gradients(values):
+        return [each.grad for each in values]
+
+    alone = []
+    for scale in (1.0, 1.005):
+        values = leaves(scale)
+        (letters(*values, names=names) * felt).sum().backward()
+        alone += gradients(values)
+    first, second = leaves(1.0), leaves(1.005)
+    images = letters(*first, names=names), letters(*second, names=names)
+    ((images[0] + images[1]) * felt).sum().backward()
+    torch.testing.assert_close(gradients(first) + gradients(second), alone, rtol=1e-5, atol=0)
+    assert not any(dr.grad_enabled(mi.traverse(letters.scene)[name]) for name in names)
+    image = letters(*first, names=names)
+    with torch.no_grad():
+        first[0] += 1
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+def test_values_that_are_refused_leave_the_scene_as_it_was(letters):
+    """In one line, which `mi.render` hides: values by the camera, and those that the integrator refuses."""
+    parameters, kept = mi.traverse(letters.scene), ("camera.mla_distance", RADIANCES[0])
+    before, image = [np.array(parameters[name]) for name in kept], letters(torch.ones(1), torch.ones(1))
+    with pytest.raises(InputError, match=r"^mla_distance = -5: it must be greater than 0$"):
+        letters(torch.tensor([-5.0]), torch.ones(1), names=kept)
+    with pytest.raises(InputError, match=r"^scene: the radiance of some rays is NaN or infinite: all must be finite$"):
+        letters(torch.tensor([130.0]), torch.tensor([torch.nan]), names=kept)
+    after = [np.array(parameters[name]) for name in kept]
+    assert after[0] == before[0] and after[1] == 1
+    torch.testing.assert_close(letters(torch.ones(1), torch.ones(1)), image, rtol=0, atol=0)
+
+
+def test_captures_of_scenes_are_derived_once(letters):
+    values = [torch.ones(1, requires_grad=True) for _ in RADIANCES]
+    (gradient, _) = torch.autograd.grad(letters(*values).sum(), values, create_graph=True)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        (gradient + values[0] ** 2).sum().backward()
+
+
+def test_scenes_of_another_variant(letters):
+    value = torch.ones(1, requires_grad=True)
+    image = letters(value, torch.ones(1))
+    mi.set_variant("llvm_ad_rgb")
+    for work in (lambda: image.sum().backward(), lambda: letters(value, torch.ones(1))):
+        with pytest.raises(
+            InputError, match=r"^scene: it is of the variant llvm_ad_mono, but llvm_ad_rgb is active; set llvm_ad_mono$"
+        ):
+            work()
+    mi.set_variant("llvm_ad_mono")
+    image.sum().backward()
+    assert float(value.grad) > 0
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({}, "^values: give at least one parameter of the scene$"),
+        (
+            {"f.emitter.radiance.value": torch.ones(3)},
+            r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$",
+        ),
+        ({"f.faces": torch.ones(18)}, "^f.faces: it is UInt: give floating-point numbers"),
+        ({"f.emitter.radiance": torch.ones(1)}, "^values: f.emitter.radiance: it is not one of"),
+    ],
+)
+def test_values_that_the_scene_does_not_have(values, message):
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises(InputError, match=message):
+        bridge.render(load_scene("letters"), values)
+
+
+def test_settings_that_cannot_be_rendered(letters):
+    without = mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})
+    for scene, settings, message in (
+        (letters.scene, {"spp": -1}, "spp = -1: it must be at least 0"),
+        (letters.scene, {"seed": 0.5}, "seed = 0.5: it must be a whole number"),
+        ("letters", {}, "scene = 'letters': it must be a scene of Mitsuba"),
+        (without, {}, "scene: it has no sensor"),
+    ):
+        with pytest.raises(InputError, match=f"^{message}$"):
+            bridge.render(scene, {RADIANCES[0]: torch.ones(1)}, **settings)
+
+
+# -- mistakes ----------------------------------------------------------------------------------------
+
+
+def test_mistakes():
+    with pytest.raises(InputError, match=r"^weights of shape \(2, 4\): it must not be empty, and its last axes"):
+        bridge.forward(stored(), random(2, 4))
+    with pytest.raises(InputError, match=r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"):
+        bridge.forward(stored(), [1, 2, 3])
+    for wrong in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta")):
+        with pytest.raises(
+            InputError, match=r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating point"
+        ):
+            bridge.forward(stored(), wrong)
+    with pytest.raises(InputError, match=r"^120\.0: it must be a tensor of PyTorch$"):
+        bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3))
+    with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
+        bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
+    for kind, options in OPTIONS.items():
+        # Colours are axes before the rows.
+        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3)):
+            named = rf"captures of shape {re.escape(str(shape))}: it must not be empty, and its last axes must be"
+            with pytest.raises(InputError, match=rf"^{named} \(64, 64\)$"):
+                bridge.refocus(kind(CAMERA, 225.0, **options), random(*shape))
+
+
+def test_torch_that_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "mitsuba_plenoptic.torch")
+    with pytest.raises(InputError, match=r"^mitsuba_plenoptic\.torch needs the package torch: pip install"):
+        importlib.import_module("mitsuba_plenoptic.torch")

@@ -1,0 +1,350 @@
+"""Captures of scenes with laser light: power against other captures, mixed light, shadows, fringes, refusals."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from stopped_runs import StoppedError, stopped_before
+from wave_cases import error
+
+from mitsuba_plenoptic import Checkpoint, InputError, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
+from mitsuba_plenoptic.extensions.laser.lit_points import LaserScene, named_lasers
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.units import radiance_weight
+
+CAMERA = PlenopticCamera(
+    focal_length=40, aperture_radius=1.25, mla_distance=60, detector_width=0.128, resolution=(64, 64)
+)
+WAVELENGTH = 633.0
+LENGTH = WAVELENGTH * 1e-6
+
+LASER = {"type": "point", "position": [0, 0, 20], "intensity": {"type": "spectrum", "value": 1e4}}
+
+
+def wall(distance=120.0, bsdf=None):
+    transform = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(20)
+    return {"type": "rectangle", "to_world": transform, "bsdf": bsdf or {"type": "diffuse"}}
+
+
+def scene_of(camera=CAMERA, integrator=None, **objects):
+    own = {"type": "plenoptic_laser", "lasers": "laser", "points_per_spot": 4.0, **(integrator or {})}
+    sensor = camera.to_sensor()
+    sensor["sampler"] = {"type": "independent", "sample_count": 4}
+    given = {"sensor": sensor, "wall": wall(), "laser": LASER, **objects}
+    return load_scene({"type": "scene", "integrator": own, **given}, variant="llvm_ad_mono")
+
+
+def posed(turn, **objects):
+    """Return the camera, turned by an angle and moved if it is not 0, and objects that stand before it as given."""
+    pose = mi.ScalarTransform4f()
+    if turn:
+        pose = pose.translate([5, -3, 7]).rotate([0, 0.6, 0.8], turn)
+    placed = {"sensor": {**CAMERA.to_sensor(), "to_world": pose}}
+    for name, given in objects.items():
+        if "position" in given:
+            placed[name] = {**given, "position": list(pose @ mi.ScalarPoint3f(*given["position"]))}
+        else:
+            placed[name] = {**given, "to_world": pose @ given["to_world"]}
+    return placed
+
+
+def lit(scene, per_spot=4.0, names=("laser",), camera=CAMERA, seed=0):
+    system = OpticalSystem(camera, WAVELENGTH)
+    made = LaserScene(scene, scene.sensors()[0], named_lasers(scene, names, "test"), system)
+    return made.points(per_spot, seed)
+
+
+@pytest.fixture(autouse=True)
+def _variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def test_the_mean_power_is_that_of_a_wave_capture():
+    scene = scene_of(integrator={"modes": 12})
+    capture = render_capture(scene)
+    assert capture.wavelength == WAVELENGTH
+    assert capture.metadata["modes"] == 12
+    other = render_capture(
+        load_scene(
+            {
+                "type": "scene", "wall": wall(), "laser": LASER, "sensor": CAMERA.to_sensor(),
+                "integrator": {"type": "plenoptic_wave", "wavelength": WAVELENGTH},
+            }
+        ),
+        spp=256,
+    )  # fmt: skip
+    bright = other.image > 0.3 * other.image.max()
+    assert capture.image[bright].sum() == pytest.approx(other.image[bright].sum(), rel=0.06)
+    ratio = capture.image[bright] / other.image[bright]
+    assert 0.6 / math.sqrt(12) < ratio.std() < 1.1 / math.sqrt(12)
+
+
+def test_weights_against_the_closed_form():
+    points = lit(scene_of())
+    x, y, z = points.positions.T
+    np.testing.assert_allclose(z, 120, rtol=1e-6)
+    # A point source of intensity I, height h above a matte wall of albedo 1/2: I cos / r^2 times 1 / 2 pi.
+    h = 100.0
+    radiance = 1e4 * h / (x**2 + y**2 + h**2) ** 1.5 * 0.5 / math.pi
+    relative = points.weights / radiance
+    np.testing.assert_allclose(relative, relative[0], rtol=1e-4)
+    # All cells together are the square on the array from which the chief rays come.
+    area = (np.ptp(x) / 2) * (np.ptp(y) / 2)
+    system = OpticalSystem(CAMERA, WAVELENGTH)
+    assert relative.sum() == pytest.approx(radiance_weight(CAMERA, system.lens, area), rel=0.05)
+    # Four in each resolved spot, each anywhere in its cell, by the seed.
+    spot = LENGTH * CAMERA.mla_distance / (2 * CAMERA.aperture_radius)
+    assert len(x) == pytest.approx(4 * area / spot**2, rel=0.1)
+    assert len(np.unique(x.round(6))) > 0.9 * len(x)
+    assert not np.array_equal(lit(scene_of(), seed=1).positions, points.positions)
+
+
+def test_a_spot_between_the_first_rays_is_found():
+    place = [0.003, 0.0041, 120]
+    towards = mi.ScalarTransform4f().look_at(origin=[*place[:2], 119], target=place, up=[0, 1, 0])
+    spot = {"type": "spot", "to_world": towards, "cutoff_angle": 0.6, "intensity": LASER["intensity"]}
+    points = lit(scene_of(laser=spot), per_spot=30)
+    assert len(points.weights) > 3
+    assert np.abs(points.positions - place).max() < math.tan(math.radians(0.6))
+
+
+def test_points_whose_light_a_wavefront_brings_to_the_detector_are_found():
+    waves = 0.5
+    camera = CAMERA.replace(wavefront=(0, 0, 0, waves))
+    blurred, sharp = (
+        np.ptp(lit(scene_of(camera), per_spot=1.0, camera=camera).positions[:, 0]),
+        np.ptp(lit(scene_of(), per_spot=1.0).positions[:, 0]),
+    )
+    # The slope of a defocus at the pupil's edge is 4 sqrt(3) a / radius; the magnification is 1/2.
+    blur = camera.mla_distance * 4 * math.sqrt(3) * waves * 633e-6 / camera.aperture_radius
+    assert (blurred - sharp) / 4 == pytest.approx(blur, rel=0.1)
+
+
+def test_points_whose_light_defocus_brings_to_the_detector_are_found():
+    # A small plate before the wall in focus, whose light is blurred over r |b (1 / f - 1 / g) - 1|.
+    plate = {**wall(100), "to_world": mi.ScalarTransform4f().translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(0.02)}
+    wide, narrow = (
+        np.ptp(points.positions[points.positions[:, 2] > 110, 0])
+        for points in (lit(scene_of(plate=plate), 1.0), lit(scene_of(), 1.0))
+    )
+    blur = CAMERA.aperture_radius * abs(CAMERA.mla_distance * (1 / CAMERA.focal_length - 1 / 100) - 1)
+    assert (wide - narrow) / 4 == pytest.approx(blur, rel=0.1)
+
+
+@pytest.mark.parametrize("x", [0.6, 0.9])
+@pytest.mark.parametrize("laser", ["point", "spot"])
+def test_small_things_far_out_of_focus_beside_the_field_are_found(x, laser):
+    """Only their blur, of a radius of 1.25 mm, reaches the detector: they are imaged 0.9 and 1.35 mm from the axis."""
+    card = mi.ScalarTransform4f().translate([x, 0.1, 40]).rotate([0, 1, 0], 180).scale(0.02)
+    given = LASER
+    if laser == "spot":
+        towards = mi.ScalarTransform4f().look_at(origin=[0, 0, 20], target=[x, 0.1, 40], up=[0, 1, 0])
+        given = {"type": "spot", "to_world": towards, "cutoff_angle": 0.5, "intensity": LASER["intensity"]}
+    card = {"type": "rectangle", "to_world": card, "bsdf": {"type": "diffuse"}}
+    points = lit(scene_of(card=card, laser=given), per_spot=12)
+    weights = points.weights[points.positions[:, 2] < 60]
+    # The radiance of a matte card of albedo 1/2, times the area of its image.
+    square = x**2 + 0.1**2 + 20**2
+    radiance = 1e4 * 20 / square**1.5 * 0.5 / math.pi
+    expected = radiance_weight(CAMERA, OpticalSystem(CAMERA, WAVELENGTH).lens, (0.04 * 60 / 40) ** 2) * radiance
+    assert weights.sum() == pytest.approx(expected, rel=0.2)
+
+
+def test_what_is_too_far_beside_the_field_adds_no_rays():
+    """A card whose blur ends before the detector leaves the points on the wall the same."""
+    card = mi.ScalarTransform4f().translate([1.3, 0.1, 40]).rotate([0, 1, 0], 180).scale(0.02)
+    points = lit(scene_of(card={"type": "rectangle", "to_world": card}))
+    alone = lit(scene_of())
+    assert np.abs(points.positions).max() == pytest.approx(np.abs(alone.positions).max(), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            lambda: {"laser": {**LASER, "intensity": {"type": "spectrum", "value": -1.0}}},
+            "laser: its light is negative",
+        ),
+        (lambda: {"wall": wall(bsdf={"type": "diffuse", "reflectance": -0.5})}, "it lights has a negative reflectance"),
+    ],
+)
+def test_negative_light_is_refused_by_name(given, message):
+    with pytest.raises(InputError, match=message):
+        lit(scene_of(**given()))
+
+
+def test_other_light_adds_as_intensity():
+    sky = {"type": "constant", "radiance": {"type": "spectrum", "value": 2.0}}
+    mixed = render_capture(scene_of(sky=sky), seed=3).image
+    alone = render_capture(scene_of(), seed=3).image
+    daylight = render_capture(
+        load_scene(
+            {
+                "type": "scene", "wall": wall(), "sky": sky, "sensor": CAMERA.to_sensor(),
+                "integrator": {"type": "path"},
+            }
+        ),
+        spp=64,
+    ).image  # fmt: skip
+    assert (mixed - alone).sum() == pytest.approx(daylight.sum(), rel=0.05)
+    assert error(mixed - alone, daylight) < 0.5
+    assert alone.std() > mixed.mean() * 0.1
+
+
+def test_two_lasers_make_fringes_on_the_wall():
+    x = 8.0
+    lasers = {f"laser{side}": {**LASER, "position": [side * x, 0, 0]} for side in (-1, 1)}
+    # XML ids may not begin with a sign.
+    lasers = {"laser": lasers["laser-1"], "other": lasers["laser1"]}
+    points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
+    one, two = (lit(scene_of(**lasers), per_spot=16, names=(name,)) for name in lasers)
+    assert np.array_equal(points.positions, one.positions)
+    paths = [np.hypot(np.hypot(points.positions[:, 0] - s * x, points.positions[:, 1]), 120.0) for s in (-1, 1)]
+    expected = (
+        one.weights
+        + two.weights
+        + 2 * np.sqrt(one.weights * two.weights) * np.cos(2 * np.pi * (paths[0] - paths[1]) / LENGTH)
+    )
+    assert error(points.weights, expected) < 0.05
+    # Fringes of period lambda D / 2 x = 4.7 um, of contrast nearly 1.
+    assert points.weights.min() < 0.01 * points.weights.max()
+
+
+def test_directional_lasers_make_straight_fringes():
+    angle = 0.01
+    ahead = {"type": "directional", "irradiance": {"type": "spectrum", "value": 1.0}}
+    lasers = {
+        name: {**ahead, "direction": [side * math.sin(angle), 0, math.cos(angle)]}
+        for name, side in (("laser", 1), ("other", -1))
+    }
+    points = lit(scene_of(**lasers), per_spot=16, names=("laser", "other"))
+    one = lit(scene_of(**lasers), per_spot=16)
+    phase = 2 * np.pi * points.positions[:, 0] * math.sin(angle) / LENGTH
+    assert error(points.weights, 4 * one.weights * np.cos(phase) ** 2) < 1e-3
+
+
+def test_points_do_not_depend_on_where_the_camera_stands():
+    # Half of a wall, in the camera's +x.
+    half = mi.ScalarTransform4f().translate([20, 0, 120]).rotate([0, 1, 0], 180).scale(20)
+    found = []
+    for turn in (0, 40):
+        found.append(lit(scene_of(**posed(turn, wall={**wall(), "to_world": half}, laser=LASER))))
+    one, other = found
+    assert len(one.weights) == len(other.weights) > 100
+    np.testing.assert_allclose(other.positions, one.positions, atol=1e-4)
+    np.testing.assert_allclose(other.weights, one.weights, rtol=1e-4)
+
+
+def test_shadows_have_no_laser_light():
+    # A plate over half of the wall's light: it hides the laser from all points with x > 0 but not the lens.
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([30.0, 0, 60]).scale([5, 30, 1]),
+        "bsdf": {"type": "diffuse"},
+    }
+    side = {**LASER, "position": [60.0, 0, 0]}
+    x = lit(scene_of(laser=side, plate=plate)).positions[:, 0]
+    # Light from (60, 0, 0) through the edges of the plate at x = 25 and 35 meets the wall at x = -10 and 10.
+    assert len(x) == 0
+    x = lit(scene_of(laser=side, plate={**plate, "to_world": plate["to_world"].translate([-1, 0, 0])})).positions[:, 0]
+    assert len(x) > 100
+    assert x.max() < 1
+
+
+@pytest.mark.parametrize("turn", [0, 40])
+def test_points_that_the_pupil_sees_in_part_are_refused(turn):
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([5.6, 0, 30]).rotate([0, 1, 0], 180).scale(5),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
+    }
+    with pytest.raises(PhysicsError, match="of the laser light comes from points that objects hide"):
+        lit(scene_of(**posed(turn, wall=wall(), plate=plate, laser={**LASER, "position": [0, 0, 40]})))
+
+
+@pytest.mark.parametrize(
+    "source", [{"source_diameter": 1.0, "source_distance": 60.0}, {"bandwidth": 2.0, "roughness": 0.05}]
+)
+def test_modes_of_a_source(source):
+    count = round(laser.mode_count(CAMERA, wavelength=WAVELENGTH, distance=120, **source))
+    assert count > 1
+    found = render_capture(scene_of(integrator=source)).image
+    assert np.array_equal(found, render_capture(scene_of(integrator={"modes": count})).image)
+
+
+def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
+    def compute(existing="refuse"):
+        with Checkpoint(tmp_path / "laser.checkpoint", existing) as keeper:
+            return render_capture(scene_of(integrator={"modes": 3}), seed=2, checkpoint=keeper).image
+
+    whole = compute()
+    with pytest.raises(StoppedError), stopped_before(lambda sums: len(sums) == 2):
+        compute()
+    assert np.array_equal(compute("resume"), whole)
+    assert not np.array_equal(render_capture(scene_of(integrator={"modes": 3}), seed=1).image, whole)
+
+
+def surface_lamp(lamp, kind):
+    scene = scene_of(lamp=lamp)
+    return scene, [next(emitter.id() for emitter in scene.emitters() if emitter.class_name() == kind)]
+
+
+def test_the_scene_with_speckle():
+    size = {"detector_width": 0.128, "resolution": 64, "aperture_radius": 1, "spp": 8}
+
+    def capture(**change):
+        scene = load_scene("speckle", variant="llvm_ad_mono", parameters={**size, **change})
+        return render_capture(scene).image
+
+    mixed, dark = capture(), capture(sky=0)
+    with pytest.warns(UserWarning, match="the camera sees no surface that the lasers light"):
+        bright = capture(laser_power=0)
+    assert mixed.sum() == pytest.approx(dark.sum() + bright.sum(), rel=1e-3)
+    assert dark.sum() > bright.sum() > 0
+
+
+AREA = {"type": "sphere", "radius": 0.1, "emitter": {"type": "area"}}
+BEAM = {"type": "rectangle", "emitter": {"type": "directionalarea"}}
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: scene_of(integrator={"lasers": ""}), "lasers: give the id"),
+        (lambda: scene_of(integrator={"modes": 0}), "plenoptic_laser: modes = 0: it must be at least 1"),
+        (lambda: scene_of(integrator={"modes": 2, "bandwidth": 1.0}), "modes, bandwidth: give one of the two"),
+        (lambda: scene_of(integrator={"wavelength": 5.0}), "plenoptic_laser: wavelength"),
+        (lambda: scene_of(integrator={"mode": 2}), "plenoptic_laser: mode: it has no such parameter; did you mean"),
+        (lambda: render_capture(scene_of(integrator={"lasers": "lasr"})), "no emitter of this id .*laser.*mean"),
+        (
+            lambda: named_lasers(*surface_lamp(AREA, "AreaLight"), "test"),
+            "test: lasers = .*: an emitter of type AreaLight is extended",
+        ),
+        (lambda: render_capture(scene_of(integrator={"bandwidth": 1.0})), "roughness: a bandwidth needs it"),
+        (
+            lambda: render_capture(scene_of(wall=wall(bsdf={"type": "roughconductor"}))),
+            "plenoptic_laser: surface wall of type RoughConductor is not matte",
+        ),
+        (lambda: scene_of(integrator={"source_distance": 9.0}), "source_distance: it has a meaning with a source_diam"),
+        (lambda: scene_of(integrator={"roughness": 1.0}), "roughness: it has a meaning with a bandwidth only"),
+        (lambda: render_capture(scene_of(integrator={"lasers": "laser, laser"})), "lasers = laser: .* more than once"),
+        (
+            lambda: named_lasers(*surface_lamp(BEAM, "DirectionalArea"), "test"),
+            "test: lasers = .*: an emitter of type DirectionalArea is extended",
+        ),
+        (lambda: render_capture(scene_of(), noise=True), "noise: it is not estimated"),
+        (
+            lambda: render_capture(scene_of(), model="wave", accuracy=0.1),
+            "plenoptic_laser: accuracy: it has no such parameter",
+        ),
+    ],
+)
+def test_refusals(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_colour_variants_are_refused():
+    with pytest.raises(InputError, match=r"plenoptic_laser: variant llvm_ad_rgb: laser light has one wavelength"):
+        load_scene({"type": "scene", "integrator": {"type": "plenoptic_laser", "lasers": "a"}}, variant="llvm_ad_rgb")

@@ -1,0 +1,242 @@
+"""Arrays aligned to chief rays, crosstalk of pixels, and tables of photodiodes' responses."""
+
+import json
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
+from mitsuba_plenoptic.light.crosstalk import mix_deviations, mix_pixels
+
+CAMERA = PlenopticCamera(
+    focal_length=6.8,
+    aperture_radius=6.8 / 3.6,
+    focus_distance=1000.0,
+    mla_focal_length=0.0045,
+    mla_pitch=0.0024,
+    detector_width=0.0384,
+    resolution=(32, 32),
+)
+"""A telephone's camera, f/1.8, of 16 x 16 lenses above 2 x 2 pixels."""
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def scene_of(camera, light=None, **integrator):
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "camera": camera.to_sensor(),
+            "sky": light or {"type": "constant"},
+            "integrator": {"type": "direct"} | integrator,
+        }
+    )
+
+
+def white(camera, spp=256, seed=0):
+    return render_capture(scene_of(camera), spp=spp, seed=seed).image
+
+
+# -- chief rays --------------------------------------------------------------------------------------
+
+
+def test_a_linear_chief_ray_angle_is_a_smaller_pitch():
+    """Tangents proportional to the height; the lenses' widths differ by z / (b + z)."""
+    far = CAMERA.replace(resolution=(4000, 4000), detector_width=4.8, crop_offset=(3800, 1980), crop_size=(16, 32))
+    b, z = far.mla_distance, far.detector_distance
+    heights = np.linspace(0, 3.5, 60)
+    pairs = np.stack([heights, np.degrees(np.arctan(heights / (b + z)))], axis=1).ravel()
+    aligned, smaller = white(far.replace(mla_cra=pairs)), white(far.replace(mla_pitch=0.0024 * b / (b + z)))
+    plain = white(far)
+    assert np.abs(aligned - smaller).mean() < 0.003
+    # Without either, the micro-images lie 0.8 pixels aside.
+    assert np.abs(plain - smaller).mean() > 0.05
+
+
+def test_shifts_of_more_than_a_pitch():
+    """A steep chief ray, through a stop far outside of the axis: the light comes back into its own pixels."""
+    camera = CAMERA.replace(resolution=(4000, 4000), detector_width=4.8, crop_offset=(3800, 1984), crop_size=(16, 32))
+    table = (0.0, 0.0, 1.0, 60.0, 4.0, 60.0)
+    x = camera.pixel_coordinates(0)
+    shift = camera.detector_distance * math.tan(math.radians(60))
+    assert shift > 3 * camera.mla_pitch
+    image = white(camera.replace(mla_cra=table), 1024).sum(axis=0)
+    same = white(camera.replace(mla_offset=(-shift, 0.0)), 1024).sum(axis=0)
+    assert x.min() > 2 and np.abs(image - same).max() < 0.02 * same.max()
+
+
+def test_waves_shift_lenses_as_rays_do():
+    """Mean columns of micro-images of large lenses, which diffraction widens little, aside of those without a shift."""
+    camera = PlenopticCamera(resolution=(512, 512), detector_width=8.192, crop_offset=(480, 248), crop_size=(16, 16))
+    aligned = camera.replace(mla_cra=(0.0, 0.0, 5.0, 3.0))
+    shots = [(aligned, "ray"), (aligned, "wave"), (camera, "wave")]
+    rays, waves, plain = (
+        render_capture(scene_of(each), spp=256, model=model).image.reshape(16, 4, 4).mean((0, 1))
+        for each, model in shots
+    )
+    assert waves.sum() == pytest.approx(rays.sum(), rel=0.01)
+    assert np.abs(waves - rays).max() < 0.05
+    assert np.abs(waves - plain).max() > 0.3
+
+
+# -- crosstalk ---------------------------------------------------------------------------------------
+
+
+def test_mixing_keeps_the_sum_and_is_its_own_adjoint():
+    a, b = np.random.default_rng(0).random((2, 9, 7, 3))
+    mixed = mix_pixels(a, 0.07)
+    assert mixed.sum() == pytest.approx(a.sum())
+    assert mixed[3, 3, 1] == pytest.approx(
+        0.72 * a[3, 3, 1] + 0.07 * (a[2, 3, 1] + a[4, 3, 1] + a[3, 2, 1] + a[3, 4, 1])
+    )
+    assert np.sum(mixed * b) == pytest.approx(np.sum(a * mix_pixels(b, 0.07)))
+    assert mix_pixels(np.ones((3, 4)), 0.2) == pytest.approx(np.ones((3, 4)))
+    draws = np.random.default_rng(1).normal(size=(4000, 5, 5)) * np.arange(1, 6)
+    spread = np.std([mix_pixels(draw, 0.1) for draw in draws], axis=0)
+    assert mix_deviations(np.broadcast_to(np.arange(1.0, 6), (5, 5)), 0.1)[1:-1, 1:-1] == pytest.approx(
+        spread[1:-1, 1:-1], rel=0.06
+    )
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_captures_with_crosstalk_are_mixed_captures(model):
+    """Of a small lamp, behind large lenses."""
+    spp = 4096 if model == "ray" else 64
+    camera = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
+    place = mi.ScalarTransform4f().translate([0, 0, 238]).scale(0.1).rotate([0, 1, 0], 180)
+    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}}
+    plain, crossed = (
+        render_capture(scene_of(camera.replace(pixel_crosstalk=x), lamp), spp=spp, model=model).image
+        for x in (0.0, 0.05)
+    )
+    expected = mix_pixels(plain, 0.05)
+    assert np.linalg.norm(plain - expected) > 0.04 * np.linalg.norm(plain)
+    assert np.linalg.norm(crossed - expected) < (0.015 if model == "ray" else 1e-6) * np.linalg.norm(expected)
+
+
+def test_gradients_of_waves_have_the_crosstalk():
+    """By the brightness of a lamp, on which a capture depends linearly."""
+    camera = PlenopticCamera(resolution=(16, 16), detector_width=0.128, pixel_crosstalk=0.1)
+    place = mi.ScalarTransform4f().translate([0, 0, 238]).scale(0.1).rotate([0, 1, 0], 180)
+    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}}
+    scene = scene_of(camera, lamp, type="plenoptic_wave", child={"type": "prb"})
+    params = mi.traverse(scene)
+    (name,) = (name for name in params.keys() if name.endswith("radiance.value"))  # noqa: SIM118
+    plain = render_capture(scene_of(camera.replace(pixel_crosstalk=0.0), lamp), spp=512, model="wave").image
+    weights = mi.TensorXf((plain > 0.5 * plain.max()).astype(np.float32)[..., None])
+    dr.enable_grad(params[name])
+    params.update()
+    image = mi.render(scene, params, spp=512)
+    dr.backward(dr.sum(image * weights, axis=None))
+    expected = float(dr.sum(dr.detach(image) * weights, axis=None).array[0])
+    assert float(dr.grad(params[name])[0]) == pytest.approx(expected, rel=0.03)
+    assert float(np.sum(plain * weights.numpy()[..., 0])) > 1.05 * expected
+
+
+# -- tables of responses -----------------------------------------------------------------------------
+
+
+def halves_of(camera, edge=1e-4):
+    """The response of photodiodes that see the quarters of an endless pupil, sharply."""
+    angle = math.degrees(math.atan(edge))
+    steps = [-40.0, -angle, angle, 40.0]
+    left, up = np.meshgrid([0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 1.0])
+    quarters = [[(1 - up) * left, (1 - up) * (1 - left)], [up * left, up * (1 - left)]]
+    return {"angles_x": steps, "angles_y": steps, "responses": np.array(quarters)[::-1].tolist()}
+
+
+def test_the_table_of_ideal_lenses_gives_the_ideal_capture():
+    """A lamp out of focus; pixels at larger x and y see the opposite quarter of the pupil."""
+    place = mi.ScalarTransform4f().translate([3, 2, 500]).scale(2).rotate([0, 1, 0], 180)
+    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}}
+    camera = CAMERA.replace(focus_distance=700.0, resolution=(64, 64), detector_width=0.0768)
+    camera = camera.replace(aperture_radius=0.95 * camera.aperture_radius, mla_offset=(0.0, 0.0))
+    b, z = camera.mla_distance, camera.detector_distance
+    camera = camera.replace(mla_pitch=0.0024 * b / (b + z))
+    response = np.array(halves_of(camera)["responses"])
+    # Capture rows and columns grow with x and y, and a pixel at larger x sees smaller x of the pupil.
+    table = halves_of(camera) | {"responses": response[:, :].tolist()}
+    plain, tabled = (
+        render_capture(scene_of(each, lamp), spp=2048).image
+        for each in (camera, camera.replace(photodiode_response=table))
+    )
+    assert plain.max() > 0.3
+    assert tabled.sum() == pytest.approx(plain.sum(), rel=0.01)
+    assert np.linalg.norm(tabled - plain) < 0.06 * np.linalg.norm(plain)
+
+
+def test_responses_by_angle_and_wavelength():
+    """White light of three channels through a photodiode of four pixels, against the mean over the pupil."""
+    mi.set_variant("llvm_ad_rgb")
+    rng = np.random.default_rng(0)
+    angles, wavelengths = [-20.0, -5.0, 8.0, 20.0], [450.0, 550.0, 650.0]
+    table = rng.random((1, 1, 3, 4, 4))
+    given = {"angles_x": angles, "angles_y": angles, "wavelengths": wavelengths, "responses": table.tolist()}
+    camera = CAMERA.replace(photodiode_response=given)
+    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    scene = {
+        "type": "scene",
+        "camera": camera.to_sensor() | {"film": camera.to_sensor()["film"] | {"pixel_format": "rgb"}},
+        "sky": {"type": "constant"},
+        "integrator": {"type": "direct"},
+    }
+    image = render_capture(mi.load_dict(scene), spp=256).image.mean(axis=(0, 1))
+    radius, turn = np.sqrt((np.arange(400) + 0.5) / 400), 2 * np.pi * (np.arange(400) + 0.5) / 400
+    x, y = (
+        np.degrees(np.arctan(camera.aperture_radius / camera.mla_distance * radius[:, None] * each(turn)))
+        for each in (np.cos, np.sin)
+    )
+    from scipy.interpolate import RegularGridInterpolator
+
+    seen = (camera.pixel_size * camera.mla_distance / camera.detector_distance) ** 2
+    for value, wavelength in zip(image, (611.4, 549.1, 464.3), strict=True):
+        grid = RegularGridInterpolator((wavelengths, angles, angles), table[0, 0])
+        mean = grid(np.stack([np.full(x.shape, wavelength), y, x], axis=-1)).mean()
+        assert value == pytest.approx(mean / 4 * np.pi * camera.aperture_radius**2 / seen, rel=0.01)
+
+
+def test_a_response_in_a_file(tmp_path):
+    table = halves_of(CAMERA)
+    path = tmp_path / "response.json"
+    path.write_text(json.dumps(table))
+    camera = CAMERA.replace(photodiode_response=path)
+    assert camera.photodiode_response == PhotodiodeResponse(**table)
+    assert PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor())) == camera
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"mla_cra": (0, 0, 1)}, "mla_cra = .*two or more pairs"),
+        ({"mla_cra": (1, 0, 2, 3)}, "its heights must rise from 0"),
+        ({"mla_cra": (0, 1, 2, 3)}, "its first angle, on the axis, must be 0"),
+        ({"mla_cra": (0, 0, 2, 85)}, "mla_cra = 85: it must be at most 80"),
+        ({"pixel_crosstalk": 0.3}, "pixel_crosstalk = 0.3: it must be at most 0.25"),
+        ({"photodiode_response": {"angles_x": [0, 1]}}, "photodiode_response: angles_y is missing"),
+        ({"photodiode_response": 3}, "photodiode_response = 3: it must be a JSON file or a dictionary"),
+        ({"photodiode_response": "{"}, "photodiode_response: it must be a JSON object"),
+        ({"photodiode_response": halves_of(CAMERA), "mla_pitch": 0.0036}, "a lens over photodiodes must cover 2 x 2"),
+        (
+            {"photodiode_response": halves_of(CAMERA) | {"responses": [[1]]}},
+            r"responses of shape \(1, 1\): it must be 1 or 2 rows and columns, then \(4, 4\)",
+        ),
+        ({"photodiode_response": halves_of(CAMERA) | {"angles_x": [3, 2, 1, 0]}}, "angles_x = .*: they must rise"),
+    ],
+)
+def test_mistakes(given, message):
+    with pytest.raises(InputError, match=message) as refused:
+        CAMERA.replace(**given)
+    assert "\n" not in str(refused.value)
+
+
+def test_waves_refuse_tables():
+    camera = CAMERA.replace(photodiode_response=halves_of(CAMERA))
+    with pytest.raises(InputError, match="photodiode_response"):
+        render_capture(scene_of(camera), model="wave", spp=2)

@@ -1,0 +1,239 @@
+"""The experiment behind the reports: kept stages, a run that is killed, verdicts, files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+from scene_cases import letters
+from stopped_runs import StoppedError, stopped_before
+
+from mitsuba_plenoptic import (
+    InputError,
+    load_scene,
+    read_capture,
+    render_capture,
+    scene_path,
+    with_camera,
+    write_capture,
+)
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
+from mitsuba_plenoptic.extensions.paper.reproduction import reproduce, seconds_on_one_core
+from mitsuba_plenoptic.light import signed_rays
+from mitsuba_plenoptic.report import experiment as experiments
+from mitsuba_plenoptic.report.comparison import compare
+from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
+from mitsuba_plenoptic.report.stage_store import StageOptions, StageStore, scene_fingerprint
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in (folder / "data").glob("*.exr")}
+
+
+def test_the_papers_lenses_are_parabolic_phases_by_rays_and_by_waves():
+    for settings in reproductions.PRESETS.values():
+        camera = load_scene(settings.scene, parameters=settings.parameters).sensors()[0].camera
+        assert camera.lens_model == "parabolic"
+
+
+def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figures, tiny, tmp_path, capsys):
+    assert main(["reproduce", "-o", str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err
+    assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
+    assert told.out.rstrip().endswith("report.html: open it in a browser")
+    figures = {"fig1.png", "fig2.png", "fig3.png", "fig4.png", "methods.png", "interference.png", "captures.png"}
+    figures |= {name.replace(".png", ".pdf") for name in figures}
+    assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
+    ray = read_capture(tmp_path / "data" / "capture_ray.exr")
+    # All captures have the paper's lenses.
+    assert ray.camera.lens_model == "parabolic"
+    for name in ("wave", "points"):
+        assert read_capture(tmp_path / "data" / f"capture_{name}.exr").camera == ray.camera
+    # Both of its lenses are, not the microlenses alone.
+    twin = with_camera(load_scene("letters", parameters=tiny.parameters), ray.camera)
+    np.testing.assert_array_equal(ray.image, render_capture(twin, model="ray", spp=tiny.spp).image)
+    assert read_capture(tmp_path / "data" / "capture_wave.exr").wavelength == 633
+
+    before, report = files(tmp_path), (tmp_path / "report.html").read_bytes()
+    results = json.loads((tmp_path / "results.json").read_text())
+    quick_waves.clear()
+    kept = []
+    again = reproduce(tmp_path, stages=StageOptions(finished=lambda *told: kept.append(told[2])))
+    assert quick_waves == [] and all(kept)
+    assert files(tmp_path) == before
+    assert json.loads(json.dumps(again)) == json.loads((tmp_path / "results.json").read_text()) == results
+    assert (tmp_path / "report.html").read_bytes() == report
+
+    # Both stand-ins of wave captures are the same.
+    assert results["captures"]["points"] == {"relative_error": 0, "energy": 1}
+    assert b"4 points per lens" in report
+    assert b"are confirmed with the preset quick." in report
+
+    claims = {claim["statement"].split(":")[0]: claim for claim in results["claims"]}
+    assert len(claims) == 15
+    assert [(row["shape"], row["distance"]) for row in results["readings"]] == [("eight", 280), ("hash", 210)]
+    assert (
+        claims["Reconstructions by rays and by waves have the same number of pixels."]["verdict"] == "by construction"
+    )
+    assert claims["Partially coherent propagation strongly reduces the interference."]["verdict"] == "confirmed"
+    assert claims["Reconstruction by waves is faster than by rays"]["verdict"] == "differs"
+    assert claims["Partially coherent propagation takes four propagations"]["verdict"] == "confirmed"
+    # The paper's condition at 280 mm: a blur of 0.714 mm over a pitch of 0.064 mm.
+    assert claims["Without special optimization, reconstruction by rays takes 330 s."]["verdict"] == "differs"
+    four = claims["With four propagations the images of no two lit lenses of a subset overlap."]
+    assert "every 12th lens at 280 mm, 144 propagations" in four["remark"]
+    # Not of the paper's size, so no ratio of seconds.
+    assert [row["paper_over_ours"] for row in results["timing"]] == [None, None, None]
+    assert [row["paper_seconds"] for row in results["timing"]] == [330, 65, 195]
+
+
+@pytest.mark.slow
+def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tmp_path, monkeypatch):
+    working = experiments.reconstruct
+
+    def killed(capture, distance, *, method, **options):
+        if method == "coherent" and distance == 240:
+            raise KeyboardInterrupt
+        return working(capture, distance, method=method, **options)
+
+    monkeypatch.setattr(experiments, "reconstruct", killed)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(tmp_path / "killed")
+    monkeypatch.setattr(experiments, "reconstruct", working)
+    assert len(files(tmp_path / "killed")) > 10
+    quick_waves.clear()
+    reproduce(tmp_path / "killed")
+    assert "capture_wave" not in quick_waves and "coherent_210" not in quick_waves
+    assert quick_waves[0] == "coherent_240"
+    reproduce(tmp_path / "whole")
+    whole = files(tmp_path / "whole")
+    assert files(tmp_path / "killed") == whole
+
+    damaged = tmp_path / "whole" / "data" / "capture_wave.exr"
+    damaged.write_bytes(damaged.read_bytes()[:1000])
+    quick_waves.clear()
+    reproduce(tmp_path / "whole")
+    assert quick_waves == ["capture_wave"]
+    assert files(tmp_path / "whole") == whole
+
+    monkeypatch.setitem(reproductions.PRESETS, "quick", dataclasses.replace(tiny, wavelength=600.0))
+    quick_waves.clear()
+    reproduce(tmp_path / "whole")
+    assert "capture_wave" in quick_waves and "capture_ray" not in quick_waves
+    assert "coherent_280" in quick_waves
+
+
+@pytest.mark.slow
+def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
+    settings = Settings("chart", (240.0,), parameters={"resolution": "2048"}, spp=4, truth_spp=64)
+    results = compare(settings, tmp_path)
+    assert {row["method"] for row in results["edges"]} >= {"truth", "ray", "coherent", "partial", "limit"}
+    for row in results["edges"]:
+        # In focus a bin of 0.128 mm is all the blur there is: 10 to 90 per cent in about 0.8 of it.
+        assert row["width_mm"] == pytest.approx(0.8 * 0.128, rel=0.25)
+    text = (tmp_path / "report.html").read_text()
+    assert "Slanted edges" in text and "conclusions" not in text
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (Settings("letters", (240.0,), variant="llvm_ad_rgb"), "one colour"),
+        (Settings("letters", ()), "at least one"),
+        (Settings("letters", (240.0, 50.0)), "distance = 50: it must be greater than the focal length 80"),
+        (Settings("nowhere.xml", (240.0,)), "no such file"),
+        # The wall faces away from a camera behind it.
+        (Settings("white", (240.0,), parameters={"resolution": "64", "wall_distance": "-10"}, spp=1), "black"),
+    ],
+)
+def test_compare_refuses_what_it_cannot_compare(settings, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        compare(settings, tmp_path / "out")
+    assert message == "black" or list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, monkeypatch):
+    """The stage's checkpoint, with waves that are real; what comes after the capture is left out."""
+
+    def stop(*_):
+        raise StoppedError
+
+    settings = dataclasses.replace(tiny, parameters=letters(8), spp=1)
+    # Blocks of the detector are kept one by one.
+    monkeypatch.setattr(signed_rays, "_BLOCK_BYTES", 2**20)
+    monkeypatch.setattr(experiments, "pinhole_image", stop)
+
+    def run(folder, settings=settings, **options):
+        progress = []
+        store = StageStore(folder, StageOptions(lambda *told: progress.append(told), **options))
+        with pytest.raises(StoppedError):
+            run_experiment(settings, store)
+        # What was done when the capture began.
+        return next((done for name, done, total in progress if name == "capture_wave" and total), None)
+
+    assert run(tmp_path / "clean") == 0
+    checkpoint = tmp_path / "stopped" / "capture_wave.checkpoint"
+    with stopped_before(lambda _: checkpoint.exists()):
+        assert run(tmp_path / "stopped") == 0
+    assert checkpoint.exists() and not (tmp_path / "stopped" / "capture_wave.exr").exists()
+    with pytest.raises(InputError, match="wavelength = 633 there, 500 here"):
+        run(tmp_path / "stopped", dataclasses.replace(settings, wavelength=500.0), resume=True)
+    assert run(tmp_path / "stopped", resume=True) > 0
+    assert not checkpoint.exists()
+    wave = "capture_wave.exr"
+    assert (tmp_path / "stopped" / wave).read_bytes() == (tmp_path / "clean" / wave).read_bytes()
+
+
+def test_a_scenes_fingerprint_knows_its_files(tmp_path):
+    shutil.copytree(scene_path("letters").parent, tmp_path / "scenes")
+    scene, mesh = tmp_path / "scenes" / "letters.xml", tmp_path / "scenes" / "meshes" / "f.ply"
+    first = scene_fingerprint(scene, {})
+    assert first == scene_fingerprint(scene_path("letters"), {})
+    assert first != scene_fingerprint(scene, {"letter_scale": "0.5"})
+    mesh.write_bytes(mesh.read_bytes() + b"\n")
+    assert first != scene_fingerprint(scene, {})
+
+
+def test_a_store_keeps_facts_from_one_run_to_the_next(tmp_path):
+    made = []
+    for inputs, runs in (({"a": 1}, 1), ({"a": 1}, 1), ({"a": 2}, 2)):
+        facts = StageStore(tmp_path).facts("facts", inputs, lambda _: made.append(1) or {"answer": 42})
+        assert facts == {"answer": 42} and len(made) == runs
+
+
+def test_photographs_are_aligned_with_each_other(tiny):
+    scene = load_scene("letters", parameters=tiny.parameters)
+    camera = scene.sensors()[0].camera
+    sharp = pinhole_image(scene, camera, 16, 256)
+    lens = thin_lens_image(scene, camera, 240.0, 256)
+    assert sharp.shape == lens.shape == (16, 16)
+    # The F, in focus at 240 mm, is the same in both.
+    middle = np.s_[5:11, 7:9]
+    assert lens[middle] == pytest.approx(sharp[middle], abs=0.15)
+
+
+@pytest.mark.slow
+def test_seconds_on_one_core(tiny, tmp_path):
+    capture = render_capture(load_scene("letters", parameters=tiny.parameters), spp=1)
+    write_capture(tmp_path / "raw.exr", dataclasses.replace(capture, wavelength=633.0))
+    seconds = seconds_on_one_core(tmp_path / "raw.exr", 280.0)
+    assert set(seconds) == {"ray", "coherent", "partial"}
+    assert all(0 < value < 60 for value in seconds.values())
+    with pytest.raises(InputError, match=r"nowhere\.exr: there is no such file"):
+        seconds_on_one_core(tmp_path / "nowhere.exr", 280.0)
+
+
+@pytest.mark.slow
+def test_a_camera_of_few_lenses_is_compared(tmp_path, capsys):
+    words = ["--distance", "240", "--spp", "2", "-D", "resolution=64", "-D", "detector_width=0.256"]
+    assert main(["compare", "letters", "-o", str(tmp_path / "few"), *words]) == 0
+    assert "SSIM" in capsys.readouterr().out
+    numbers = json.loads((tmp_path / "few" / "results.json").read_text())
+    assert all(row["ssim"] is None for row in numbers["reconstructions"])
+    assert "not defined" in (tmp_path / "few" / "report.html").read_text()

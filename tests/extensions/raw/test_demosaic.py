@@ -1,0 +1,152 @@
+"""Mosaics of colour filters: which pixel records what, and what demosaicking makes of micro-images."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    decode,
+    expose,
+    read_capture,
+    reconstruct,
+)
+
+from mitsuba_plenoptic import demosaic, write_capture  # isort: skip
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.light.detector import MOSAICS, filters
+from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.views.lens_grid import lens_numbers
+
+CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=0.512)
+PERFECT = {"quantum_efficiency": 1, "read_noise": 0, "bits": 16, "full_well": 6e4, "black_level": 0}
+
+
+def coloured(camera, seed=0):
+    """A capture in which every lens sees another colour, as it does of a plane in focus on the array."""
+    lens = lens_numbers(camera)
+    colours = np.random.default_rng(seed).uniform(0.05, 1, (lens.max() + 1, 3))
+    return Capture(colours[lens] * white_image(camera)[..., None], camera, (610.0, 550.0, 460.0), "wave")
+
+
+def mosaicked(capture, mosaic="RGGB"):
+    """The same without noise, through filters."""
+    image = np.take_along_axis(capture.image, filters(capture.camera, mosaic)[..., None], 2)[..., 0]
+    return Capture(image, capture.camera)
+
+
+def test_filters():
+    """Row by row the letters of the name, from the first pixel of the full detector on, whatever the crop window."""
+    for mosaic in MOSAICS:
+        found = filters(CAMERA, mosaic)
+        assert "".join("RGB"[channel] for channel in found[:2, :2].ravel()) == mosaic
+        assert np.array_equal(found[2:, 2:], found[:-2, :-2])
+        crop = CAMERA.replace(crop_offset=(3, 5), crop_size=(20, 10))
+        assert np.array_equal(filters(crop, mosaic), found[5:15, 3:23])
+
+
+@pytest.mark.parametrize("mosaic", MOSAICS)
+def test_expose_through_a_mosaic(mosaic, tmp_path):
+    """Each pixel has its channel's value, to a digital number and the photons' noise; the file remembers it."""
+    given = coloured(CAMERA)
+    raw = expose(given, Detector(mosaic=mosaic, **PERFECT), photons=5e4)
+    assert raw.image.ndim == 2 and raw.wavelength is None
+    assert np.abs(raw.image - mosaicked(given, mosaic).image).max() < 6 / np.sqrt(5e4)
+    write_capture(tmp_path / "raw.exr", raw)
+    back = demosaic(read_capture(tmp_path / "raw.exr"))
+    assert back.wavelength == given.wavelength and back.image.shape == (256, 256, 3)
+    assert back.metadata["exposure"]["mosaic"] is None and back.metadata["exposure"]["demosaiced"] == mosaic
+    for work in (lambda: reconstruct(raw, 240), lambda: decode(raw), lambda: expose(raw, Detector(), photons=100)):
+        with pytest.raises(InputError, match=f"mosaic = {mosaic}: each pixel of the capture has one colour"):
+            work()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"mla_lattice": "hexagonal", "mla_rotation": 7.0},
+        {"resolution": (96, 96)},
+        {"crop_offset": (33, 20), "crop_size": (150, 131)},
+        {"aperture_radius": 6.5},
+    ],
+    ids=["square", "hexagonal", "few pixels", "crop", "touching"],
+)
+def test_colours_do_not_bleed_over_borders_of_micro_images(change):
+    """Micro-images of even colours come back to 1e-5, where plain bilinear interpolation mixes neighbours."""
+    given = coloured(CAMERA.replace(**change))
+    found, plain = (demosaic(mosaicked(given), mosaic="RGGB", method=m).image for m in ("micro-images", "plain"))
+    lit = white_image(given.camera) > 0.02
+    # Pixels of which the neighbours two away hold no sample of a colour cannot be known: corners of small crops.
+    known = lit & (np.abs(found - given.image).max(axis=2) < 1e-5)
+    assert known.sum() / lit.sum() > 0.999
+    assert (
+        np.abs(plain - given.image).max(axis=2)[lit].mean() > 20 * np.abs(found - given.image).max(axis=2)[lit].mean()
+    )
+    assert np.abs(plain - given.image)[lit].max() > 0.1
+
+
+def test_a_gradient_in_a_micro_image():
+    """A slope of radiance over the pupil is kept in the middle of micro-images, as bilinear interpolation keeps it."""
+    x = np.broadcast_to(CAMERA.pixel_coordinates(0), CAMERA.shape)
+    image = (1 + 2 * x[..., None] * np.array([1, -0.5, 0.3])) * white_image(CAMERA)[..., None]
+    given = Capture(image, CAMERA)
+    inside = white_image(CAMERA) == 1
+    found = demosaic(mosaicked(given, "GRBG"), mosaic="GRBG").image
+    # Within two pixels of a rim neighbours are on one side only.
+    assert np.abs(found - given.image)[inside].max() < 0.012
+    assert np.abs(found - given.image)[inside].mean() < 5e-4
+
+
+def test_white_of_its_own():
+    """A white capture takes the place of the computed one; colours of the lamp and the filters are its own."""
+    white = white_image(CAMERA)[..., None] * np.array([0.6, 1.0, 0.8])
+    given = dataclasses.replace(coloured(CAMERA), image=coloured(CAMERA).image * [0.6, 1.0, 0.8])
+    found = demosaic(mosaicked(given), mosaic="RGGB", white=Capture(white, CAMERA)).image
+    lit = white_image(CAMERA) > 0.02
+    assert (np.abs(found - given.image).max(axis=2)[lit] < 1e-5).mean() > 0.999
+
+
+@pytest.mark.parametrize(
+    ("work", "message"),
+    [
+        (lambda: Detector(mosaic="RGBG"), "mosaic = 'RGBG': it must be one of RGGB"),
+        (lambda: demosaic(coloured(CAMERA), mosaic="RGGB"), "capture of 3 channels: a mosaic has one"),
+        (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture does not state it"),
+        (lambda: demosaic(mosaicked(coloured(CAMERA)), mosaic="X"), "mosaic = 'X': it must be one of"),
+        (
+            lambda: expose(mosaicked(coloured(CAMERA)), Detector(mosaic="RGGB"), photons=9),
+            "mosaic = RGGB: the capture has 1 channel",
+        ),
+    ],
+)
+def test_mistakes(work, message):
+    with pytest.raises(InputError, match=message) as refused:
+        work()
+    assert "\n" not in str(refused.value)
+
+
+def test_the_commands(tmp_path, capsys):
+    colours, bayer, back = (str(tmp_path / name) for name in ("colours.exr", "bayer.exr", "back.exr"))
+    write_capture(colours, coloured(CAMERA))
+    assert main(["expose", colours, "-o", bayer, "--photons", "5000", "--mosaic", "BGGR"]) == 0
+    assert main(["demosaic", bayer, "-o", back]) == 0
+    assert "256 x 256 pixels of three colours" in capsys.readouterr().out
+    assert read_capture(back).image.shape == (256, 256, 3)
+    assert main(["demosaic", back, "-o", str(tmp_path / "again.exr")]) == 2
+    assert "capture of 3 channels" in capsys.readouterr().err
+    # A raw picture of a camera in a file.
+    import imageio.v3 as iio
+
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA.to_dict()))
+    iio.imwrite(tmp_path / "raw.png", (mosaicked(coloured(CAMERA)).image * 60000).astype(np.uint16))
+    options = ["--camera", str(tmp_path / "camera.json"), "--linear", "--mosaic", "RGGB"]
+    assert main(["demosaic", str(tmp_path / "raw.png"), "-o", back, *options]) == 0
+    lit = white_image(CAMERA) > 0.02
+    found = read_capture(back).image / (60000 / 65535)
+    assert np.abs(found - coloured(CAMERA).image)[lit].mean() < 1e-4

@@ -1,0 +1,219 @@
+"""Raw pictures of Lytro's cameras, of files that the tests write after the published layout."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import random
+
+import numpy as np
+import pytest
+from foreign_files import lytro_metadata, write_lytro, write_lytro_white
+
+from mitsuba_plenoptic import Capture, Detector, InputError, demosaic, expose
+from mitsuba_plenoptic.extensions.raw.lytro_file import nearest_white, read_lytro
+from mitsuba_plenoptic.views.lens_grid import micro_image_centres
+
+COLUMNS, ROWS = 120, 90
+
+
+def numbers_of(bits, seed=0):
+    return np.random.default_rng(seed).integers(0, 2**bits, (ROWS, COLUMNS))
+
+
+@pytest.mark.parametrize(("bits", "black", "white"), [(12, 168, 4095), (10, 64, 1023)])
+def test_pixels_and_header(bits, black, white, tmp_path):
+    numbers, metadata = numbers_of(bits), lytro_metadata(COLUMNS, ROWS, bits=bits)
+    numbers[0, :2] = white, black
+    found = read_lytro(write_lytro(tmp_path / "photo.LFR", numbers, metadata))
+    np.testing.assert_allclose(found.image, (numbers - black) / (white - black), atol=1e-6)
+    assert found.image[0, 0] == 1 and found.image[0, 1] == 0
+    record = found.metadata["raw"]
+    assert record["devices"] == metadata["devices"] and record["image"] == metadata["image"]
+    assert record["saturated_pixels"] == np.count_nonzero(numbers >= white)
+
+
+def test_levels_of_the_filters_and_the_published_order_of_bits(tmp_path):
+    """FF F0 00 is a white pixel and a black one, 12 34 56 are 123 and 456."""
+    metadata = lytro_metadata(2, 2, upper_left="gr")
+    levels = metadata["image"]["rawDetails"]["pixelFormat"]
+    levels["black"] = {"gr": 0, "r": 0, "b": 0x23, "gb": 0}
+    levels["white"] = {"gr": 0xFFF, "r": 1, "b": 0x223, "gb": 0x456}
+    (tmp_path / "a.TXT").write_text(json.dumps({"picture": {"frameArray": [{"frame": {"metadata": metadata}}]}}))
+    (tmp_path / "a.RAW").write_bytes(bytes.fromhex("FFF000123456"))
+    found = read_lytro(tmp_path / "a.RAW")
+    assert found.metadata["raw"]["mosaic"] == "GRBG"
+    np.testing.assert_allclose(found.image, [[1, 0], [0.5, 1]])
+
+
+@pytest.mark.parametrize(("first", "mosaic"), [("b", "BGGR"), ("gr", "GRBG"), ("r", "RGGB"), ("gb", "GBRG")])
+def test_mosaics(first, mosaic, tmp_path):
+    found = read_lytro(write_lytro(tmp_path / "a.lfp", numbers_of(12), lytro_metadata(COLUMNS, ROWS, upper_left=first)))
+    assert found.metadata["raw"]["mosaic"] == mosaic
+
+
+@pytest.mark.parametrize("tiling", ["hexUniformRowMajor", "squareUniform"])
+@pytest.mark.parametrize("pupil", [0.1163, 0.0])
+def test_micro_images_lie_where_the_metadata_put_them(tiling, pupil, tmp_path):
+    """A lens is centred `sensorOffset` from the middle, the others pitches aside, as seen from the exit pupil."""
+    metadata = lytro_metadata(COLUMNS, ROWS)
+    metadata["devices"]["mla"]["tiling"] = tiling
+    metadata["devices"]["lens"]["exitPupilOffset"]["z"] = pupil
+    camera = read_lytro(write_lytro(tmp_path / "a.lfp", numbers_of(12), metadata)).camera
+    assert camera.resolution == (COLUMNS, ROWS) and camera.pixel_size == pytest.approx(1.4e-3)
+    assert camera.f_number == pytest.approx(1.92) and camera.detector_distance == pytest.approx(0.025)
+    assert math.isinf(camera.focus_distance)
+    pitch = 10 * (1 + (2.5e-5 / pupil if pupil else 0))
+    row, column = np.mgrid[-9:10, -12:13].astype(float)
+    if tiling == "hexUniformRowMajor":
+        column, row = column + row / 2, row * math.sqrt(0.75)
+    turn, x, y = complex(math.cos(0.0021), -math.sin(0.0021)), pitch * column, 1.0005 * pitch * row
+    centres = (turn * (x + 1j * y)).ravel() + (COLUMNS / 2 + 3.1 / 1.4) + 1j * (ROWS / 2 - 2.6 / 1.4)
+    found = micro_image_centres(camera, 0)
+    inside = centres[(centres.real > 0) & (centres.real < COLUMNS) & (centres.imag > 0) & (centres.imag < ROWS)]
+    assert len(found) == len(inside)
+    assert np.abs(found[:, 0] + 1j * found[:, 1] - inside[:, None]).min(0).max() < 1e-9
+
+
+def test_a_picture_of_our_own_comes_back(tmp_path):
+    """A mosaic that `expose` made of a capture by the camera of a file."""
+    metadata = lytro_metadata(COLUMNS, ROWS)
+    camera = read_lytro(write_lytro(tmp_path / "a.lfp", numbers_of(12), metadata)).camera
+    light = np.random.default_rng(1).random((ROWS, COLUMNS, 3)) * 0.5
+    detector = Detector(mosaic="BGGR", bits=12, black_level=168, gain=1.0, full_well=3927, quantum_efficiency=1.0)
+    exposed = expose(Capture(light, camera), detector, photons=3927.0)
+    numbers = np.rint(exposed.image * 3927 + 168).astype(int)
+    back = read_lytro(write_lytro(tmp_path / "b.lfp", numbers, metadata))
+    np.testing.assert_allclose(back.image, exposed.image, atol=1e-6)
+    np.testing.assert_allclose(demosaic(back).image, demosaic(exposed).image, atol=1e-5)
+    assert demosaic(back).metadata["raw"]["demosaiced"] == "BGGR"
+
+
+def test_the_nearest_white_picture(tmp_path):
+    dim = numbers_of(12) // 8 + 168
+    for name, zoom, focus, factor in (
+        ("a", 500, 801, 1), ("b", 610, 300, 1), ("c", 610, 790, 1), ("d", 610, 790, 3), ("e", 610, 790, 9),
+    ):  # fmt: skip
+        metadata = lytro_metadata(COLUMNS, ROWS, zoom=zoom, focus=focus)
+        write_lytro_white(tmp_path / name, np.minimum(factor * dim, 4095), metadata)
+    photo = read_lytro(write_lytro(tmp_path / "photo.lfp", numbers_of(12), lytro_metadata(COLUMNS, ROWS)))
+    (tmp_path / "photo.lfp").unlink()
+    assert nearest_white(tmp_path, photo).name == "d.RAW"
+    (tmp_path / "d.TXT").unlink()
+    with pytest.raises(InputError, match=r"d.RAW: its metadata are not next to it, in d.txt"):
+        nearest_white(tmp_path, photo)
+    with pytest.raises(InputError, match=r"capture: its metadata have no devices.lens.zoomStep"):
+        nearest_white(tmp_path, Capture(np.zeros((ROWS, COLUMNS)), photo.camera))
+    with pytest.raises(InputError, match=r"none: there is no such folder"):
+        nearest_white(tmp_path / "none", photo)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty: it has no white pictures"):
+        nearest_white(tmp_path / "empty", photo)
+
+
+def changed(name, value):
+    metadata = lytro_metadata(COLUMNS, ROWS)
+    *parts, last = name.split(".")
+    part = metadata
+    for each in parts:
+        part = part[each]
+    if value is None:
+        del part[last]
+    else:
+        part[last] = value
+    return metadata
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rule"),
+    [
+        ("devices.mla.lensPitch", None, "its metadata have no devices.mla.lensPitch"),
+        ("devices.mla.lensPitch", "wide", "devices.mla.lensPitch = 'wide': it must be a number"),
+        ("devices.mla.tiling", "penrose", "devices.mla.tiling = 'penrose': it must be one of "),
+        ("devices.lens.fNumber", 0, "devices.lens.fNumber = 0: it must be greater than 0"),
+        ("devices.lens", 3, "its metadata have no devices.lens.focalLength"),
+        ("image.width", 121, "image: 16200 bytes for 121 x 90 pixels of 12 bits"),
+        ("image.height", -3, "image.height = -3: it must be at least 1"),
+        ("image.width", 10**9, "1000000000 x 90 pixels"),
+        ("image.rawDetails.pixelPacking.bitsPerPixel", 14, "image.rawDetails.pixelPacking: 14 bits, 'big'-endian"),
+        ("image.rawDetails.pixelPacking.bitsPerPixel", [12], "image.rawDetails.pixelPacking: [12] bits"),
+        ("image.rawDetails.pixelFormat.rightShift", 4, "image.rawDetails.pixelFormat.rightShift = 4: only 0 is known"),
+        ("image.rawDetails.pixelFormat.white.gb", 168, "image.rawDetails.pixelFormat: white must be above black"),
+        ("image.rawDetails.mosaic.tile", "x", "image.rawDetails.mosaic.tile = 'x': only r,gr:gb,b is known"),
+        ("image.rawDetails.mosaic.upperLeftPixel", "g", "image.rawDetails.mosaic.upperLeftPixel = 'g': it must be one"),
+        ("image", [], "its metadata have no image.width"),
+    ],
+)
+def test_metadata_that_are_not_understood(name, value, rule, tmp_path):
+    path = write_lytro(tmp_path / "a.lfp", numbers_of(12), lytro_metadata(COLUMNS, ROWS))
+    metadata = changed(name, value)
+    pixels = write_lytro_white(tmp_path / "b", numbers_of(12), lytro_metadata(COLUMNS, ROWS))
+    text = {"master": {"picture": {"frameArray": [{"frame": {"metadata": metadata}}]}}}
+    pixels.with_suffix(".TXT").write_text(json.dumps(text))
+    with pytest.raises(InputError) as caught:
+        read_lytro(pixels)
+    assert str(caught.value).startswith(f"{pixels}: {rule}"), caught.value
+    assert read_lytro(path).image.shape == (ROWS, COLUMNS)
+
+
+def test_files_for_the_web_have_no_raw_picture(tmp_path):
+    metadata = lytro_metadata(COLUMNS, ROWS)
+    path = write_lytro(tmp_path / "a.lfp", numbers_of(12), metadata)
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b"\x89LFC")])
+    with pytest.raises(InputError, match=r"a.lfp: it has no raw picture; files made for the web"):
+        read_lytro(path)
+    path.write_bytes(b"\x89PNG")
+    with pytest.raises(InputError, match=r"a.lfp: it does not begin as a Lytro container"):
+        read_lytro(path)
+    path.write_bytes(content[:16])
+    with pytest.raises(InputError, match=r"a.lfp: it has no sections"):
+        read_lytro(path)
+
+
+@pytest.mark.parametrize("bits", [12, 10])
+def test_cut_and_damaged_containers(bits, tmp_path):
+    """Whatever is cut off or flipped: one line with the file's name, or the same picture."""
+    path = tmp_path / "a.lfr"
+    small = np.arange(64).reshape(8, 8)
+    content = write_lytro(path, small, lytro_metadata(8, 8, bits=bits)).read_bytes()
+    whole, draw, refused = read_lytro(path), random.Random(bits), 0
+    for _ in range(200):
+        damaged = bytearray(content)
+        if draw.random() < 0.3:
+            del damaged[draw.randrange(len(damaged)) :]
+        else:
+            for _ in range(draw.choice([1, 1, 5])):
+                damaged[draw.randrange(len(damaged))] = draw.randrange(256)
+        path.write_bytes(damaged)
+        try:
+            assert (read_lytro(path).image == whole.image).all()
+        except InputError as error:
+            assert str(error).startswith(f"{path}: ") and "\n" not in str(error)
+            refused += 1
+    assert refused > 120
+
+
+def test_damaged_metadata(tmp_path):
+    """Texts have no digest next to white pictures: numbers, types and names replaced at random."""
+    pixels = write_lytro_white(tmp_path / "a", np.arange(64).reshape(8, 8), lytro_metadata(8, 8))
+    draw = random.Random(3)
+
+    def spoil(part):
+        keys = list(part) if isinstance(part, dict) else range(len(part))
+        key = draw.choice(list(keys))
+        if isinstance(part[key], (dict, list)) and part[key] and draw.random() < 0.8:
+            spoil(part[key])
+        else:
+            part[key] = draw.choice([None, 0, -1, 1e300, 1e-300, "x", [], {}, True, 10**40, [1, 2], "r", 12])
+
+    text = {"master": {"picture": {"frameArray": [{"frame": {"metadata": lytro_metadata(8, 8)}}]}}}
+    for _ in range(300):
+        spoiled = copy.deepcopy(text)
+        spoil(spoiled)
+        pixels.with_suffix(".TXT").write_text(json.dumps(spoiled))
+        try:
+            assert read_lytro(pixels).image.shape == (8, 8)
+        except InputError as error:
+            assert str(error).startswith(str(tmp_path))

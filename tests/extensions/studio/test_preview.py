@@ -1,0 +1,151 @@
+"""The preview: where the scene is, what is poor about that, and what makes it better."""
+
+from __future__ import annotations
+
+import re
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, with_camera
+from mitsuba_plenoptic.extensions.studio import preview
+from mitsuba_plenoptic.extensions.studio.preview import framing_warnings, preview_of, propose
+
+CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
+WIDTH = 16 * 0.064 * 240 / 120  # of the field in the plane in focus
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    monkeypatch.setattr(preview, "_SPP", 1)
+    monkeypatch.setattr(preview, "_OBJECTIVE_SPP", 64)
+    monkeypatch.setattr(preview, "_COLUMNS", 64)
+
+
+def scene_of(size, distance, across=0.0, unit=1.0, lookat=None):
+    """A disc, or a square pyramid's base, of a diameter, before the camera; all lengths times a unit."""
+    transform = mi.ScalarTransform4f()
+    pose = transform.look_at(*lookat) if lookat else transform.look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])
+    disk = transform.translate(unit * np.array([across, 0, distance])).scale(unit * size / 2).rotate([1, 0, 0], 180)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "light": {"type": "constant"},
+            "disk": {"type": "disk", "to_world": disk},
+            "sensor": {"type": "perspective", "to_world": pose},
+        }
+    )
+    return with_camera(scene, CAMERA)
+
+
+def test_what_is_seen_is_where_it_is():
+    seen = preview_of(scene_of(WIDTH / 2, 240.0), CAMERA)
+    assert seen.filled == pytest.approx(0.5, abs=1 / 64 + 1e-6)
+    assert np.nanmax(np.abs(seen.distance - 240)) < 1e-3
+    known = np.isfinite(seen.distance)
+    assert known.mean() == pytest.approx(np.pi / 16, rel=0.03)
+    # +x is to the left, +y up.
+    assert np.nanmean(seen.points[:, :32, 0]) > 0 and np.nanmean(seen.points[:32, :, 1]) > 0
+
+
+@pytest.mark.parametrize(
+    ("size", "distance", "across", "words"),
+    [
+        (0.128, 240.0, 0.0, "the scene spans 6.25% of the picture"),
+        (5.0, 60.0, 0.0, "100% of what is seen is within the focal length of 80 mm"),
+        (WIDTH, 500.0, 0.0, "only 0% of what is seen is from .* which refocusing makes sharp; it is from 500 to 500"),
+        (1.0, 240.0, 50.0, "nothing of the scene is in the picture"),
+    ],
+    ids=["small", "near", "far", "beside"],
+)
+def test_poor_framing_is_named(size, distance, across, words):
+
+    found = framing_warnings(preview_of(scene_of(size, distance, across), CAMERA))
+    assert any(re.search(words, text) for text in found), found
+    assert framing_warnings(preview_of(scene_of(0.8 * WIDTH, 240.0), CAMERA)) == []
+
+
+def test_a_focus_is_proposed():
+    scene = scene_of(4.0, 300.0)
+    fit = propose(scene, preview_of(scene, CAMERA))
+    assert fit.pose is None and fit.distance == pytest.approx(300, rel=1e-5)
+    assert fit.mla_distance == pytest.approx(1 / (1 / 80 - 1 / 300), rel=1e-5)
+    assert framing_warnings(preview_of(scene, CAMERA, fit)) == []
+
+
+@pytest.mark.parametrize(("size", "distance", "across"), [(0.5, 1.2, 0.3), (0.05, 240.0, 0.0), (40.0, 60.0, 10.0)])
+def test_a_scale_is_proposed(size, distance, across):
+    scene = scene_of(size, distance, across)
+    fit = propose(scene, preview_of(scene, CAMERA))
+    proposed = preview_of(scene, CAMERA, fit)
+    assert fit.scale * size == pytest.approx(0.8 * WIDTH, rel=0.05)
+    assert proposed.filled == pytest.approx(0.8, abs=0.05) and framing_warnings(proposed) == []
+    # The scene scaled by hand, with the sensor where it is said to be, previews the same.
+    numbers = [[float(one) for one in part.split('"')[0].split(",")] for part in fit.lookat().split('="')[1:]]
+    scaled = preview_of(scene_of(size, distance, across, fit.scale, numbers), CAMERA)
+    assert scaled.filled == pytest.approx(proposed.filled, abs=0.04)
+    assert np.nanmean(scaled.distance) == pytest.approx(240, rel=1e-3) == np.nanmean(proposed.distance)
+
+
+MICROSCOPE = PlenopticCamera(
+    main_lens=Objective(20, 0.5), mla_pitch=0.15, mla_focal_length=3, detector_width=2.4, resolution=(240, 240)
+)
+FIELD = 16 * 0.15 / 20
+
+
+def before_microscope(size, depth, across=0.0):
+    """A luminous disc before a microscope."""
+    disk = mi.ScalarTransform4f().translate([across, 0, depth]).scale(size / 2).rotate([1, 0, 0], 180)
+    emitter = {"type": "area", "radiance": 1.0}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path"},
+            "disk": {"type": "disk", "to_world": disk, "emitter": emitter},
+            "sensor": {"type": "perspective"},
+        }
+    )
+    return with_camera(scene, MICROSCOPE)
+
+
+def test_a_microscope_sees_through_its_objective():
+    depth, across = 0.02, 0.25 * FIELD
+    seen = preview_of(before_microscope(0.1 * FIELD, depth, across), MICROSCOPE)
+    assert np.nanmax(np.abs(seen.distance - depth)) < 1e-6 and seen.filled == pytest.approx(0.1, abs=2 / 64)
+    # As far from the axis at every depth, +x to the left.
+    size = FIELD / seen.picture.shape[1]
+    column, row = (np.average(np.arange(64) + 0.5, weights=seen.picture.sum(axis)) for axis in (0, 1))
+    assert (32 - column) * size == pytest.approx(across, abs=size / 4) and row == pytest.approx(32, abs=0.3)
+    # The sine condition fills the cone evenly in |sin|^2, and the disc evenly in r^2: the mean square on one axis is
+    # d^2 <tan^2> / 2 + r^2 / 4.
+    cone = -1 - np.log(1 - 0.5**2) / 0.5**2
+    spread = np.average((np.arange(64) + 0.5 - column) ** 2, weights=seen.picture.sum(0)) * size**2
+    assert spread == pytest.approx(depth**2 * cone / 2 + (0.05 * FIELD) ** 2 / 4, rel=0.03)
+    # A blurred object loses no light.
+    focused = preview_of(before_microscope(0.1 * FIELD, 0.0), MICROSCOPE)
+    assert seen.picture.sum() == pytest.approx(focused.picture.sum(), rel=0.05)
+    assert focused.picture.max() == 1
+
+
+def test_framing_before_a_microscope(tmp_path):
+    far = before_microscope(0.8 * FIELD, 0.5)
+    seen = preview_of(far, MICROSCOPE)
+    (text,) = framing_warnings(seen)
+    assert re.search("only 0% of what is seen is from -97.* to 97.* um, .* it is from 500 to 500 um", text), text
+    fit = propose(far, seen)
+    assert fit.scale == 1 and framing_warnings(preview_of(far, MICROSCOPE, fit)) == []
+    assert '<lookat origin="0, 0, 0.5" target="0, 0, 1.5"' in fit.lookat()
+    small = before_microscope(0.1 * FIELD, 0.3, 0.3 * FIELD)
+    fit = propose(small, preview_of(small, MICROSCOPE))
+    proposed = preview_of(small, MICROSCOPE, fit)
+    assert proposed.filled == pytest.approx(0.8, abs=0.05) and framing_warnings(proposed) == []
+    assert fit.scale * 0.1 * FIELD == pytest.approx(0.8 * FIELD, rel=0.05)
+    preview.draw_preview(tmp_path / "look.png", [("before", seen), ("after", proposed)])
+
+
+def test_a_camera_without_a_plane_in_focus_is_refused():
+    camera = CAMERA.replace(mla_distance=79.0)
+    with pytest.raises(InputError, match=r"mla_distance = 79: no plane beyond the focal length 80 is in focus"):
+        preview_of(scene_of(1.0, 240.0), camera)

@@ -1,0 +1,78 @@
+"""The command ``preview``: what it prints and refuses."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from PIL import Image
+
+from mitsuba_plenoptic.extensions.studio import preview
+from mitsuba_plenoptic.light.render_capture import Cost
+from mitsuba_plenoptic.runtime.progress import in_words
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch, coarse_figures):
+    monkeypatch.setattr(preview, "_SPP", 1)
+    monkeypatch.setattr(preview, "_OBJECTIVE_SPP", 1)
+    monkeypatch.setattr(preview, "_COLUMNS", 32)
+
+
+SMALL = ("-D", "resolution=256", "-D", "detector_width=2.048")
+
+
+def test_what_is_printed(tmp_path, run):
+    path = tmp_path / "look.png"
+    text = run("preview", "letters", *SMALL, "-o", path, "--fit", "--spp", "1", "--waves")
+    assert "field: 4.096 x 4.096 mm at 240 mm" in text
+    assert "micro-images: 8.03 pixels apart, 32 x 32 of them" in text
+    assert "ray capture: about" in text and "wave capture: about" in text and "proposal: " in text
+    assert np.asarray(Image.open(path)).shape[0] > 250
+
+
+def test_lenses_of_a_hexagonal_array_are_counted_not_bins(tmp_path, run):
+    sheet = "f_number=4,lenses=20,pixels_per_lens=10,pixel_size=0.005,focal_length=50,focus_distance=320"
+    text = run("preview", "letters", "--camera", f"{sheet},mla_lattice=hexagonal", "-o", tmp_path / "look.png")
+    assert "micro-images: 10 pixels apart, 20 x 20 of them" in text
+
+
+def test_the_picture_comes_first_and_waves_are_estimated_only_when_asked_for(tmp_path, run, monkeypatch):
+    path, seen = tmp_path / "look.png", []
+
+    def estimate(scene, *, model, spp):
+        seen.append((model, path.exists(), mi.variant()))
+        return Cost(0, 0, 151.0, 2**30)
+
+    monkeypatch.setattr("mitsuba_plenoptic.light.render_capture.estimate_capture", estimate)
+    text = run("preview", "letters", *SMALL, "-o", path, "--variant", "llvm_ad_rgb")
+    assert seen == [("ray", True, "llvm_ad_rgb")] and text.startswith(f"{path}: the picture")
+    assert "ray capture: about 3 min and 1 GiB" in text and "wave" not in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(0.123, "0.123 s"), (59, "59 s"), (150.1, "3 min"), (3600, "1.0 h"), (9000, "2.5 h")]
+)
+def test_times_have_the_unit_that_suits_them(seconds, words):
+    assert in_words(seconds) == words
+
+
+def test_microscopes(tmp_path, run):
+    text = run(
+        "preview", "beads", "-D", "resolution=150", "-D", "detector_width=1.5", "-o", tmp_path / "look.pdf", "--fit"
+    )
+    assert "field: 75 x 75 um in the native object plane" in text
+    assert "made sharp by refocusing: -97.43 to 97.43 um" in text
+    assert "ray capture: about" in text and "the native object plane in its middle" in text
+
+
+def test_a_telescope_focused_at_infinity_sees_a_planet_farther_than_mitsubas_cameras_do_by_default(tmp_path, run):
+    text = run("preview", "telescope", "-o", tmp_path / "look.png")
+    # A detector of 2.56 mm behind 500 mm.
+    assert "field: 0.2934 x 0.2934 degrees at infinity" in text
+    assert "made sharp by refocusing: 488.3 to infinity" in text and "e+07" not in text
+    assert "nothing of the scene is in the picture" not in text
+
+
+def test_refused(tmp_path, complaint):
+    assert complaint("preview", "letters", "-o", tmp_path / "a.jpg").endswith("give a name that ends in .png or .pdf")

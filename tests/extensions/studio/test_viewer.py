@@ -1,0 +1,379 @@
+"""The viewer: its page holds the capture's values, states what it leaves out, and in a browser refocuses as we do."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from PIL import Image
+
+from mitsuba_plenoptic import (
+    Capture,
+    InputError,
+    PlenopticCamera,
+    decode,
+    load_scene,
+    reconstruct,
+    render_capture,
+    with_camera,
+)
+from mitsuba_plenoptic.extensions.studio import viewer
+from mitsuba_plenoptic.extensions.studio.viewer import Recording, view
+from mitsuba_plenoptic.report.images import encode, to_bytes
+from mitsuba_plenoptic.views import depth_map, focal_stack, shift_and_add
+from mitsuba_plenoptic.views import view as one_view
+
+CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
+
+
+def capture(camera=CAMERA, colour=False, seed=0):
+    """Squares that are in focus at 1 / 2 lens a view."""
+    rows, columns = camera.shape
+    y, x = np.mgrid[0:rows, 0:columns]
+    lens = x // 16 + 0.5 * (x % 16 - 7.5), y // 16 + 0.5 * (y % 16 - 7.5)
+    image = ((lens[0] // 3 + lens[1] // 3) % 2) * 0.8 + 0.1 + 0.05 * np.random.default_rng(seed).random((rows, columns))
+    return Capture(np.stack([image, 0.5 * image, 1 - image], axis=-1) if colour else image, camera)
+
+
+def content(page):
+    """Return the data of a page."""
+    return json.loads(page.page.split('<script type="application/json" id="data">')[1].split("</script>")[0])
+
+
+def pixels(picture):
+    """Return the values of a picture as the page reads them, NaN where it is transparent."""
+    image = Image.open(io.BytesIO(base64.b64decode(picture["source"].partition(",")[2])))
+    codes = np.asarray(image).astype(int)
+    codes = codes.reshape(*codes.shape[:2], -1)
+    if picture["bits"] == 16:
+        half = len(codes) // 2
+        opaque = codes[:half, :, picture["channels"] :]
+        codes = np.concatenate([256 * codes[:half] + codes[half:], opaque], axis=2)[
+            ..., : picture["channels"] + opaque.shape[2]
+        ]
+        if opaque.shape[2]:
+            codes[..., picture["channels"]] = opaque[..., 0]
+    colours = codes[..., : picture["channels"]] / (2 ** picture["bits"] - 1)
+    # IEC 61966-2-1
+    values = picture["full"] * np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return np.where(codes[..., picture["channels"] :].min(axis=2, initial=255, keepdims=True) > 0, values, np.nan)
+
+
+@pytest.mark.parametrize(("bits", "error"), [(8, 0.005), (16, 2e-5)])
+@pytest.mark.parametrize("colour", [False, True])
+def test_pictures_hold_values(bits, error, colour):
+    image = np.random.default_rng(1).random((5, 7, 3)) * 4
+    image = image if colour else image[..., 0]
+    found = pixels(encode(image, bits, 4.0))
+    assert np.abs(found - image.reshape(5, 7, -1)).max() < 4 * error
+    image[2, 3] = np.nan
+    found = pixels(encode(image, bits, 4.0))
+    assert np.isnan(found[2, 3]).all() and np.isnan(found).all(axis=2).sum() == 1
+
+
+def test_the_page_holds_the_views():
+    recorded = capture()
+    lf = decode(recorded)
+    one = content(view(recorded))["recordings"][0]
+    assert one["name"] == "ray" and one["columns"] == lf.sizes["s"]
+    views = pixels(one["views"])[..., 0].reshape(lf.sizes["v"], lf.sizes["t"], lf.sizes["u"], lf.sizes["s"])
+    assert np.abs(views.transpose(0, 2, 1, 3) - lf.values).max() < 0.006 * one["views"]["full"]
+    middle = np.argmin(np.abs(one["disparities"]))
+    assert one["distances"][middle] == pytest.approx(CAMERA.focus_distance, rel=1e-3)
+    raw = one["raw"]
+    assert pixels(raw["picture"])[..., 0] == pytest.approx(recorded.image, abs=0.006 * raw["picture"]["full"])
+    assert raw["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
+
+
+def test_what_is_left_out_is_stated(monkeypatch):
+    monkeypatch.setattr(viewer, "_VIEW_BYTES", 10_000)
+    monkeypatch.setattr(viewer, "_RAW_BYTES", 20_000)
+    page = view(capture(colour=True))
+    one = content(page)["recordings"][0]
+    lf = decode(capture(colour=True))
+    assert len(one["v"]) == len(one["u"]) == 3
+    assert f"3 x 3 of {lf.sizes['u']} x {lf.sizes['v']}, the others left out" in page.page
+    assert one["raw"]["factor"] == 4 and "averaged over 4 x 4 pixels" in page.page
+    # Bins are stated in pixels of the capture, whatever the page holds of it.
+    assert one["raw"]["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
+
+
+def test_negative_samples_are_stated():
+    recorded = capture()
+    noisy = dataclasses.replace(recorded, image=recorded.image - 0.15)
+    fraction = float((decode(noisy).values < 0).mean())
+    assert f"{fraction:.2%} of the samples are negative, and 0 in this page" in view(noisy).page
+    assert "are negative" not in view(recorded).page
+
+
+def test_bright_lamps_are_held_in_16_bits():
+    recorded = capture()
+    image = recorded.image.copy()
+    image[96:112, 96:112] = 300
+    one = content(view(dataclasses.replace(recorded, image=image)))["recordings"][0]
+    assert one["views"]["bits"] == 16 and one["views"]["full"] > 290
+    faint = pixels(one["views"])[..., 0]
+    lf = decode(dataclasses.replace(recorded, image=image))
+    assert faint.sum() == pytest.approx(float(lf.sum()), rel=1e-3)
+
+
+def test_stacks_and_depths():
+    recorded = capture()
+    lf = decode(recorded)
+    results = reconstruct(recorded, [260.0, 240.0])
+    unknown = dataclasses.replace(results[0], image=np.where(np.eye(16), np.nan, results[0].image))
+    depth = depth_map(lf, 230, 250, planes=8)
+    depth["depth"][:], depth["confidence"][:] = 235.0, 1.0
+    depth["confidence"][0] = 0.0
+    depth["depth"][1] = np.inf
+    found = content(view(recorded, unknown, results[1], depth))
+    assert [plane["distance"] for plane in found["planes"]] == [240, 260]
+    assert np.array_equal(np.isnan(pixels(found["planes"][1]["picture"])[..., 0]), np.eye(16) > 0)
+    inverse = pixels(found["depth"]["picture"])[..., 0]
+    assert np.isnan(inverse[0]).all() and (inverse[1] == 0).all()
+    assert 1 / inverse[2:] == pytest.approx(235, rel=2e-4)
+    # A stack alone is enough.
+    alone = content(view(focal_stack(lf, [230, 250])))
+    assert alone["recordings"] == [] and [plane["method"] for plane in alone["planes"]] == ["shifted views"] * 2
+
+
+def test_light_fields_without_a_camera():
+    lf = decode(capture())
+    plain = xr.DataArray(lf.values, dims=lf.dims, coords={"weight": lf["weight"].variable}, name="radiance")
+    steps = {axis: np.arange(lf.sizes[axis]) - (lf.sizes[axis] - 1) / 2 for axis in lf.dims}
+    one = content(view(plain.assign_coords(steps)))["recordings"][0]
+    assert one["distances"] == [None] * len(one["disparities"]) and one["raw"] is None
+
+
+@pytest.mark.parametrize(
+    ("sources", "words"),
+    [
+        (lambda: [], "sources: give at least one"),
+        (lambda: [1.5], "sources: of type float: they must be captures"),
+        (lambda: [capture()] * 3, "sources: 3 captures or light fields: a page compares two at most"),
+        (
+            lambda: [capture(), capture(colour=True)],
+            "sources: light fields of the shapes .* cannot be compared: they must be alike",
+        ),
+        (
+            lambda: [capture(), capture(CAMERA.replace(mla_distance=121.0))],
+            "sources: light fields whose v differ cannot be compared: they must be of the same camera",
+        ),
+        (
+            lambda: [reconstruct(capture(), [240.0])[0], reconstruct(capture(), [250.0], oversample=2)[0]],
+            "sources: focal stack: all of its images must be of one size",
+        ),
+    ],
+    ids=["none", "number", "three", "unlike", "cameras", "sizes"],
+)
+def test_refused(sources, words):
+    with pytest.raises(InputError, match=words):
+        view(*sources())
+
+
+def headline(*sources, **options):
+    return view(*sources, **options).page.split("<title>")[1].split("</title>")[0]
+
+
+def test_the_title_states_scene_and_camera():
+    recorded = dataclasses.replace(capture(), metadata={"scene": "still_life.xml"})
+    other = dataclasses.replace(recorded, model="wave")
+    assert headline(recorded) == headline(recorded, other) == "Still life, f/8, 16 x 16 microlenses"
+    assert headline(recorded, title="Mine") == "Mine"
+    # A scene without a name, and a camera that is known to the light field alone.
+    assert headline(capture()) == headline(decode(recorded)) == "F/8, 16 x 16 microlenses"
+    hexagonal = CAMERA.replace(mla_lattice="hexagonal")
+    assert headline(capture(hexagonal)) == "F/8, 16 x 18 hexagonal microlenses"
+    assert headline(reconstruct(recorded, [240.0])[0]) == "Light field"
+
+
+def opened(browser, path, page):
+    """Open a page in a browser, and return it with a function for what a canvas shows once all is drawn."""
+    page.save(path)
+    seen = browser(path)
+    seen.implicitly_wait(20)
+    seen.find_element("css selector", "main:not([aria-busy])")
+    seen.implicitly_wait(0)
+
+    def drawn(identity="field"):
+        seen.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+        url = seen.execute_script("return document.getElementById(arguments[0]).toDataURL()", identity)
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))))
+
+    return seen, drawn
+
+
+def likeness(image, white, drawn):
+    """Return the PSNR in decibels of a canvas, which shows an image as `to_bytes` encodes it."""
+    expected = to_bytes(np.asarray(image), white).astype(float)
+    shown = drawn[..., : 3 if expected.ndim == 3 else 1].reshape(expected.shape)
+    return 20 * np.log10(255 / np.sqrt(np.mean((expected - shown) ** 2) + 1e-9))
+
+
+def test_colours_of_a_crop_in_16_bits_in_a_browser(tmp_path, browser):
+    recorded = capture(CAMERA.replace(crop_offset=(40, 24), crop_size=(180, 200)), colour=True)
+    image = recorded.image.copy()
+    image[100:108, 60:68] = 300
+    recorded = dataclasses.replace(recorded, image=image)
+    made = view(recorded)
+    data = content(made)
+    assert data["recordings"][0]["views"]["bits"] == 16
+    page, drawn = opened(browser, tmp_path / "view.html", made)
+    page.find_element("css selector", "input[value=refocus]").click()
+    step = int(page.find_element("css selector", "#focus").get_attribute("value"))
+    refocused = shift_and_add(decode(recorded), data["recordings"][0]["disparities"][step])
+    assert likeness(refocused, data["white"], drawn()) >= 40
+    assert page.get_log("browser") == []
+
+
+def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
+    results = reconstruct(capture(), [240.0, 260.0])
+    holed = dataclasses.replace(results[1], image=np.where(np.eye(16), np.nan, results[1].image))
+    depth = xr.Dataset(
+        {
+            name: (("t", "s"), np.full((16, 16), value))
+            for name, value in {"depth": 200.0, "confidence": 1.0, "image": 0.5}.items()
+        }
+    )
+    depth["depth"][4:] = 400.0
+    made = view(results[0], holed, depth)
+    page, drawn = opened(browser, tmp_path / "view.html", made)
+
+    def find(selector):
+        return page.find_element("css selector", selector)
+
+    assert find("#focus-text").text == "260 mm"
+    assert not find("#pupil-panel").is_displayed() and not find("#raw-panel").is_displayed()
+    assert np.array_equal(drawn()[..., 3] == 0, np.eye(16) > 0)
+    find("#focus").send_keys("\ue012")  # arrow left
+    assert likeness(results[0].image, content(made)["white"], drawn()) > 45
+    find("input[value=depth]").click()
+    shown = drawn()
+    # Near is bright, and a click prints the depth.
+    assert shown[:4, :, :3].mean() > 100 > shown[4:, :, :3].mean()
+    find("#field").click()
+    assert "depth 400 mm" in find("#readout").text
+    assert page.get_log("browser") == []
+
+
+def test_the_viewer_in_a_browser(tmp_path, browser):
+    ray = capture()
+    wave = dataclasses.replace(capture(seed=1), model="wave")
+    made = view(Recording("<b>", decode(ray), ray.image), wave, title="A <b>")
+    page, drawn = opened(browser, tmp_path / "view.html", made)
+    lf, data = decode(ray), content(made)
+
+    def find(selector):
+        return page.find_element("css selector", selector)
+
+    def alike(image):
+        return likeness(image, data["white"], drawn())
+
+    middle = one_view(lf)
+    assert alike(middle) > 40
+    # Drag, as far as to the edge of the pupil, along u.
+    before = find("#view-text").text
+    page.execute_script("""
+      const canvas = document.getElementById("field"), box = canvas.getBoundingClientRect();
+      canvas.setPointerCapture = () => {};
+      const send = (name, x) =>
+        canvas.dispatchEvent(new PointerEvent(name, {clientX: x, clientY: box.top + 50, pointerId: 1}));
+      send("pointerdown", box.left + 100); send("pointermove", box.left + 100 + box.width / 4); send("pointerup", 0);
+    """)
+    drawn()
+    assert find("#view-text").text != before
+    # Refocused, at another step of the slider.
+    steps = data["recordings"][0]["disparities"]
+    for step in (20, 120):
+        page.execute_script(
+            "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", find("#focus"), step
+        )
+        assert alike(shift_and_add(lf, steps[step])) >= 35
+    # A click finds the disparity of the squares.
+    page.execute_script("document.querySelector('input[value=view]').click()")
+    find("#field").click()
+    drawn()
+    step = int(page.execute_script("return document.getElementById('focus').value"))
+    assert abs(abs(steps[step]) - 0.5) < 0.06
+    # The other capture, by keyboard, and the difference.
+    find("input[value='1'][name=sources]").send_keys(" ")
+    assert alike(shift_and_add(decode(wave), steps[step])) >= 35
+    find("input[value=difference]").click()
+    assert "wave - <b>" in find("#field-tag").text and (drawn()[8, 8, :3] > 200).all()
+    # From lens to lens.
+    before = find("#lens-text").text
+    find("#raw").send_keys("\ue014")  # arrow right
+    drawn()
+    assert find("#lens-text").text != before
+
+    requested = page.execute_script("return performance.getEntriesByType('resource').map((one) => one.name)")
+    assert all(name.startswith("data:") for name in requested)
+    assert page.get_log("browser") == []
+    assert_sliders_in_line(page, 2)
+    for narrow in (320, 390):
+        page = browser(tmp_path / "view.html", width=narrow, height=800)
+        assert page.execute_script("return document.documentElement.scrollWidth") <= narrow
+        # The map of viewpoints is next to the picture, and both are seen at once.
+        field, pupil = (boxed(page, name) for name in ("field", "pupil"))
+        assert pupil["left"] >= field["right"] and abs(pupil["top"] - field["top"]) < 4 and field["bottom"] < 800
+        assert_sliders_in_line(page, 1)
+        before = page.find_element("css selector", "#view-text").text
+        page.find_element("css selector", "#pupil").send_keys("\ue012")  # arrow left
+        page.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+        assert page.find_element("css selector", "#view-text").text != before
+        assert page.get_log("browser") == []
+
+
+def boxed(page, identity):
+    """Return where an element is on a page."""
+    return page.execute_script(
+        "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", identity
+    )
+
+
+def assert_sliders_in_line(page, columns):
+    """Sliders of a column begin and end at the same places, and no label is broken into lines."""
+    boxes = [boxed(page, name) for name in ("focus", "exposure", "span")]
+    for end in ("left", "right"):
+        assert len({round(box[end]) for box in boxes}) == columns
+    heights = page.execute_script(
+        "return [...document.querySelectorAll('.focus label')].map((label) => label.getBoundingClientRect().height)"
+    )
+    assert len({round(height) for height in heights}) == 1
+
+
+WALL = """<scene version="3.0.0"><integrator type="path"/>
+<sensor type="perspective"><film type="hdrfilm"><string name="pixel_format" value="luminance"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="900"/>
+<lookat origin="0, 0, 200" target="0, 0, 0" up="0, 1, 0"/></transform><emitter type="area"/></shape></scene>"""
+
+
+@pytest.mark.parametrize(
+    ("preset", "width", "spp", "noise"), [("paper_double_gauss", 0.512, 2, 1e-3), ("lfm", 1.2, 256, 0.1)]
+)
+def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise, tmp_path):
+    """A wall of radiance 1 is 1 in all views through the pupil, so that micro-images are where the page has them.
+
+    Rays of a microscope have weights, after the sine condition, so that few of them are noisy.
+    """
+    (tmp_path / "wall.xml").write_text(WALL)
+    camera = PlenopticCamera.preset(preset)
+    pixels = round(width / camera.pixel_size)
+    camera = camera.replace(detector_width=pixels * camera.pixel_size, resolution=(pixels, pixels))
+    seen = render_capture(with_camera(load_scene(tmp_path / "wall.xml"), camera), model="ray", spp=spp)
+    lf = viewer.decoded(seen)
+    assert "camera" not in lf.attrs and lf.attrs["grid"]
+    middle = lf.sizes["v"] // 2
+    for view_index in (middle, round(1.6 * middle)):
+        part = lf.isel(v=middle, u=view_index, s=slice(1, -1), t=slice(1, -1))
+        known = part.values[part["weight"].values > 0.5]
+        assert len(known) == part.size
+        assert known.mean() == pytest.approx(1, abs=0.05) and known.std() < noise
+    data = content(view(seen))
+    assert data["recordings"][0]["raw"]["rows"] == pixels
+    assert set(data["recordings"][0]["distances"]) == {None}

@@ -1,0 +1,174 @@
+"""The medium behind the microlenses: rays and waves in it, and the lengths of air that do the same near the axis."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
+
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    PlenopticCamera,
+    calibrate,
+    design,
+    reconstruct,
+    render_capture,
+)
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.points.point_spread import point_spread_function
+
+GLASS = {"mla_medium": 1.5, "mla_focal_length": 0.768, "detector_distance": 0.8}
+"""Lengths in a medium; in air two thirds of them have the same effect near the axis."""
+AIR = {"mla_focal_length": 0.512, "detector_distance": 0.8 / 1.5}
+
+ON_CHIP = {
+    "focal_length": 50.0, "aperture_radius": 9.0, "mla_distance": 51.0, "mla_pitch": 0.0056, "mla_medium": 1.5,
+    "mla_focal_length": 0.012, "detector_width": 0.0056 * 8, "resolution": (64, 64),
+}  # fmt: skip
+"""Steep microlenses, of f/1.4 in air."""
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def rays_of(camera, count=2000):
+    """Return the samples that rays of a sensor are made of, and the rays: origins, directions and weights."""
+    sensor = mi.load_dict(camera.to_sensor())
+    film, lens = np.random.default_rng(1).random((2, 2, count)).astype(np.float32)
+    ray, weight = sensor.sample_ray(0.0, 0.5, mi.Point2f(film), mi.Point2f(lens))
+    return film, lens, np.array(ray.o), np.array(ray.d), np.array(weight)[0]
+
+
+@pytest.mark.parametrize("changes", [GLASS, ON_CHIP], ids=["plenoptic", "on-chip"])
+def test_rays_against_snell_at_a_thin_element(changes):
+    """At a thin element the tangential component of n times the direction changes by the slope of its path."""
+    camera = PlenopticCamera(**{"detector_width": 0.512, "lens_model": "parabolic"} | changes)
+    n, b, f1 = camera.mla_medium, camera.mla_distance, camera.focal_length
+    film, lens, origin, direction, weight = rays_of(camera)
+    p = (film.T.astype(float) - 0.5) * camera.detector_width
+    # The lens of the chief ray, which passes the middle of the pupil.
+    chief = p * b / (b + camera.detector_distance / n)
+    assert len(design.crosstalk_neighbours(camera)) == 1
+    centre = (np.floor(chief / camera.mla_pitch) + 0.5) * camera.mla_pitch
+    m = centre + (lens.T - 0.5) * camera.mla_pitch
+    within = np.column_stack([m - p, np.full(len(p), camera.detector_distance)])
+    within *= n / np.linalg.norm(within, axis=1)[:, None]
+    before = within[:, :2] - n * (m - centre) / camera.mla_focal_length
+    up = np.sqrt(1 - (before**2).sum(1))
+    pupil = m + b * before / up[:, None]
+    after = before - pupil / f1
+    after = np.column_stack([after, np.sqrt(1 - (after**2).sum(1))])
+    is_open = (pupil**2).sum(1) <= camera.aperture_radius**2
+    assert np.array_equal(weight > 0, is_open)
+    assert np.abs(origin[:2].T - pupil)[is_open].max() < 1e-4
+    assert np.abs(direction.T - after)[is_open].max() < 1e-5
+
+
+def test_an_ideal_microlens_in_a_medium_is_stigmatic():
+    """All rays of a detector point through one lens meet in its conjugate plane."""
+    camera = small_camera(1, **GLASS | {"detector_distance": 0.9}, mla_offset=(0.032, 0.032))
+    sensor = mi.load_dict(camera.to_sensor())
+    lens = np.random.default_rng(1).random((2, 500)).astype(np.float32)
+    ray, weight = sensor.sample_ray(0.0, 0.5, mi.Point2f([0.55], [0.48]), mi.Point2f(lens))
+    o, d = np.array(ray.o, float), np.array(ray.d, float)
+    (a,) = design.mla_object_distances(camera)
+    assert 1 / a + 1.5 / 0.9 == pytest.approx(1.5 / 0.768)
+    (distance,) = design.best_distances(camera)
+    at = (o[:2] + d[:2] / d[2] * distance)[:, np.array(weight)[0] > 0]
+    assert np.ptp(at, axis=1).max() < 1e-3
+
+
+def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
+    """Decoding, refocusing, design and ray reconstruction see no difference."""
+    cameras = [small_camera(**changes) for changes in (GLASS, AIR)]
+    for figure in (
+        design.mla_f_number, design.focus_types, design.mla_object_distances, design.best_distances,
+        lambda camera: design.depth_ranges(camera, 550.0), lambda camera: design.spot_radius(camera, 550.0),
+        lambda camera: design.mla_fresnel_number(camera, 550.0), lambda camera: camera.micro_image_pitch,
+        lambda camera: camera.pupil_shift(camera.mla_focal_length), lambda camera: camera.micro_image_diameter,
+    ):  # fmt: skip
+        glass, air = (np.array(figure(camera)) for camera in cameras)
+        assert np.all(glass == air) or np.allclose(glass, air, rtol=1e-12)
+    image = np.random.default_rng(2).random(cameras[0].shape, np.float32)
+    found = [
+        reconstruct(image, 230.0, camera=camera, **options).image
+        for options in ({"method": "ray"}, {"method": "incoherent", "wavelength": WAVELENGTH})
+        for camera in cameras
+    ]
+    assert error(found[0], found[1]) < 1e-6
+    # Beyond the axis directions differ by a millionth of a radian.
+    assert 0 < error(found[2], found[3]) < 0.02
+
+
+@pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
+def test_waves_against_an_angular_spectrum_in_the_medium(changes):
+    camera = small_camera(4, **HALF, **GLASS, **changes)
+    position = np.array([0.05, -0.03, 112.5])
+    system = OpticalSystem(camera, WAVELENGTH)
+    fields = point_fields(system, position)
+    lam, pitch, count = WAVELENGTH * 1e-6, fields.mla.pitch, fields.mla.samples.shape
+    x, y = (fields.mla.origin[axis] + np.arange(count[1 - axis]) * pitch for axis in (0, 1))
+    i, j = camera.lattice.cell(*np.meshgrid(x, y))
+    cx, cy = camera.lattice.centre(i, j)
+    path = -1.5 * ((x - cx) ** 2 + (y[:, None] - cy) ** 2) / (2 * 0.768)
+    spectrum = np.fft.fft2(fields.mla.samples * np.exp(2j * np.pi * path / lam))
+    fx, fy = (np.fft.fftfreq(size, pitch) for size in (count[1], count[0]))
+    axial = np.sqrt(np.maximum((1.5 / lam) ** 2 - fx**2 - fy[:, None] ** 2, 0))
+    expected = np.fft.ifft2(spectrum * np.exp(2j * np.pi * 0.8 * (axial - 1.5 / lam)))
+    assert error(np.abs(fields.detector.samples) ** 2, np.abs(expected) ** 2) < 0.02
+    patch, full = (
+        point_spread_function(camera, position, wavelength=WAVELENGTH, method=name) for name in ("patch", "full_field")
+    )
+    assert error(patch, full) < 0.01
+
+
+def test_derivatives_in_a_medium_against_differences():
+    camera, points, step = small_camera(4, **HALF, **GLASS), scattered(2, distances=(112.0, 128.0), image=0.05), 1e-5
+    for name in ("mla_focal_length", "detector_distance"):
+        operator = CaptureOperator(camera, points, wavelength=WAVELENGTH)
+        found = operator.derivative([1.0, 2.0], {name: 1.0})
+        either = [camera.replace(**{name: GLASS[name] + sign * step}) for sign in (1, -1)]
+        images = [CaptureOperator(each, points, wavelength=WAVELENGTH).forward([1.0, 2.0]) for each in either]
+        assert error(found, (images[0] - images[1]) / (2 * step)) < 0.05
+
+
+def test_points_by_rays_lie_where_waves_have_them():
+    camera = small_camera(**GLASS, lens_model="parabolic")
+    points = np.array([(0.2, -0.1, 225.0)])
+    wave = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([1.0])
+    ray = PointRays(camera, points, WAVELENGTH).image(OpticalSystem(camera, WAVELENGTH), np.ones(1))
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    for place, axis in ((x, 0), (y, 1)):
+        first, second = (image.sum(axis) @ place / image.sum() for image in (wave, ray))
+        assert first == pytest.approx(second, abs=0.4 * camera.pixel_size)
+
+
+def width(image, lens):
+    """Return the full width at half of the maximum of a mean micro-image, in pixels."""
+    profile = (
+        image.reshape(-1, lens, image.shape[1] // lens, lens).mean((0, 2))[:, lens // 2 - 1 : lens // 2 + 1].mean(1)
+    )
+    fine = np.linspace(0, lens - 1, 100 * lens)
+    return np.mean(np.interp(fine, np.arange(lens), profile) > profile.max() / 2) * lens
+
+
+def test_a_wall_is_as_bright_by_waves_as_by_rays():
+    camera = PlenopticCamera(detector_width=0.064 * 8, resolution=(128, 128), **GLASS)
+    scene = mi.load_dict({
+        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
+        "camera": camera.to_sensor(),
+    })  # fmt: skip
+    ray = render_capture(scene, spp=128).image
+    wave = render_capture(scene, model="wave", method="signed_rays", spp=16).image
+    assert wave.mean() == pytest.approx(ray.mean(), rel=0.01)
+    lens = camera.resolution[0] // 8
+    assert width(wave, lens) == pytest.approx(width(ray, lens), rel=0.04)
+
+
+def test_calibrations_refuse_a_medium():
+    with pytest.raises(InputError, match=r"mla_medium = 1\.5: cameras are calibrated with 1 only"):
+        calibrate([], None, PlenopticCamera(mla_medium=1.5))

@@ -1,0 +1,252 @@
+"""Microscopes by waves and rays: against the Debye integral, closed forms, and one way of following light the other."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import leggauss
+from scipy.special import j0
+
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    point_spread_function,
+    reconstruct,
+)
+from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
+from mitsuba_plenoptic.points.point_spread import point_fields
+
+AIR, OIL = Objective(20, 0.5), Objective(40, 1.3, 1.515, tube_focal_length=180)
+WATER = Objective(25, 1.0, 1.33, tube_focal_length=180)
+FOURIER = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
+WAVELENGTH = 550.0
+
+
+def camera_with(objective, **numbers):
+    usual = {
+        "mla_pitch": 0.15,
+        "mla_focal_length": 3.0,
+        "mla_offset": (0.075, 0.075),
+        "detector_width": 1.35,
+        "resolution": (135, 135),
+    }
+    return PlenopticCamera(main_lens=objective, **(usual | numbers))
+
+
+def fourier_camera(**numbers):
+    usual = {
+        "mla_pitch": 0.5,
+        "mla_focal_length": 20.0,
+        "mla_offset": (0.25, 0.25),
+        "detector_width": 3.5,
+        "resolution": (700, 700),
+    }
+    return camera_with(FOURIER, **(usual | numbers))
+
+
+def difference(image, reference):
+    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+
+
+def debye(objective, radius, depth):
+    """Intensity of a point on the axis, by quadrature over the angles at which light leaves it."""
+    nodes, weights = leggauss(300)
+    half = objective.half_angle / 2
+    angle, k = (nodes + 1) * half, 2 * np.pi * objective.immersion / (WAVELENGTH * 1e-6)
+    pupil = np.sqrt(np.cos(angle)) * np.sin(angle) * np.exp(1j * k * depth * np.cos(angle)) * weights * half
+    amplitude = j0(np.outer(radius * k / objective.magnification, np.sin(angle))) @ pupil
+    power = 2 * np.pi * (np.sin(angle) * weights * half).sum() * (objective.magnification / k) ** 2
+    return np.abs(amplitude) ** 2 / power
+
+
+@pytest.mark.parametrize(
+    ("objective", "depth"),
+    [(AIR, 0.0), (AIR, 0.01), (AIR, -0.03), (WATER, -0.008), (OIL, 0.0), (OIL, 0.002), (OIL, -0.004)],
+)
+def test_the_field_before_the_lenses_is_the_debye_integral(objective, depth):
+    X, Y = 0.004, -0.003
+    field = point_fields(camera_with(objective), (X, Y, depth), wavelength=WAVELENGTH).mla
+    rows, columns = np.indices(field.samples.shape)
+    x = field.origin[0] + columns * field.pitch + objective.magnification * X
+    y = field.origin[1] + rows * field.pitch + objective.magnification * Y
+    radius = np.hypot(x, y)
+    grid = np.linspace(0, radius.max() * 1.001, 6001)
+    assert difference(np.abs(field.samples) ** 2, np.interp(radius, grid, debye(objective, grid, depth))) < 1e-3
+
+
+def test_the_sign_of_the_depth_is_that_of_the_frame():
+    """The image of what lies beyond the native plane stands before the array: its light diverges from there."""
+    lens = TelecentricLens(AIR)
+    upper = (0.0, 1.0)
+    assert lens.land(upper, (0.0, 0.0, 0.01))[1] < 0 < lens.land(upper, (0.0, 0.0, -0.01))[1]
+    # Light through the upper half of the stop goes down behind the tube lens.
+    assert lens.cosines(upper, (0.0, 0.0, 0.01))[1] < 0
+
+
+@pytest.mark.parametrize("objective", [AIR, OIL, FOURIER])
+def test_rays_are_perpendicular_to_the_waves(objective):
+    lens, point = TelecentricLens(objective), (0.01, -0.02, 0.006)
+    P, step = np.array([0.3, -0.55]) * lens.pupil_radius, 1e-4
+
+    def path(x, y):
+        return lens.path((np.float64(x), np.float64(y)), point, WAVELENGTH) * WAVELENGTH * 1e-6
+
+    slope = [
+        (path(P[0] + step, P[1]) - path(P[0] - step, P[1])) / (2 * step),
+        (path(P[0], P[1] + step) - path(P[0], P[1] - step)) / (2 * step),
+    ]
+    place, cosine = lens.land(tuple(P), point), lens.cosines(tuple(P), point)
+    image = np.array(slope) * objective.tube_focal_length
+    if objective.is_fourier:
+        assert np.allclose(cosine, -image / objective.last_focal_length, rtol=1e-5)
+        assert np.allclose(place, -P * objective.last_focal_length / objective.tube_focal_length)
+    else:
+        assert np.allclose(place, image, rtol=1e-5)
+        assert np.allclose(cosine, -P / objective.tube_focal_length)
+    # The ray back from there comes to the point; z rises towards the scene, light goes the other way.
+    start, back, is_open = lens.trace(place, tuple(-c for c in cosine))
+    at_point = [s + t * (point[2] - start[2]) for s, t in zip(start[:2], back, strict=True)]
+    assert is_open
+    assert np.allclose(at_point, point[:2], atol=1e-9)
+
+
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (0.004, -0.007, -0.02), (-0.01, 0.002, 0.015)])
+def test_patches_agree_with_full_fields(point):
+    camera = camera_with(AIR)
+    patch = point_spread_function(camera, point, wavelength=WAVELENGTH)
+    full = point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field")
+    assert difference(patch, full) < 5e-3
+    assert patch.sum() == pytest.approx(1, abs=0.01)
+
+
+def test_every_image_moves_alike():
+    """Points a lens apart share a pattern, without error: the wavefront of a plane's points is one."""
+    camera = camera_with(AIR)
+    points = np.array([[-0.007, -0.006, 0.012]] * 3) - np.array([[0, 0, 0], [0.15, 0, 0], [0, 0.3, 0]]) / 20
+    shared = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.02)
+    assert shared.estimate().patterns == 1
+    alone = [CaptureOperator(camera, points[[n]], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3)]
+    apart = sum(operator.forward([weight]) for weight, operator in enumerate(alone, start=1))
+    assert difference(shared.forward([1, 2, 3]), apart) < 1e-4
+    image = np.random.default_rng(0).random(camera.shape)
+    weights = np.array([1.0, 2.0, 3.0])
+    assert np.sum(shared.forward(weights) * image) == pytest.approx(shared.adjoint(image) @ weights, rel=1e-5)
+
+
+def lens_images(camera, spread, lens):
+    """The part of a spread behind the lens with these indices, and coordinates from its centre."""
+    x = camera.pixel_coordinates(0)
+    across, down = (x - index * camera.mla_pitch for index in lens)
+    columns, rows = (np.abs(offset) < camera.mla_pitch / 2 for offset in (across, down))
+    return spread[np.ix_(rows, columns)], across[columns], down[rows]
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.04, -0.04])
+def test_each_lens_of_a_fourier_microscope_sees_the_parallax_of_its_direction(depth):
+    camera, X, M, f = fourier_camera(), 0.01, 20, 50
+    spread = point_spread_function(camera, (X, 0.0, depth), wavelength=WAVELENGTH, method="full_field")
+    for lens in ((0, 0), (1, 0), (-1, 0), (0, 1)):
+        part, x, y = lens_images(camera, spread, lens)
+        bright = np.where(part > 0.3 * part.max(), part, 0) / part[part > 0.3 * part.max()].sum()
+        sines = -M * np.array(lens) * camera.mla_pitch / f
+        tangents = sines / np.sqrt(1 - sines @ sines)
+        expected = camera.detector_distance * M / f * (np.array([X, 0]) + depth * tangents)
+        # 1 % of the largest, 0.145 mm
+        assert np.allclose([(bright @ x).sum(), (bright.T @ y).sum()], expected, atol=1e-3)
+
+
+def test_each_lens_of_a_fourier_microscope_has_its_part_of_the_stop():
+    camera = fourier_camera()
+    spread = point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
+    half, f = camera.mla_pitch / 2, FOURIER.last_focal_length
+    nodes, weights = leggauss(12)
+    for lens in ((0, 0), (1, 0), (1, -1)):
+        x, y = (index * camera.mla_pitch + half * nodes for index in lens)
+        # Each solid angle is d^2m M^2 / (n^2 f^2 cos), and all of them are 2 pi (1 - cos alpha).
+        cosine = np.sqrt(1 - (20 / f) ** 2 * (x**2 + y[:, None] ** 2))
+        part = (20 / f * half) ** 2 * (weights @ (1 / cosine) @ weights) / (2 * np.pi * (1 - np.sqrt(0.75)))
+        assert lens_images(camera, spread, lens)[0].sum() == pytest.approx(part, rel=0.01)
+    assert spread.sum() == pytest.approx(1, abs=0.005)
+
+
+def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
+    """Its width at half of the peak is 1.029 wavelengths times its f-number."""
+    camera = fourier_camera(mla_aperture="circle", detector_width=0.5, resolution=(300, 300))
+    spread = point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
+    row = spread[149:151].mean(0)
+    x = camera.pixel_coordinates(0)
+    edge = np.interp(-row.max() / 2, -row[150:], x[150:])
+    assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
+
+
+def test_what_does_not_know_objectives_says_so():
+    points = [(0.0, 0.0, 0.0)]
+    with pytest.raises(InputError, match="method = patch: light covers all of the stop's image"):
+        CaptureOperator(fourier_camera(), points, wavelength=WAVELENGTH)
+    with pytest.raises(InputError, match="derivatives of wave captures are found for thin main lenses"):
+        CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH).gradient([1.0], np.ones((135, 135)))
+    with pytest.raises(InputError, match=r"position = \(0, 0, -10\): .* g more than -10: before the objective"):
+        CaptureOperator(camera_with(AIR), [(0.0, 0.0, -10.0)], wavelength=WAVELENGTH)
+    with pytest.raises(Exception, match="no stop bounds its micro-images"):
+        mi.load_dict(fourier_camera().to_sensor())
+
+
+def test_rays_of_white_fill_the_micro_images():
+    """Mean of a white capture: the stop's image under a lens, over a cell."""
+    camera = camera_with(Objective(20, 0.4), resolution=(270, 270))
+    scene = mi.load_dict(
+        {"type": "scene", "sensor": camera.to_sensor(), "light": {"type": "constant", "radiance": 1.0}}
+    )
+    image = mi.render(scene, integrator=mi.load_dict({"type": "path", "hide_emitters": False}), spp=64).numpy()[..., 0]
+    assert image[30:-30, 30:-30].mean() == pytest.approx(np.pi * (0.02 * 3 / 0.15) ** 2, rel=0.005)
+
+
+@pytest.mark.parametrize("depth", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
+def test_rays_see_a_small_light_where_waves_do(depth):
+    camera, X, Y = camera_with(AIR), 0.0078, -0.0072
+    light = {
+        "type": "disk",
+        "to_world": mi.ScalarTransform4f().translate([X, Y, depth]).rotate([0, 1, 0], 180).scale(4e-4),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+    scene = mi.load_dict({"type": "scene", "sensor": camera.to_sensor(), "light": light})
+    by_rays = mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=2048).numpy()[..., 0]
+    # A surface shines with the cosine, which a point does not.
+    cells = (np.arange(64) + 0.5) / 32 - 1
+    cosine = np.sqrt(1 - 0.25 * np.minimum(cells**2 + cells[:, None] ** 2, 1))
+    operator = CaptureOperator(camera, [(X, Y, depth)], wavelength=WAVELENGTH, pupil_weights=cosine[None])
+    by_waves = operator.forward([1.0])
+    x = camera.pixel_coordinates(0)
+    for image in (by_rays, by_waves):
+        image /= image.sum()
+    centre = [(by_waves @ x).sum(), (by_waves.T @ x).sum()]
+    assert np.allclose([(by_rays @ x).sum(), (by_rays.T @ x).sum()], centre, atol=0.006)
+    width = [np.sqrt((image @ (x - centre[0]) ** 2).sum()) for image in (by_rays, by_waves)]
+    assert width[0] == pytest.approx(width[1], rel=0.1) if depth else width[0] < 0.06
+
+
+def test_rays_carry_their_gradients():
+    """What a ray of the microscope meets moves with the place on the array as the magnification says."""
+    lens, x = TelecentricLens(AIR), mi.Float(0.1)
+    dr.enable_grad(x)
+    point, slope, _ = lens.trace((x, mi.Float(0)), (mi.Float(0.01), mi.Float(0)))
+    dr.forward(x)
+    assert dr.grad(point[0])[0] == pytest.approx(-1 / 20)
+    assert dr.grad(slope[0])[0] == 0
+
+
+def test_a_bead_comes_back_to_its_place():
+    """From other light than the response's: an exact spread of one point between bins."""
+    camera = camera_with(AIR, detector_width=1.05, resolution=(105, 105))
+    place, depth = (0.0041, -0.0023), 0.02
+    spread = point_spread_function(camera, (*place, depth), wavelength=WAVELENGTH)
+    capture = Capture(spread, camera, WAVELENGTH, "wave", {})
+    found = reconstruct(capture, depth, method="deconvolved", oversample=3, iterations=15)
+    image = np.nan_to_num(found.image)
+    # Pictures have +x to the left and +y up.
+    rows, columns = ((size / 2 - np.arange(size) - 0.5) * found.bin_size for size in image.shape)
+    bright = np.where(image > 0.02 * image.max(), image, 0) / image[image > 0.02 * image.max()].sum()
+    assert np.allclose([bright.sum(0) @ columns, bright.sum(1) @ rows], place, atol=0.1 * found.bin_size)

@@ -1,0 +1,98 @@
+"""The main lens of a bound camera: which one it is, what it holds, and its pupil against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
+from mitsuba_plenoptic.lenses.thin import DistortedLens, ThinLens
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.prescription.lens_data import LensData
+
+WAVELENGTH = 550.0
+SMALL = {"detector_width": 0.256, "resolution": (64, 64)}
+THIN = PlenopticCamera(**SMALL)
+REAL = PlenopticCamera(main_lens="double_gauss", focus_distance=240.0, **SMALL)
+MICROSCOPE = PlenopticCamera(main_lens=Objective(20.0, 0.4), mla_pitch=0.15, mla_focal_length=3.75, **SMALL)
+POINTS = np.array([(0.0, 0.0, 240.0), (0.1, -0.2, 230.0)])
+
+
+def test_the_factory_makes_the_lens_of_a_camera():
+    assert main_lens(THIN) == ThinLens(80.0, 5.0, 120.0)
+    assert isinstance(main_lens(THIN.replace(distortion=(1e-5, 0, 0, 0, 0))), DistortedLens)
+    assert main_lens(MICROSCOPE) == TelecentricLens(MICROSCOPE.objective)
+    assert main_lens(THIN, varying={"focal_length": 81.0}).focal_length == 81.0
+    real = main_lens(REAL, WAVELENGTH)
+    assert (real.wavelength, real.pupil_distance) == (WAVELENGTH, REAL.pupil_distance)
+
+
+@pytest.mark.parametrize("model", ["ideal", "parabolic"])
+def test_waves_of_a_bound_camera_refract_as_its_rays_do(model):
+    camera = THIN.replace(lens_model=model)
+    assert OpticalSystem(camera, WAVELENGTH).lens.model == main_lens(camera).model == model
+
+
+def test_data_without_optics_are_refused():
+    class Unknown(LensData):
+        """Of no lens."""
+
+    with pytest.raises(InputError, match="no function is marked"):
+        main_lens(PlenopticCamera(main_lens=Unknown(), **SMALL))
+
+
+def test_what_waves_do_not_know_is_refused():
+    with pytest.raises(InputError, match="mla_tilt"):
+        OpticalSystem(REAL.replace(mla_tilt=(1.0, 0.0)), WAVELENGTH).waves_of(POINTS)
+
+
+def test_fits_are_held_and_shared_by_systems_of_the_same_camera_and_wavelength():
+    system = OpticalSystem(REAL, WAVELENGTH)
+    lens = system.waves_of(POINTS)
+    assert system.waves_of(POINTS) is lens
+    assert system.waves_of_one(POINTS[0]) is system.waves_of_one(POINTS[0])
+    assert OpticalSystem(REAL, WAVELENGTH).lens is system.lens
+    assert OpticalSystem(REAL, WAVELENGTH + 1).lens is not system.lens
+
+
+def test_sums_share_the_system_of_their_own_camera_only():
+    system = OpticalSystem(REAL, WAVELENGTH)
+    first, second = (
+        CaptureOperator(REAL, [point], wavelength=WAVELENGTH, system=system) for point in POINTS[:1].repeat(2, 0)
+    )
+    assert first._plans.system_at(WAVELENGTH) is second._plans.system_at(WAVELENGTH)
+    for camera, wavelength in ((THIN, WAVELENGTH), (REAL, 633.0)):
+        with pytest.raises(InputError, match="bound to another camera"):
+            CaptureOperator(camera, POINTS, wavelength=wavelength, system=system)
+
+
+@pytest.mark.parametrize("camera", [THIN, REAL, MICROSCOPE], ids=["thin", "real", "microscope"])
+def test_rays_to_the_pupil_follow_its_chief_rays(camera):
+    lens, z = main_lens(camera), camera.detector_distance
+    detector = np.array([-0.3, 0.0, 0.2])
+    array = lens.chief_point(detector, z)
+    assert lens.pupil_point(array, (array - detector) / z) == pytest.approx(0.0, abs=1e-12)
+    slope = lens.slope_to(1.5, array, 0.01)
+    assert lens.pupil_point(array, slope, 0.01) == pytest.approx(1.5)
+    growth = camera.micro_image_pitch / camera.mla_pitch
+    assert array * growth == pytest.approx(detector)
+
+
+def test_a_thin_pupil_is_open_to_all_points():
+    lens = OpticalSystem(THIN, WAVELENGTH).waves_of(POINTS)
+    assert lens.reach == THIN.aperture_radius
+    assert (lens.open_part(POINTS) == 1).all()
+    assert lens.open_fraction(np.zeros(3), np.ones(3)) == pytest.approx(1)
+
+
+def test_the_start_of_rays_lies_within_the_bounds():
+    for camera in (THIN, REAL, MICROSCOPE):
+        lens, rng = main_lens(camera), np.random.default_rng(1)
+        place = rng.uniform(-0.12, 0.12, (2, 200))
+        pupil = rng.uniform(-1, 1, (2, 200)) * camera.pupil_radius
+        (x, y, _), _, is_open = lens.ray(tuple(pupil), tuple(place))
+        radius, _ = lens.start_bounds(0.17)
+        is_open = np.broadcast_to(is_open, x.shape) & (np.hypot(*pupil) < camera.pupil_radius)
+        assert np.hypot(x, y)[is_open].max() <= radius

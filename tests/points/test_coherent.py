@@ -1,0 +1,232 @@
+"""Coherent fields of many points against direct sums, single fields and captures; the adjoint; the transforms."""
+
+import numpy as np
+import pytest
+from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.points import pupil_sums
+from mitsuba_plenoptic.points.nonuniform import PlaneWaves
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.points.point_spread import point_fields
+
+CAMERA = small_camera(4, **HALF)
+FAST = PlenopticCamera(
+    focal_length=1, aperture_radius=0.25, focus_distance=6.4, mla_pitch=0.002, mla_focal_length=0.0044,
+    detector_width=0.032, resolution=(160, 160),
+)  # fmt: skip
+"""A camera of f/2, of a fiftieth of the size of common ones."""
+
+WIDE = PlenopticCamera(**HALF, resolution=(40000, 40000), detector_width=40)
+
+NEAR = scattered(12, distances=(119.5, 120.5))
+"""Points within one layer."""
+
+DEEP = scattered(6, distances=(100.0, 140.0))
+"""Points in several layers."""
+
+models = pytest.mark.parametrize("model", ["ideal", "parabolic"])
+
+
+def amplitudes(count, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=count) + 1j * rng.normal(size=count)
+
+
+def operator_of(points, camera=CAMERA):
+    return CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
+
+
+def direct_pupil(camera, points, given, x, y):
+    """Sum of point sources behind a thin lens with aberrations, each of unit power, in double precision."""
+    k, f1, radius = 2 * np.pi / (WAVELENGTH * 1e-6), camera.focal_length, camera.aperture_radius
+    rng = np.random.default_rng(5)
+    r, angle = radius * np.sqrt(rng.random(20000)), 2 * np.pi * rng.random(20000)
+    total = np.zeros(np.shape(x), complex)
+    for (X, Y, g), amplitude in zip(points, given, strict=True):
+        power = (
+            np.pi * radius**2 * np.mean((g / ((r * np.cos(angle) - X) ** 2 + (r * np.sin(angle) - Y) ** 2 + g**2)) ** 2)
+        )
+        square = (x - X) ** 2 + (y - Y) ** 2 + g**2
+        if camera.lens_model == "parabolic":
+            path = np.sign(g) * (np.sqrt(square) - np.sqrt(X**2 + Y**2 + g**2)) - (x**2 + y**2) / (2 * f1)
+        else:
+            # A sphere about the image.
+            d = 1 / (1 / f1 - 1 / g)
+            left, up = -X * d / g, -Y * d / g
+            path = np.sign(d) * (np.sqrt(left**2 + up**2 + d**2) - np.sqrt((x - left) ** 2 + (y - up) ** 2 + d**2))
+        total += amplitude * abs(g) / square / np.sqrt(power) * np.exp(1j * k * path)
+    if any(camera.wavefront):
+        # Noll 4, defocus, over the unit pupil
+        waves = camera.wavefront[3] * np.sqrt(3) * (2 * (x**2 + y**2) / radius**2 - 1)
+        total = total * np.exp(2j * np.pi * waves * 633 / WAVELENGTH)
+    return total
+
+
+@pytest.mark.parametrize("points", [NEAR, DEEP], ids=["a layer", "layers"])
+@pytest.mark.parametrize("wavefront", [(), (0, 0, 0, 0.3)], ids=["perfect", "aberrated"])
+@models
+def test_pupil_against_direct_sums(points, wavefront, model):
+    camera = CAMERA.replace(wavefront=wavefront, lens_model=model)
+    given = amplitudes(len(points))
+    field = operator_of(points, camera).field(given, plane="pupil")
+    x, y = (start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin)
+    x, y = np.meshgrid(x, y)
+    inner = np.hypot(x, y) < camera.aperture_radius - 2 * field.pitch
+    some = np.flatnonzero(inner)[::97]
+    exact = direct_pupil(camera, points, given, x.ravel()[some], y.ravel()[some])
+    assert error(field.samples.ravel()[some], exact) < 2e-5
+    # Nothing outside the pupil.
+    assert np.abs(field.samples[np.hypot(x, y) > camera.aperture_radius + 2 * field.pitch]).max() == 0
+
+
+def error_on_pupil(points, given, camera=CAMERA, **options):
+    """Return the error of the field on the pupil against the direct sum of the points that have an amplitude."""
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field", **options)
+    field, lit = operator.field(given, plane="pupil"), np.flatnonzero(given)
+    x, y = np.meshgrid(*(start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin))
+    some = np.flatnonzero(np.hypot(x, y) < camera.aperture_radius - 2 * field.pitch)[::97]
+    exact = direct_pupil(camera, np.array(points)[lit], np.array(given)[lit], x.ravel()[some], y.ravel()[some])
+    return error(field.samples.ravel()[some], exact)
+
+
+@models
+def test_a_point_far_from_thousands_of_others(monkeypatch, model):
+    # The products of a layer are found from a part of its points, to which this one does not belong.
+    monkeypatch.setattr(pupil_sums, "_BASIS", 200)
+    monkeypatch.setattr(pupil_sums, "_TOGETHER", 300 * 36)
+    points = np.column_stack([np.random.default_rng(0).uniform(-0.01, 0.01, (1000, 2)), np.full(1000, 120.0)])
+    points[501] = 2, 2, 120
+    for lit in ([501], [3, 990], [3, 501, 990]):
+        given = np.zeros(1000, complex)
+        given[lit] = amplitudes(len(lit))
+        assert error_on_pupil(points, given, CAMERA.replace(lens_model=model)) < 2e-5
+
+
+@models
+def test_points_all_over_the_field_of_a_fast_camera(model):
+    rng = np.random.default_rng(0)
+    g = rng.uniform(6.3, 6.5, 12)
+    points = np.column_stack([rng.uniform(-0.016, 0.016, (12, 2)) * -g[:, None] / FAST.mla_distance, g])
+    camera = FAST.replace(lens_model=model)
+    assert error_on_pupil(points, amplitudes(12), camera) < 2e-5
+    # Their light does not interfere on average: the capture is the sum of their full fields.
+    operator, weights = operator_of(points[:3], camera), np.array([1.0, 0.5, 2.0])
+    total = sum(operator.coherent_fields.intensity(row.astype(np.complex64)) for row in np.diag(np.sqrt(weights)))
+    assert error(total, operator.forward(weights)) < 2e-3
+
+
+@models
+def test_points_of_opposite_distances_are_one_layer(model):
+    points = [(0, 0, 1e6), (10, 0, -1e6)]
+    with np.errstate(all="raise"):
+        assert error_on_pupil(points, [1, 1j], CAMERA.replace(lens_model=model), virtual=True) < 2e-5
+
+
+def test_the_light_of_a_layer_may_leave_an_ideal_lens_collimated():
+    points = np.array([(0, 0, 98.5), (1, 0, 99.5)])
+    camera = CAMERA.replace(focal_length=1 / np.mean(1 / points[:, 2]))
+    with np.errstate(all="raise"):
+        assert error_on_pupil(points, [1, 1j], camera) < 2e-5
+
+
+@models
+def test_a_single_point_is_the_full_field(model):
+    camera = CAMERA.replace(lens_model=model)
+    field = operator_of(NEAR[:1], camera).field([1j])
+    planes = point_fields(camera, NEAR[0], wavelength=WAVELENGTH)
+    assert field.samples.shape == planes.detector.samples.shape
+    assert (field.origin, field.pitch) == (planes.detector.origin, planes.detector.pitch)
+    assert error(field.samples, 1j * planes.detector.samples) < 1e-5
+
+
+def test_fields_are_linear():
+    operator, given = operator_of(NEAR[:3]), amplitudes(3)
+    total = sum(operator.field(row, plane="array").samples for row in np.diag(given))
+    assert error(operator.field(given, plane="array").samples, total) < 1e-5
+
+
+def test_squared_fields_are_the_incoherent_capture():
+    operator, weights = operator_of(NEAR[:3]), np.array([1.0, 0.5, 2.0])
+    fields = operator.coherent_fields
+    total = sum(fields.intensity(row.astype(np.complex64)) for row in np.diag(np.sqrt(weights)))
+    # Grids that hold all points differ from those of single points.
+    assert error(total, operator.forward(weights)) < 1e-3
+
+
+@pytest.mark.parametrize("plane", ["pupil", "array", "detector"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {
+            "mla_lattice": "hexagonal", "mla_rotation": 7.0, "crop_offset": (20, 31), "crop_size": (80, 61),
+            "mla_medium": 1.5, "lens_model": "parabolic",
+        },
+        pytest.param({"mla_jitter": (0.002, 0.002)}, marks=pytest.mark.slow),
+    ],
+    ids=["square", "parabolic, hexagonal, cropped, in a medium", "irregular"],
+)  # fmt: skip
+def test_adjoint(plane, changes):
+    operator, given = operator_of(DEEP[:3], CAMERA.replace(**changes)), amplitudes(3)
+    field = operator.field(given, plane=plane).samples
+    rng = np.random.default_rng(3)
+    # Samples that are like the field, so that the product is no difference of large numbers.
+    other = field * (1 + 0.5 * rng.normal(size=field.shape)) + 0.1 * np.abs(field).max() * rng.normal(size=field.shape)
+    one = np.vdot(other, field)
+    two = np.vdot(operator.field_adjoint(other, plane=plane), given)
+    assert abs(one - two) < 1e-5 * abs(one)
+
+
+def test_plane_waves():
+    rng = np.random.default_rng(0)
+    frequencies, given = rng.uniform(-0.45, 0.2, (50, 2)), amplitudes(50).astype(np.complex64)
+    waves, order = PlaneWaves(frequencies, 37), np.arange(37) - 18
+    exact = np.exp(2j * np.pi * (order[:, None, None] * frequencies[:, 1] + order[None, :, None] * frequencies[:, 0]))
+    found = np.concatenate([block for _, block in waves.forward(given)])
+    assert error(found, exact @ given) < 1e-6
+    samples = amplitudes(37 * 37).reshape(37, 37).astype(np.complex64)
+    back = waves.adjoint(iter([(slice(0, 37), samples)]))
+    assert error(back, np.einsum("yxj,yx->j", exact.conj(), samples)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: operator_of(NEAR).field([1.0]), r"amplitudes of shape \(1,\): it must be \(12,\)"),
+        (lambda: operator_of(NEAR).field(np.full(12, np.nan)), "amplitudes: all must be finite"),
+        (lambda: operator_of(NEAR).field(["a"] * 12), "amplitudes: they must be complex numbers"),
+        (lambda: operator_of(NEAR).field(np.ones(12), plane="mla"), "plane = 'mla'"),
+        (lambda: operator_of(NEAR).field_adjoint(np.ones((2, 2))), r"samples of shape \(2, 2\)"),
+        (lambda: operator_of(np.empty((0, 3))).field_adjoint([[1]]), "points: coherent fields need at least one"),
+        (
+            lambda: CaptureOperator(
+                CAMERA, NEAR, spectrum=Spectrum([500, 600], [[1, 1]]), method="full_field"
+            ).field(np.ones(12)),
+            "spectrum of 2 wavelengths: a coherent field has one",
+        ),
+        (
+            lambda: CaptureOperator(CAMERA, NEAR, spectrum=Spectrum([500], [[0.5]])).field(np.ones(12)),
+            "spectrum: a coherent field has no channels and no response",
+        ),
+        (
+            lambda: CaptureOperator(
+                PlenopticCamera.preset("shack_hartmann"), NEAR, wavelength=500, method="full_field"
+            ).field(np.ones(12)),
+            "main_lens = collimator: coherent fields need a thin main lens, whose pupil",
+        ),
+        (
+            lambda: CaptureOperator(CAMERA, NEAR, wavelength=500, pupil_weights=np.ones((12, 4, 4))).field(np.ones(12)),
+            "pupil_weights: coherent fields take none",
+        ),
+        (
+            lambda: operator_of([(0, 0, 120.0)], WIDE).field([1]),
+            "coherent field of 1 points: it would need",
+        ),
+    ],
+)  # fmt: skip
+def test_refusals(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

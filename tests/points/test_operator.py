@@ -1,0 +1,450 @@
+"""The capture operator: linear, with an adjoint, the same for any number of threads, true to single point spreads."""
+
+import contextlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import lsqr
+from wave_cases import CAMERAS, HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, scattered, small_camera
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
+from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.points.operator import PLANS, CaptureOperator
+from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic.points.pupil_weights import PupilWeights
+from mitsuba_plenoptic.runtime.batches import Threads
+from mitsuba_plenoptic.runtime.jobs import Job
+
+SMALL = small_camera()
+
+
+def half_open(cells=16):
+    """Return pupil weights of which the half at +x is open."""
+    return np.repeat(np.arange(cells)[None, :] >= cells / 2, cells, axis=0)
+
+
+def gaussian(cells=64):
+    """Return smooth pupil weights that are not symmetric."""
+    place = (np.arange(cells) + 0.5) / cells * 2 - 1
+    return np.exp(-((place[:, None] - 0.3) ** 2 + place**2) / 0.4)
+
+
+# -- a sum of point spreads --------------------------------------------------------------------------
+
+
+def test_is_the_sum_of_point_spreads():
+    positions, weights = scattered(4), np.array([1.0, 0.5, 0.0, 3.0])
+    expected = sum(
+        weight * point_spread_function(SMALL, position, wavelength=WAVELENGTH)
+        for position, weight in zip(positions, weights, strict=True)
+    )
+    assert error(capture(SMALL, positions, weights, accuracy=0), expected) < 2e-3
+    assert error(capture(SMALL, positions, weights), expected) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("weights", "limit"),
+    # Between the samples of the pupil each method places the edge of the open half by itself.
+    [(None, 0.005), (half_open(), 0.015), (gaussian(), 0.005)],
+    ids=["whole pupil", "half of the pupil", "gaussian"],
+)
+def test_patches_against_full_fields(weights, limit):
+    camera, positions = small_camera(**HALF), np.array([(0.05, -0.03, 120.0), (0.1, 0.1, 112.5)])
+    options = {"pupil_weights": None if weights is None else [weights, weights], "accuracy": 0}
+    patch, full = (capture(camera, positions, [1.0, -2.0], method=name, **options) for name in ("patch", "full_field"))
+    assert error(patch, full) < limit
+
+
+@pytest.mark.parametrize("method", ["patch", "full_field"])
+def test_a_surface_seen_slantwise_sends_more_light_to_one_side_of_the_pupil(method):
+    r"""Power 1 + s x over a disc: the half at +x gets :math:`1/2 + 2 s / 3 \pi` of it."""
+    weights = replace(PupilWeights.of(np.ones((1, 1, 1), bool), 1), slant=np.array([[0.3, 0.0]]))
+    point = np.array([(0.0, 0.0, 225.0)])
+    image = capture(SMALL, point, [1.0], method=method, pupil_weights=weights, accuracy=0)
+    left, right = (half.sum() for half in np.split(image, 2, axis=1))
+    # The blur of a point before the focus is upright.
+    assert max(left, right) / (left + right) == pytest.approx(0.5 + 0.2 / np.pi, abs=0.003)
+    assert right > left
+
+
+def test_crop_is_a_part_of_the_whole():
+    positions = scattered(8)
+    whole = capture(SMALL, positions, np.ones(8))
+    crop = SMALL.replace(crop_offset=(65, 101), crop_size=(75, 51))
+    assert error(capture(crop, positions, np.ones(8)), whole[101:152, 65:140]) < 1e-5
+
+
+@pytest.mark.parametrize("points", [[(50.0, 0.0, 240.0)], np.zeros((0, 3))], ids=["out of sight", "none"])
+def test_what_cannot_be_seen_gives_nothing(points):
+    operator = CaptureOperator(SMALL, points, wavelength=WAVELENGTH)
+    assert not operator.forward(np.ones(len(points))).any()
+    assert not operator.adjoint(np.ones(SMALL.shape)).any()
+
+
+def test_threads_do_not_change_a_bit():
+    positions = np.concatenate([scattered(10), in_every_lens(SMALL, 3, 240.0, per_lens=2)])
+    weights = np.random.default_rng(2).normal(size=(len(positions), 2))
+    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH)
+    images = [operator.forward(weights, job=Job(batch_map=Threads(count))) for count in (1, 2, 3)]
+    assert np.array_equal(images[0], images[1])
+    assert np.array_equal(images[0], images[2])
+
+
+@pytest.mark.parametrize("work", ["forward", "adjoint"])
+def test_progress_counts_every_radiator_at_every_wavelength(work):
+    calls = []
+    positions = np.concatenate([scattered(10), [(50.0, 0.0, 240.0)]])
+    operator = CaptureOperator(SMALL, positions, spectrum=Spectrum.lines(633, 532))
+    given = np.ones(11) if work == "forward" else np.ones((*SMALL.shape, 2))
+    getattr(operator, work)(given, job=Job(progress=lambda *call: calls.append(call)))
+    # The one out of sight is done before the others.
+    assert calls[0] == (1, 22)
+    assert calls[-1] == (22, 22)
+    assert calls == sorted(calls)
+
+
+def test_a_job_that_fails_leaves_nothing_under_way():
+    """Threads would go on, and Dr.Jit's own would keep resting, as long as anyone holds the exception."""
+    closed = []
+
+    class Watched(Threads):
+        def __call__(self, batches):
+            with contextlib.closing(super().__call__(batches)) as results:
+                try:
+                    yield from results
+                finally:
+                    closed.append(True)
+
+    class Failing:
+        def begin(self, shape, **facts):
+            pass
+
+        def save(self, snapshot):
+            raise OSError
+
+    def fail(done, total):
+        if done:
+            raise OSError
+
+    operator = CaptureOperator(SMALL, scattered(100), wavelength=WAVELENGTH)
+    for work, job in (
+        (lambda job: operator.forward(np.ones(100), job=job), Job(batch_map=Watched(), keeper=Failing())),
+        (lambda job: operator.forward(np.ones(100), job=job), Job(fail, Watched())),
+        (lambda job: operator.adjoint(np.ones(SMALL.shape), job=job), Job(fail, Watched())),
+    ):
+        with pytest.raises(OSError) as caught:
+            work(job)
+        assert closed.pop() and caught.tb
+
+
+# -- linear, with an adjoint -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "name"),
+    [
+        # A camera is quickly tested at one accuracy, and the next camera at the other.
+        pytest.param(accuracy, name, marks=[pytest.mark.slow] * ((number + bool(accuracy)) % 2))
+        for accuracy in (0, 0.01)
+        for number, name in enumerate(CAMERAS)
+    ],
+)
+def test_adjoint(name, accuracy):
+    """<A x, y> = <x, A' y> to 1e-5 of |x| |A' y|, for three channels of mixed signs."""
+    camera = small_camera(**CAMERAS[name])
+    _check_adjoint(camera, scattered(6), accuracy=accuracy, weighted=accuracy > 0)
+
+
+def test_adjoint_of_whole_pupils_that_share():
+    _check_adjoint(SMALL, scattered(6), accuracy=0.01, weighted=False)
+
+
+def test_adjoint_of_full_fields():
+    points = scattered(2, distances=(112.5, 127.5))
+    _check_adjoint(small_camera(4, **HALF), points, method="full_field", weighted=True)
+
+
+def _check_adjoint(camera, points, *, weighted, **options):
+    rng, count = np.random.default_rng(4), len(points)
+    pupil = rng.uniform(0, 1, (count, 4, 4)) if weighted else None
+    points[-1] = points[0] + (1e-4, 0, 0)
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, pupil_weights=pupil, **options)
+    x, y = rng.normal(size=(count, 3)), rng.normal(size=(*camera.shape, 3)).astype(np.float32)
+    forward, adjoint = operator.forward(x), operator.adjoint(y)
+    assert forward.shape == y.shape and adjoint.shape == x.shape
+    difference = np.vdot(forward.astype(np.float64), y.astype(np.float64)) - np.vdot(x, adjoint)
+    assert abs(difference) < 1e-5 * np.linalg.norm(x) * np.linalg.norm(adjoint)
+
+
+def test_forward_is_linear_in_weights_of_any_sign():
+    operator = CaptureOperator(SMALL, scattered(8), wavelength=WAVELENGTH)
+    a, b = np.random.default_rng(5).normal(size=(2, 8, 2))
+    expected = 2 * operator.forward(a) - 3 * operator.forward(b)
+    assert expected.min() < 0 < expected.max()
+    assert error(operator.forward(2 * a - 3 * b), expected) < 1e-5
+
+
+def test_weights_that_cancel_leave_nothing():
+    """Of two radiators at one place, which share a point spread, beside others and alone."""
+    positions = in_every_lens(SMALL, 3, 240.0)[[4, 4, 0]]
+    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH, accuracy=0.1)
+    assert not operator.forward([1.0, -1.0, 0.0]).any()
+    assert error(operator.forward([1.0, -1.0, 2.0]), operator.forward([0.0, 0.0, 2.0])) < 1e-6
+
+
+def test_channels_are_separate_sums():
+    positions = np.concatenate([scattered(4), in_every_lens(SMALL, 2, 240.0, per_lens=3)])
+    weights = np.random.default_rng(3).normal(size=(len(positions), 3))
+    weights[::2, 1] = 0
+    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH)
+    image = operator.forward(weights)
+    assert image.shape == (*SMALL.shape, 3)
+    for channel in range(3):
+        assert error(image[..., channel], operator.forward(weights[:, channel])) < 1e-5
+
+
+def test_scipy_recovers_weights():
+    weights = np.array([1.0, -0.5, 2.0, 0.25])
+    operator = CaptureOperator(SMALL, scattered(4), wavelength=WAVELENGTH)
+    matrix = operator.as_linear_operator()
+    assert matrix.shape == (SMALL.shape[0] * SMALL.shape[1], 4)
+    found = lsqr(matrix, operator.forward(weights).ravel(), atol=1e-8, btol=1e-8)[0]
+    assert error(found, weights) < 1e-4
+    several = CaptureOperator(SMALL, scattered(4), spectrum=Spectrum.lines(633, 532))
+    with pytest.raises(InputError, match=r"^spectrum of 2 wavelengths and 2 channels"):
+        several.as_linear_operator()
+
+
+# -- wavelengths -------------------------------------------------------------------------------------
+
+
+def test_equal_wavelengths_share_their_point_spreads(monkeypatch):
+    planned = []
+
+    def plan(*arguments):
+        planned.append(arguments[0].wavelength)
+        return PatchPlan(*arguments)
+
+    PatchPlan = PLANS["patch"]
+    monkeypatch.setitem(PLANS, "patch", plan)
+    weights = np.random.default_rng(6).normal(size=(5, 3))
+    operator = CaptureOperator(SMALL, scattered(5), spectrum=Spectrum.lines(633, 532, 633))
+    image = operator.forward(weights)
+    operator.adjoint(image)
+    assert planned == [633, 532]
+    assert operator.estimate().patterns == 2 * 5
+    for channel, wavelength in enumerate((633, 532, 633)):
+        alone = capture(SMALL, scattered(5), weights[:, channel], wavelength=wavelength)
+        assert error(image[..., channel], alone) < 1e-5
+
+
+def test_responses_mix_channels_as_a_matrix():
+    matrix = np.array([(1.0, 0.5), (0.2, 2.0), (-0.1, 1.0)])
+    weights = np.random.default_rng(7).normal(size=(5, 2))
+    lines = CaptureOperator(SMALL, scattered(5), spectrum=Spectrum.lines(633, 532))
+    mixed = CaptureOperator(SMALL, scattered(5), spectrum=Spectrum((633, 532), tuple(map(tuple, matrix))))
+    image = mixed.forward(weights)
+    assert image.shape == (*SMALL.shape, 3)
+    assert error(image, lines.forward(weights) @ matrix.T) < 1e-5
+    assert error(mixed.adjoint(image), lines.adjoint(image @ matrix)) < 1e-5
+    # One column of weights counts at all wavelengths, and one channel may record them all.
+    grey = CaptureOperator(SMALL, scattered(5), spectrum=Spectrum((633, 532), ((0.5, 2.0),)))
+    assert error(grey.forward(weights[:, 0]), lines.forward(weights[:, [0, 0]]) @ (0.5, 2.0)) < 1e-5
+
+
+# -- the pupil ---------------------------------------------------------------------------------------
+
+
+def test_pupil_weights_are_relative_and_booleans_are_ones():
+    positions = scattered(3)
+    masks = np.random.default_rng(8).random((3, 8, 8)) > 0.4
+    seen, ones, thirds = (
+        capture(SMALL, positions, [1.0, 2.0, -1.0], pupil_weights=weights)
+        for weights in (masks, masks.astype(float), masks / 3)
+    )
+    assert np.array_equal(seen, ones)
+    assert error(thirds, seen) < 1e-5
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_half_of_the_pupil_lights_half_of_the_image(axis):
+    """With all of the power, for a point out of focus."""
+    camera, position = small_camera(16), [(0.0, 0.0, 210.0)]
+    weights = half_open(8) if axis == 1 else half_open(8).T
+    half, whole, opened = (
+        capture(camera, position, [1.0], pupil_weights=given) for given in (weights[None], None, np.ones((1, 8, 8)))
+    )
+    assert half.sum() == pytest.approx(whole.sum(), rel=0.01)
+    # The image lies behind the array: a ray from +x still is at +x.
+    far = half[:, 256:] if axis == 1 else half[256:]
+    assert far.sum() > 0.95 * half.sum()
+    assert error(opened, whole) < 1e-6
+
+
+def test_radiators_share_only_with_those_of_equal_pupil_weights():
+    positions = in_every_lens(SMALL, 3, 230.0)
+    weights = np.ones((9, 4, 4))
+    weights[0, :, 2:] = 0.2
+    image = capture(SMALL, positions, np.ones(9), pupil_weights=weights)
+    apart = sum(capture(SMALL, positions[[i]], [1.0], pupil_weights=weights[[i]]) for i in range(9))
+    assert error(image, apart) < 0.01
+
+
+# -- sharing -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "distance"),
+    [
+        pytest.param("square", 210.0, marks=pytest.mark.slow),
+        ("square", 240.0),
+        pytest.param("hexagonal", 240.0, marks=pytest.mark.slow),
+        pytest.param("three focal lengths", 240.0, marks=pytest.mark.slow),
+    ],
+)
+def test_shared_patterns_stay_true(name, distance):
+    """One pattern for all lenses of a focal length in a zone, against a propagation of every radiator."""
+    camera = small_camera(12, **LATTICES.get(name, {}))
+    positions = in_every_lens(camera, 4, distance, per_lens=2, offset=1.7)
+    weights = np.random.default_rng(1).uniform(0, 1, len(positions))
+    shared, every = (
+        CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)
+    )
+    assert shared.estimate().patterns < len(positions) / 2
+    assert every.estimate().patterns == len(positions)
+    assert 0 < error(shared.forward(weights), every.forward(weights)) < 0.01
+
+
+@pytest.mark.slow
+def test_a_tilted_surface_shares_within_the_allowed_error():
+    """Radiators of which no two are at one distance or at one place of their lenses."""
+    camera = small_camera(12)
+    positions = in_every_lens(camera, 4, 262.0, per_lens=6)
+    positions *= (1 + 0.004 * positions[:, 0] + 0.002 * positions[:, 1])[:, None]
+    weights = np.random.default_rng(1).uniform(0.5, 1, len(positions))
+    operators = [
+        CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0, 0.01, 0.05)
+    ]
+    every, shared, rough = (operator.forward(weights) for operator in operators)
+    assert operators[1].estimate().patterns < len(positions) / 2
+    assert error(shared, every) < 0.01
+    assert 0.001 < error(rough, every) < 0.05
+
+
+def test_few_points_are_not_mistaken_for_each_other():
+    """Nothing averages out in a sum of two: near each other as they are, each has a point spread of its own."""
+    positions = [(0.01, 0.01, 240.0), (0.012, 0.01, 240.0)]
+    assert CaptureOperator(SMALL, positions, wavelength=WAVELENGTH).estimate().patterns == 2
+
+
+# -- estimates and refusals --------------------------------------------------------------------------
+
+
+def test_many_cores_are_no_reason_to_refuse(monkeypatch):
+    """Each thread takes memory, of which more than some GiB are refused."""
+    few = CaptureOperator(SMALL, scattered(2), wavelength=WAVELENGTH)
+    alone = few.estimate(Job(batch_map=Threads(2))).memory
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.worker_count", lambda: 256)
+    assert few.estimate().memory == alone
+    many = CaptureOperator(SMALL, scattered(300), wavelength=WAVELENGTH)
+    assert alone < many.estimate().memory < 4 * 2**30
+
+
+@pytest.mark.parametrize(("method", "count"), [("patch", 30), ("full_field", 2)])
+def test_the_estimate_is_of_the_right_size(method, count, trials_of_a_second):
+    operator = CaptureOperator(SMALL, scattered(count), wavelength=WAVELENGTH, method=method)
+    cost = operator.estimate(Job(batch_map=Threads(1)))
+    assert cost.points == cost.patterns == count
+    # The trials are of two patches of each size, and of one full field.
+    assert cost.seconds == {"patch": count / 2, "full_field": count}[method]
+    assert 0 < cost.memory < 2**32
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"points": np.zeros((2, 2))}, "positions of shape"),
+        ({"points": [(0, 0, 240), (0, np.nan, 240)]}, "position"),
+        ({"points": [(0, 0, 240), (0, 0, 0)]}, "position.*g at least"),
+        ({"wavelength": 0}, "wavelength"),
+        ({"wavelength": None}, "wavelength, spectrum: give one of the two"),
+        ({"spectrum": Spectrum.lines(633)}, "wavelength, spectrum: give one of the two"),
+        ({"method": "rays"}, "method"),
+        ({"accuracy": "best"}, "accuracy"),
+        ({"accuracy": -0.1}, "accuracy.*from 0"),
+        ({"accuracy": 1}, "accuracy.*below 1"),
+        ({"accuracy": 0.02, "method": "full_field"}, "accuracy = 0.02: method = full_field takes none"),
+        ({"pupil_weights": np.ones((2, 4, 5), bool)}, "pupil_weights of shape"),
+        ({"pupil_weights": np.ones((3, 4, 4), bool)}, "pupil_weights of shape"),
+        ({"pupil_weights": -np.ones((2, 4, 4))}, "pupil_weights"),
+        ({"pupil_weights": np.full((2, 4, 4), np.nan)}, "pupil_weights"),
+        ({"pupil_weights": np.full((2, 4, 4), "x")}, "pupil_weights"),
+    ],
+)
+def test_mistakes(change, word):
+    arguments = {"points": [(0, 0, 240), (1, 0, 240)], "wavelength": WAVELENGTH} | change
+    with pytest.raises(InputError, match=f"^{word}"):
+        CaptureOperator(SMALL, **arguments)
+
+
+@pytest.mark.parametrize(
+    "weights", [np.ones(3), np.ones((2, 0)), np.ones((2, 1, 1)), [1.0, np.inf], "ab", np.ones((2, 3))]
+)
+def test_mistakes_in_weights(weights):
+    operator = CaptureOperator(SMALL, scattered(2), spectrum=Spectrum.lines(633, 532))
+    with pytest.raises(InputError, match=r"^weights"):
+        operator.forward(weights)
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (256, 256), (256, 256, 3), (256 * 256 * 2,)])
+def test_mistakes_in_images(shape):
+    operator = CaptureOperator(SMALL, scattered(2), spectrum=Spectrum.lines(633, 532))
+    with pytest.raises(InputError, match=r"^image of shape"):
+        operator.adjoint(np.ones(shape))
+
+
+def test_images_that_are_no_numbers_are_refused():
+    operator = CaptureOperator(SMALL, scattered(2), wavelength=WAVELENGTH)
+    for image in (np.full(SMALL.shape, np.nan), "image", [[1.0], [1.0, 2.0]]):
+        with pytest.raises(InputError, match=r"^image"):
+            operator.adjoint(image)
+
+
+def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
+    monkeypatch.setattr("mitsuba_plenoptic.light.sampling.MEMORY_LIMIT", 2**20)
+    operator = CaptureOperator(SMALL, [(0.0, 0.0, 240.0)], wavelength=WAVELENGTH)
+    for work in (operator.estimate, lambda: operator.forward([1.0]), lambda: operator.adjoint(np.ones(SMALL.shape))):
+        with pytest.raises(InputError, match=r"1 points by patches.*GiB"):
+            work()
+
+
+@pytest.mark.parametrize("distance", [0.24, 10.0])
+def test_points_in_metres_are_recognised(distance):
+    camera, points = PlenopticCamera(), [(0.0, 0.0, distance)]
+    words = r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$"
+    for method in PLANS:
+        with pytest.raises(InputError, match=words):
+            CaptureOperator(camera, points, wavelength=WAVELENGTH, method=method).forward([1.0])
+    with pytest.raises(InputError, match=words):
+        PointRays(camera, np.array(points), WAVELENGTH)
+
+
+def test_many_points_at_infinity_are_refused():
+    """Their blur of 5 mm covers 2,500 pixels; a few are allowed."""
+    x = np.random.default_rng(0).uniform(-2e5, 2e5, (100, 2))
+    positions = np.column_stack([x, np.full(100, 1e7)])
+    with pytest.raises(InputError, match=r"^100 points by patches.*GiB"):
+        capture(PlenopticCamera(), positions, np.ones(100))
+
+
+def test_many_points_keep_their_power_whatever_hides_others():
+    """What is cut is put back on patches; nearly hidden pupils, which lose more of it, do not count for open ones."""
+    camera, points = small_camera(16), scattered(600)
+    seen = np.ones((600, 16, 16), bool)
+    seen[300:, :, :15] = False
+    open_ones = (np.arange(600) < 300).astype(float)
+    image = CaptureOperator(camera, points, wavelength=550.0, accuracy=0.01, pupil_weights=seen).forward(open_ones)
+    assert image.sum(dtype=float) == pytest.approx(300, rel=0.002)

@@ -1,0 +1,248 @@
+"""Point spread functions: the full field against closed forms and itself, the patch against the full field."""
+
+import numpy as np
+import pytest
+from scipy.special import j0, j1
+from wave_cases import HALF, WAVELENGTH, capture, error, in_every_lens, small_camera
+
+from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.full_field import full_field
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.points.point_spread import point_fields, point_spread_function
+from mitsuba_plenoptic.points.pupil_weights import PupilWeights
+from tools.bench.cases import lens_models, point_spreads
+
+SMALL = small_camera(16)
+# Other numbers throughout; 20.2 pixels to a lens, fewer rows than columns.
+OTHER = PlenopticCamera(
+    focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
+    detector_width=0.75, resolution=(303, 250),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "camera, position, wavelength",
+    [
+        (SMALL, (0.4, -0.3, 240.0), 633),
+        pytest.param(SMALL, (0.2, 0.1, 215.0), 633, marks=pytest.mark.slow),
+        pytest.param(SMALL, (-0.3, 0.5, 270.0), 450, marks=pytest.mark.slow),
+        (OTHER, (0.5, 0.4, 175.0), 532),
+        pytest.param(OTHER, (-0.2, 0.6, 190.0), 700, marks=pytest.mark.slow),
+    ],
+)
+def test_patch_against_full_field(camera, position, wavelength):
+    patch, full = (
+        point_spread_function(camera, position, wavelength=wavelength, method=name) for name in ("patch", "full_field")
+    )
+    assert patch.shape == full.shape == camera.shape
+    assert patch.dtype == np.float32
+    assert patch.min() >= 0
+    assert error(patch, full) < 0.005
+
+
+@pytest.mark.parametrize(
+    "camera, g",
+    [
+        (small_camera(6, aperture_radius=2.0), 215.0),
+        pytest.param(small_camera(4, aperture_radius=0.7), 215.0, marks=pytest.mark.slow),
+        pytest.param(PlenopticCamera(detector_width=0.128, resolution=(512, 512)), 230.0, marks=pytest.mark.slow),
+        (small_camera(16, mla_focal_length=5.4, detector_distance=5.4), 240.0),
+        pytest.param(
+            PlenopticCamera(mla_pitch=0.02, detector_width=0.2, resolution=(100, 100)), 230.0, marks=pytest.mark.slow
+        ),
+        pytest.param(small_camera(4, mla_fill=0.5, mla_aperture="circle"), 230.0, marks=pytest.mark.slow),
+        pytest.param(small_camera(4, mla_fill=0.25), 240.0, marks=pytest.mark.slow),
+    ],
+    ids=["small pupil", "tiny pupil", "fine pixels", "weak lenses", "small lenses", "discs", "gaps"],
+)
+def test_patch_of_extreme_cameras_against_full_field(camera, g):
+    position = (0.06, -0.05, g)
+    patch, full = (
+        point_spread_function(camera, position, wavelength=WAVELENGTH, method=name) for name in ("patch", "full_field")
+    )
+    assert error(patch, full) < 0.005
+
+
+@pytest.mark.parametrize("fill", [0.5, pytest.param(0.25, marks=pytest.mark.slow)])
+def test_gaps_between_microlenses_at_the_default_accuracy(fill):
+    """Many radiators, in 2 x 2 places of a lens."""
+    camera = small_camera(4, mla_fill=fill, **HALF)
+    points = in_every_lens(camera, 1, 115.0, per_lens=2) + np.array([0.06, -0.05, 0.0])
+    exact = capture(camera, points, np.full(len(points), 150.0), method="full_field")
+    many = np.repeat(points, 150, axis=0)
+    assert error(capture(camera, many, np.ones(len(many))), exact) < 0.01
+
+
+@pytest.mark.parametrize("cells", [2, pytest.param(16, marks=pytest.mark.slow)])
+def test_hidden_cells_of_the_pupil(cells):
+    """Their borders do not depend on where the samples of the pupil lie."""
+    camera, position = small_camera(6), np.array([0.06, -0.05, 230.0])
+    weights = np.zeros((1, cells, cells), bool)
+    weights[0, cells // 2 :, cells // 2 :] = True
+    patch = CaptureOperator(camera, [position], wavelength=WAVELENGTH, accuracy=0, pupil_weights=weights).forward([1.0])
+    full = full_field(OpticalSystem(camera, WAVELENGTH), position, pupil_weights=PupilWeights.of(weights, 1))
+    assert error(patch, full) < 0.003
+
+
+def test_orientation():
+    """The image of (X, Y, g) lies at (-X b/g, -Y b/g); columns grow with x and rows with y."""
+    X, Y, g = -0.3, 0.45, 240.0
+    psf = point_spread_function(SMALL, (X, Y, g), wavelength=WAVELENGTH)
+    rows, columns = np.indices(psf.shape)
+    for index, place in ((columns, -X / 2), (rows, -Y / 2)):
+        centre = (psf * index).sum() / psf.sum()
+        assert centre == pytest.approx(256 - 0.5 + place / SMALL.pixel_size, abs=16)
+
+
+@pytest.mark.parametrize("method", ["patch", "full_field"])
+def test_crop_is_a_part_of_the_whole(method):
+    position = (0.2, 0.1, 225.0)
+    whole = point_spread_function(SMALL, position, wavelength=WAVELENGTH, method=method)
+    crop = SMALL.replace(crop_offset=(132, 173), crop_size=(150, 101))
+    part = point_spread_function(crop, position, wavelength=WAVELENGTH, method=method)
+    assert error(part, whole[173:274, 132:282]) < 2e-3
+
+
+def test_airy_pattern_of_the_bare_main_lens():
+    """In focus, without microlenses, at D1 = 5 where the thin parabolic lens is diffraction limited."""
+    z = 0.512
+    camera = PlenopticCamera(
+        aperture_radius=2.5,
+        mla_distance=120 - z,
+        detector_distance=z,
+        detector_width=0.512,
+        resolution=(256, 256),
+    )
+    psf = full_field(OpticalSystem(camera, WAVELENGTH), np.array([0.0, 0.0, 240.0]), microlenses=False)
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    p, lam = camera.pixel_size, WAVELENGTH * 1e-6
+    x = (np.arange(256) - 127.5)[:, None] * p + nodes * p / 2
+    r = np.hypot(x[:, None, :, None], x[None, :, None, :])
+    sine = camera.aperture_radius / np.hypot(camera.aperture_radius, 120)
+    v = 2 * np.pi * sine * r / lam
+    density = np.pi * (sine / lam) ** 2 * (2 * j1(v) / v) ** 2
+    expected = np.einsum("ijkl,k,l->ij", density, weights, weights) * (p / 2) ** 2
+    assert error(psf, expected) < 1e-3
+
+
+def test_power():
+    fields = point_fields(SMALL, (0.1, -0.2, 240.0), wavelength=WAVELENGTH)
+    assert fields.pupil.power == pytest.approx(1, abs=5e-4)
+    # the microlenses and the way to the detector lose nothing within the window
+    assert fields.detector.power == pytest.approx(fields.mla.power, rel=1e-4)
+    psf = point_spread_function(SMALL, (0.1, -0.2, 240.0), wavelength=WAVELENGTH, method="full_field")
+    # what is on the detector and what passes it by
+    detector = fields.detector
+    x, y = (
+        origin + detector.pitch * np.arange(count)
+        for origin, count in zip(detector.origin, detector.samples.shape[::-1], strict=True)
+    )
+    half = SMALL.detector_width / 2
+    beside = (np.abs(x)[None, :] > half) | (np.abs(y)[:, None] > half)
+    escaped = np.sum(np.abs(detector.samples[beside]) ** 2) * detector.pitch**2 + 1 - fields.mla.power
+    assert psf.sum() + escaped == pytest.approx(1, abs=1e-3)
+
+
+def test_field_at_the_mla_is_the_geometric_image():
+    fields = point_fields(SMALL, (0.3, 0.2, 240.0), wavelength=WAVELENGTH)
+    intensity = np.abs(fields.mla.samples) ** 2
+    row, column = np.unravel_index(intensity.argmax(), intensity.shape)
+    assert fields.mla.origin[0] + column * fields.mla.pitch == pytest.approx(-0.15, abs=2e-3)
+    assert fields.mla.origin[1] + row * fields.mla.pitch == pytest.approx(-0.10, abs=2e-3)
+
+
+def test_light_that_converges_behind_the_lens_lands_where_its_rays_do():
+    """The power on the detector is its part of the blurred disc of light."""
+    camera, place = PlenopticCamera(detector_width=0.512, resolution=(256, 256), aperture_radius=2), (0.1, -0.2, -900.0)
+    options = {"wavelength": 633, "accuracy": 0, "virtual": True}
+    fast, slow = (
+        CaptureOperator(camera, [place], method=method, **options).forward([1.0]) for method in ("patch", "full_field")
+    )
+    assert error(fast, slow) <= 0.01
+    blur = 2 * (1 - 120 * (1 / 80 + 1 / 900))
+    assert slow.sum() == pytest.approx(0.512**2 / (np.pi * blur**2), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"position": (0, 0)}, "position"),
+        ({"position": (0, 0, 0)}, "position"),
+        ({"position": (0, 0, -240)}, "position"),
+        ({"position": (0, np.nan, 240)}, "position"),
+        ({"position": ("a", 0, 240)}, "position"),
+        ({"wavelength": -1}, "wavelength"),
+        ({"wavelength": None}, "wavelength"),
+        ({"method": "fast"}, "method"),
+    ],
+)
+def test_mistakes(change, word):
+    arguments = {"position": (0, 0, 240), "wavelength": 633} | change
+    with pytest.raises(InputError, match=f"^{word}"):
+        point_spread_function(SMALL, **arguments)
+
+
+def test_stars_are_airy_patterns_behind_ideal_lenses_and_aberrated_behind_parabolic_ones():
+    """On the axis and off it; the light that a parabolic phase leaves within the Airy disc by a sum over the pupil."""
+    rows = list(lens_models.stars(f_numbers=(5.6,), places=(0.0,)))
+    assert len(rows) == 4
+    for row in rows:
+        if row["model"] == "ideal":
+            assert row["worst"] < 0.003
+        else:
+            camera = lens_models.camera_of(5.6, "parabolic", focal_length=8.0)
+            aside = camera.mla_distance * np.tan(np.radians(row["degrees"]))
+            image = round(aside / camera.mla_pitch) * camera.mla_pitch
+            airy = 1 - j0(3.8317) ** 2 - j1(3.8317) ** 2
+            assert row["one"] == pytest.approx(light_in_the_airy_disc(camera, image) - airy, abs=0.003)
+
+
+def light_in_the_airy_disc(camera, image):
+    """Return the part of a star's light within one Airy radius of a place of the array, by Rayleigh and Sommerfeld.
+
+    The main lens is a parabolic phase. Waves of every point of the pupil, with the exact paths from the star and to the
+    array, are summed by quadratures in polar coordinates.
+    """
+    wave, b, g = lens_models.WAVELENGTH * 1e-6, camera.mla_distance, camera.focus_distance
+
+    def disc(radius, rings, angles):
+        nodes, weights = np.polynomial.legendre.leggauss(rings)
+        r, turn = radius * (nodes + 1) / 2, 2 * np.pi * np.arange(angles) / angles
+        area = np.repeat(weights * r * radius / 2 * 2 * np.pi / angles, angles)
+        return np.outer(r, np.cos(turn)).ravel(), np.outer(r, np.sin(turn)).ravel(), area
+
+    px, py, pupil = disc(camera.aperture_radius, 32, 96)
+    incoming = np.sqrt((px + image * g / b) ** 2 + py**2 + g**2)
+    mx, my, array = disc(3.8317 * wave * b / (2 * np.pi * camera.aperture_radius), 12, 24)
+    outgoing = np.sqrt((px - image - mx[:, None]) ** 2 + (py - my[:, None]) ** 2 + b**2)
+    turns = (incoming - (px**2 + py**2) / (2 * camera.focal_length) + outgoing) / wave
+    amplitude = g / incoming**2
+    field = (pupil * amplitude * b / outgoing**2 / wave * np.exp(2j * np.pi * (turns - turns.mean()))).sum(axis=1)
+    return (array * abs(field) ** 2).sum() / (pupil * amplitude**2).sum()
+
+
+def test_light_that_never_reaches_the_mla_is_refused():
+    """A parabolic phase adds cosines, and may ask for more than 1; an ideal lens adds slopes."""
+    steep = {"position": (400.0, 0, 85.0), "wavelength": 633}
+    with pytest.raises(InputError, match=r"^position.*too steeply"):
+        point_spread_function(SMALL.replace(lens_model="parabolic"), **steep)
+    assert not point_spread_function(SMALL, **steep).any()
+
+
+def test_a_field_too_large_for_memory_is_refused_with_the_estimate():
+    huge = PlenopticCamera(detector_width=24, resolution=(12000, 12000))
+    with pytest.raises(InputError, match=r"full field of position.*GiB"):
+        point_spread_function(huge, (0, 0, 240), wavelength=633, method="full_field")
+
+
+@pytest.mark.slow
+def test_accuracy_on_whole_detectors():
+    """As it is measured: the patch against the full field, and the full field against itself on other grids."""
+    patch, full_field = list(point_spreads.patch()), list(point_spreads.convergence())
+    assert len(patch) == 17 and len(full_field) == 6
+    for row in patch:
+        assert row["error"] < 0.005, row
+    for row in full_field:
+        assert max(row["finer"], row["wider"]) < 0.01, row

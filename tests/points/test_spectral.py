@@ -1,0 +1,251 @@
+"""Captures by waves of many wavelengths: against each by itself, and against Mitsuba's colours by rays."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
+from mitsuba_plenoptic.light import colour
+from mitsuba_plenoptic.points.mixing import SpectralSum, WeightChannels
+from mitsuba_plenoptic.points.spectral import with_enough_nodes
+
+CAMERA = PlenopticCamera(
+    focal_length=40, aperture_radius=2.5, mla_distance=60, resolution=(192, 192), detector_width=0.384,
+    lens_model="parabolic",
+)  # fmt: skip
+POINTS = np.array([(0.0, 0.0, 120.0), (0.1, -0.05, 112.0), (-0.12, 0.1, 130.0)])
+
+
+def relative(image, reference):
+    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+
+
+@pytest.fixture(autouse=True)
+def variant():
+    mi.set_variant("llvm_ad_mono")
+
+
+def alone(camera, wavelength, weights):
+    """What one wavelength by itself makes of the points, its camera's numbers put in by hand."""
+    return CaptureOperator(camera.at_wavelength(wavelength), POINTS, wavelength=wavelength, accuracy=0).forward(weights)
+
+
+@pytest.mark.slow
+def test_nodes_against_every_wavelength_by_itself():
+    """16 wavelengths, light that changes with the wavelength, two channels, at a fraction of the spreads."""
+    wavelengths = np.linspace(450, 650, 16)
+    responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (520, 590)])
+    spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist())))
+    chosen = with_enough_nodes(CAMERA, POINTS, spectrum, 0.008)
+    assert 1 < len(chosen.nodes) <= 12
+    weights = 1 + np.sin(wavelengths / 17 + np.arange(3)[:, None])
+    found = CaptureOperator(CAMERA, POINTS, spectrum=chosen, accuracy=0).forward(weights)
+    each = [alone(CAMERA, wavelength, column) for wavelength, column in zip(wavelengths, weights.T, strict=True)]
+    expected = np.moveaxis(np.tensordot(responses, np.array(each), 1), 0, -1)
+    assert max(relative(found[..., i], expected[..., i]) for i in range(2)) < 0.008
+    # One node is not enough, and the function must have seen it.
+    coarse = CaptureOperator(CAMERA, POINTS, spectrum=spectrum.interpolated(1), accuracy=0).forward(weights)
+    assert relative(coarse[..., 0], expected[..., 0]) > 0.008
+
+
+def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
+    """One for points of one spectrum; with others as many as keep what is told within the error."""
+    wavelengths = np.linspace(450, 650, 16)
+    responses = np.stack([np.exp(-(((wavelengths - middle) / 40) ** 2)) for middle in (600, 540, 480)])
+    spectrum = Spectrum(tuple(wavelengths.tolist()), tuple(map(tuple, responses.tolist()))).interpolated(6)
+    rng = np.random.default_rng(3)
+    same = rng.random((40, 1)) * (1 + np.sin(wavelengths / 17))
+    smooth = rng.random((40, 1)) * (1 + 0.3 * np.sin(wavelengths / 90 + 6 * rng.random((40, 1))))
+    rough = rng.random((40, 16))
+    counts = {}
+    for name, weights in (("same", same), ("smooth", smooth), ("rough", rough)):
+        whole = np.sqrt(np.square(weights @ responses.T).sum(0))
+        for part in WeightChannels(None, spectrum).parts(len(spectrum.wavelengths)):
+            made = part.reduced(weights, 1e-3 * whole)
+            error = (weights @ made.before) @ made.after.T - (weights @ part.before) @ part.after.T
+            assert np.all(np.sqrt(np.square(error).sum(0)) <= 1.01e-3 * whole)
+            counts.setdefault(name, []).append(made.before.shape[1])
+    assert max(counts["same"]) == 1
+    assert sum(counts["smooth"]) < 3 * 6
+    assert max(counts["rough"]) == 3
+    # And the image is the same.
+    light = rng.random((3, 1)) * (1 + np.sin(wavelengths / 17))
+    images = [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
+    monkeypatch.setattr(SpectralSum, "reduced", lambda part, *_: part)
+    images += [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
+    assert 0 < relative(*images) < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("glass", [None, {"index": 1.5168, "abbe": 64.17}], ids=["none", "crown"])
+def test_a_band_against_dense_quadrature(glass):
+    """The spread of a band of 40 nm with as many wavelengths as are found necessary, against 64: to 0.3 %."""
+    camera = CAMERA.replace(glass=glass)
+    dense = Spectrum.band(550, 40, 48)
+    nodes = with_enough_nodes(camera, POINTS[1:2], dense, 0.003)
+    few = Spectrum.band(550, 40, len(nodes.nodes))
+    assert 1 <= len(nodes.nodes) <= 16
+
+    def spread(spectrum):
+        weights = np.ones((1, len(spectrum.wavelengths)))
+        return CaptureOperator(camera, POINTS[1:2], spectrum=spectrum, accuracy=0).forward(weights)
+
+    assert relative(spread(few), spread(dense)) < 0.003
+    if glass:
+        assert relative(spread(Spectrum.band(550, 40, 1)), spread(dense)) > 0.003
+
+
+def test_the_adjoint_of_interpolated_sums():
+    """<A x, y> = <x, A' y> with glasses, for more wavelengths than channels and the other way round."""
+    camera, random = CAMERA.replace(mla_glass={"index": 1.5, "abbe": 50}), np.random.default_rng(0)
+    for channels, count in ((2, 5), (5, 3)):
+        responses = tuple(map(tuple, random.random((channels, count)).tolist()))
+        spectrum = Spectrum(tuple(np.linspace(500, 600, count).tolist()), responses).interpolated(2)
+        operator = CaptureOperator(camera, POINTS, spectrum=spectrum)
+        x, y = random.random((3, count)), random.random((192, 192, channels))
+        forward, back = (operator.forward(x) * y).sum(), (operator.adjoint(y) * x).sum()
+        assert forward == pytest.approx(back, rel=1e-5)
+
+
+def test_what_has_no_derivatives():
+    spectrum = Spectrum.band(550, 40, 4).interpolated(2)
+    with pytest.raises(InputError, match=r"spectrum: nodes = \(.*\): there are no derivatives between nodes"):
+        CaptureOperator(CAMERA, POINTS, spectrum=spectrum).derivative(np.ones(3), {"focal_length": 1})
+    with pytest.raises(InputError, match="glass = abbe: there are no derivatives of cameras that disperse"):
+        operator = CaptureOperator(CAMERA.replace(glass={"index": 1.5, "abbe": 50}), POINTS, wavelength=633)
+        operator.gradient(np.ones(3), np.ones((192, 192)))
+
+
+def lamp(radiance, board="emitter", **film):
+    """A wall that shines, or is lit by a sky of the radiance."""
+    described = CAMERA.replace(resolution=(64, 64), detector_width=0.128).to_sensor()
+    described["film"] |= film
+    kind = {"emitter": {"type": "area", "radiance": radiance}}
+    if board != "emitter":
+        kind = {"bsdf": {"type": "diffuse", "reflectance": board}}
+    place = mi.ScalarTransform4f().translate([0, 0, 125]).scale(10).rotate([0, 1, 0], 180)
+    scene = {"type": "scene", "camera": described, "board": {"type": "rectangle", "to_world": place, **kind}}
+    if board != "emitter":
+        scene["sky"] = {"type": "constant", "radiance": radiance}
+    return mi.load_dict(scene | {"integrator": {"type": "path"}})
+
+
+def line(middle, half):
+    rows = [(400, 0), (middle - half - 0.1, 0), (middle - half, 1), (middle + half, 1), (middle + half + 0.1, 0)]
+    wavelengths, values = np.array([*rows, (700, 0)], float).T
+    return wavelengths, values, {
+        "type": "irregular", "wavelengths": ",".join(map(str, wavelengths)), "values": ",".join(map(str, values))
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_light_of_a_narrow_band_has_its_colour():
+    """532 +- 2 nm point by point in linear sRGB, by the integral over Mitsuba's tables of CIE 1931."""
+    mi.set_variant("llvm_ad_spectral")
+    wavelengths, values, radiance = line(532, 2)
+    options = {"model": "wave", "method": "points", "spp": 4}
+    coarse = {"nodes": 1, "wavelength_count": 6}
+    found = render_capture(lamp(radiance, pixel_format="rgb"), **options, **coarse).image.mean((0, 1))
+    places = np.arange(380, 730, 0.02)
+    light = np.interp(places, wavelengths, values)
+    expected = np.trapezoid(colour.SRGB.at(places) * light, places, axis=1)
+    one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
+    assert found == pytest.approx(expected * one, abs=0.01 * expected[1] * one)
+
+
+def test_a_band_takes_all_light_of_a_line_within_it():
+    mi.set_variant("llvm_ad_spectral")
+    wavelengths, values, radiance = line(532, 2)
+    options = {"model": "wave", "method": "points", "spp": 4}
+    one = render_capture(lamp(radiance), **options, wavelength=532).image.mean()
+    wide = render_capture(lamp(radiance), **options, nodes=1, wavelength=535, bandwidth=60).image.mean()
+    assert wide == pytest.approx(one * np.trapezoid(values, wavelengths) / 60, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_given_wavelength_is_that_of_a_film_of_colours():
+    mi.set_variant("llvm_ad_spectral")
+    options = {"model": "wave", "spp": 2, "wavelength": 600}
+    rows = {"type": "regular", "wavelength_min": 500.0, "wavelength_max": 700.0, "values": "1, 3"}
+    colours, grey = (render_capture(lamp(rows, pixel_format=kind), **options) for kind in ("rgb", "luminance"))
+    assert colours.wavelength == grey.wavelength == 600
+    assert render_capture(lamp(rows, pixel_format="rgb"), **options, noise=True).noise.shape == (64, 64, 3)
+    assert colours.image[..., 2].mean() == pytest.approx(grey.image.mean(), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("radiance", "board", "message"),
+    [
+        (1.0, "emitter", "wavelength = 850: emitter board has light from 360 to 830 nm only"),
+        *(
+            pytest.param(light, "emitter", "emitter board has light from 360 to 830 nm only", marks=pytest.mark.slow)
+            for light in (
+                {"type": "rgb", "value": [1, 1, 1]},
+                {"type": "d65"},
+                {"type": "blackbody", "temperature": 3000},
+            )
+        ),
+        (1.0, 0.5, "emitter sky has light from 360 to 830 nm only"),
+        (
+            {"type": "uniform", "value": 1.0},
+            "table",
+            "the reflectance of surface board is a table from 400 to 700 nm",
+        ),
+        pytest.param({"type": "uniform", "value": 1.0}, "emitter", None, marks=pytest.mark.slow),
+        ({"type": "uniform", "value": 1.0}, 0.5, None),
+    ],
+)
+def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
+    """In spectral variants a number as radiance is D65, of which Mitsuba has the part that is visible."""
+    mi.set_variant("llvm_ad_spectral")
+    table = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": "0.5, 0.5"}
+    scene = lamp(radiance, table if board == "table" else board)
+    options = {"model": "wave", "spp": 4, "wavelength": 850}
+    if message is None:
+        image = render_capture(scene, **options).image
+        # The light of the sky, found by one path, is noisy.
+        assert image.mean() == pytest.approx(0.345 * (1 if board == "emitter" else 0.5), rel=0.3)
+        return
+    with pytest.raises(InputError, match=message) as refused:
+        render_capture(scene, **options)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("variant", [pytest.param("llvm_ad_mono", marks=pytest.mark.slow), "llvm_ad_rgb"])
+def test_numbers_are_as_bright_in_the_infrared_as_in_the_visible(variant):
+    """Without spectra a number as radiance holds at every wavelength."""
+    mi.set_variant(variant)
+    red, infrared = (
+        render_capture(lamp(1.0), model="wave", spp=16, wavelength=wavelength).image for wavelength in (633, 940)
+    )
+    assert red.mean() == pytest.approx(0.345, rel=0.05)
+    assert infrared.mean() == pytest.approx(red.mean(), rel=0.02)
+
+
+def test_bands_and_responses_that_make_no_sense_are_refused(tmp_path):
+    mi.set_variant("llvm_ad_rgb")
+    table = tmp_path / "sensor.csv"
+    table.write_text("wavelength,a,b\n400,1,1\n700,1,1\n")
+    scene = lamp(1.0, pixel_format="rgb")
+    for options, message in [
+        ({"responses": str(table)}, "2 channels: it must be 1 or 3"),
+        ({"responses": "none.csv"}, "there is no such file"),
+        ({"responses": "srgb", "bandwidth": 20.0}, "responses, bandwidth: give one of the two"),
+        ({"wavelength_count": 5}, "of use with responses only"),
+        ({"nodes": 5}, "of use with bandwidth or responses only"),
+        ({"bandwidth": 1000.0}, "bandwidth = 1000"),
+    ]:
+        with pytest.raises(InputError, match=message) as refused:
+            render_capture(scene, model="wave", spp=1, **options)
+        assert "\n" not in str(refused.value)
+
+
+def test_spectra_of_colours():
+    """Upsampled spectra have their colours again, by Mitsuba's tables, and lie in [0, 1] times D65."""
+    mi.set_variant("llvm_ad_rgb")
+    wavelengths = tuple(np.arange(360, 830.5, 1.0).tolist())
+    basis = colour.upsampling(wavelengths)
+    seen = basis @ colour.SRGB.at(np.array(wavelengths)).T
+    assert seen == pytest.approx(np.eye(3), abs=0.01)
+    d65 = np.array(mi.cie_d65(mi.Float(wavelengths)))
+    assert basis.min() >= 0 and basis.sum(0) == pytest.approx(d65, rel=1e-6)

@@ -1,0 +1,165 @@
+"""The operator that stores its spreads: the same numbers as the one that computes them, and a matrix of them."""
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import lsqr, svds
+from wave_cases import CAMERAS, WAVELENGTH, error, in_every_lens, scattered, small_camera
+
+from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic.optics.guards import PhysicsError
+from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic.points.patch_plan import PatchPlan
+from mitsuba_plenoptic.points.stored import StoredOperator
+
+SMALL = small_camera(4)
+RED_AND_GREEN = Spectrum((633.0, 532.0, 610.0), ((1.0, 0.1, 0.8), (0.0, 1.0, 0.2)))
+
+
+def both(camera, points, **options):
+    """Return the operator that computes its spreads, and the one that stores them."""
+    return CaptureOperator(camera, points, **options), StoredOperator(camera, points, **options)
+
+
+def require_equal(computed, stored, columns=None):
+    """Compare products with random weights and images, within the rounding of single precision."""
+    rng, count = np.random.default_rng(0), len(computed.points)
+    weights = rng.normal(size=count if columns is None else (count, columns))
+    image = computed.forward(weights)
+    assert np.ptp(image) > 0
+    made = stored.forward(weights)
+    assert made.shape == image.shape
+    assert made.dtype == np.float32
+    assert error(made, image) < 5e-6
+    given = rng.normal(size=image.shape)
+    products = stored.adjoint(given)
+    assert error(products, computed.adjoint(given)) < 2e-5
+    # <A w, y> = <w, A' y>
+    scale = np.linalg.norm(image) * np.linalg.norm(given)
+    assert abs(np.vdot(made, given) - np.vdot(weights, products)) < 1e-5 * scale
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n in ("hexagonal, turned", "focused"))) for n in CAMERAS],
+)
+def test_equals_the_operator_that_computes(name):
+    camera = small_camera(**CAMERAS[name])
+    require_equal(*both(camera, scattered(3), wavelength=WAVELENGTH, accuracy=0))
+
+
+def test_points_that_share_a_spread_have_their_own_copies():
+    points = np.concatenate([in_every_lens(SMALL, 3, 240.0, per_lens=3), scattered(2)])
+    computed, stored = both(SMALL, points, wavelength=WAVELENGTH, accuracy=0.1)
+    computed.forward(np.ones(len(points)))
+    assert len(computed._plans.at(WAVELENGTH)._positions) < len(points) / 2
+    require_equal(computed, stored, columns=5)
+
+
+def test_points_beyond_the_window_have_empty_columns():
+    camera = small_camera(32, crop_offset=(0, 0), crop_size=(20, 20))
+    points = np.array([(1.9, 1.9, 240.0), (-1.9, -1.9, 240.0)])
+    computed, stored = both(camera, points, wavelength=WAVELENGTH)
+    filled = np.diff(stored.to_sparse().indptr) > 0
+    assert sorted(filled) == [False, True]
+    assert [computed.forward(one).any() for one in np.eye(2)] == filled.tolist()
+
+
+def test_pupil_weights():
+    cells = [np.indices((8, 8)).sum(0) < 6, np.ones((8, 8))]
+    require_equal(*both(SMALL, scattered(2), wavelength=WAVELENGTH, accuracy=0, pupil_weights=cells))
+
+
+def test_full_fields():
+    camera = small_camera(2, focal_length=40, aperture_radius=2.5, mla_distance=60)
+    points = [(0.02, -0.03, 120.0), (0.01, 0.04, 112.5)]
+    require_equal(*both(camera, points, wavelength=WAVELENGTH, method="full_field"))
+
+
+def test_wavelengths_are_stored_once_and_mixed_into_channels(monkeypatch):
+    planned, plan = [], PatchPlan.__init__
+
+    def counted(self, system, *arguments, **options):
+        planned.append(system.wavelength)
+        plan(self, system, *arguments, **options)
+
+    computed, stored = both(SMALL, scattered(3), spectrum=RED_AND_GREEN, accuracy=0)
+    computed.forward(np.ones(3))
+    monkeypatch.setattr(PatchPlan, "__init__", counted)
+    require_equal(computed, stored, columns=3)
+    assert error(stored.forward(np.ones(3)), computed.forward(np.ones(3))) < 5e-6
+    assert planned == [633.0, 532.0, 610.0]
+    weights = np.random.default_rng(1).normal(size=(3, 3))
+    matrix = stored.to_sparse()
+    assert matrix.shape == (SMALL.shape[0] * SMALL.shape[1] * 2, 9)
+    assert error(matrix @ weights.ravel(), stored.forward(weights).ravel()) < 1e-6
+
+
+def test_nodes_of_a_spectrum():
+    wavelengths = tuple(np.linspace(520, 560, 5).tolist())
+    spectrum = Spectrum(wavelengths, (tuple(np.hanning(7)[1:-1].tolist()),), nodes=(525.0, 555.0))
+    require_equal(*both(SMALL, scattered(2), spectrum=spectrum, accuracy=0), columns=5)
+
+
+def test_matrix_is_the_operator():
+    stored = StoredOperator(SMALL, scattered(4), wavelength=WAVELENGTH, dtype="float64")
+    weights = np.array([1.0, -0.5, 2.0, 0.25])
+    image = stored.forward(weights)
+    assert image.dtype == np.float64
+    dense = stored.to_dense()
+    assert error(dense @ weights, image.ravel()) < 1e-14
+    assert error(stored.to_sparse() @ weights, image.ravel()) < 1e-14
+    assert error(stored.adjoint(image), dense.T @ image.ravel()) < 1e-14
+    stored.to_sparse().data[:] = 0
+    assert error(stored.forward(weights), image) == 0
+
+
+def test_scipy_recovers_weights_to_double_precision():
+    weights = np.array([1.0, -0.5, 2.0, 0.25])
+    stored = StoredOperator(SMALL, scattered(4), wavelength=WAVELENGTH, dtype="float64")
+    found = lsqr(stored.as_linear_operator(), stored.forward(weights).ravel(), atol=1e-13, btol=1e-13)[0]
+    assert error(found, weights) < 1e-10
+
+
+def test_singular_values_to_double_precision():
+    stored = StoredOperator(SMALL, scattered(4), wavelength=WAVELENGTH, dtype="float64")
+    (largest,) = svds(stored.as_linear_operator(), k=1, return_singular_vectors=False, tol=1e-13)
+    assert largest == pytest.approx(np.linalg.norm(stored.to_dense(), 2), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", [CaptureOperator, StoredOperator])
+def test_scipy_multiplies_several_columns_at_once(kind, monkeypatch):
+    calls, operator = [], kind(SMALL, scattered(4), wavelength=WAVELENGTH)
+    for name in ("forward", "adjoint"):
+        function = getattr(operator, name)
+        monkeypatch.setattr(operator, name, lambda array, f=function: calls.append(np.shape(array)) or f(array))
+    matrix, rng = operator.as_linear_operator(), np.random.default_rng(0)
+    weights, pixels = rng.normal(size=(4, 3)), rng.normal(size=(matrix.shape[0], 2))
+    made, back = matrix @ weights, matrix.T @ pixels
+    assert calls == [(4, 3), (*SMALL.shape, 2)]
+    assert error(made, np.stack([matrix @ one for one in weights.T], -1)) < 1e-6
+    assert error(back, np.stack([matrix.T @ one for one in pixels.T], -1)) < 1e-6
+    one = kind(SMALL, scattered(4), spectrum=Spectrum((WAVELENGTH,), ((2.0,),))).as_linear_operator()
+    assert error(one @ weights, 2 * made) < 1e-6
+
+
+def test_light_that_is_lost_is_refused(monkeypatch):
+    stored = StoredOperator(SMALL, scattered(2), wavelength=WAVELENGTH, accuracy=0)
+    monkeypatch.setattr(PatchPlan, "_sent", lambda *_: 1e12)
+    with pytest.raises(PhysicsError):
+        stored.forward([1, 1])
+
+
+def test_mistakes():
+    points = scattered(2)
+    small = StoredOperator(SMALL, points, wavelength=WAVELENGTH, budget=1e-5)
+    with pytest.raises(
+        InputError, match=r"^budget = 1e-05 GiB: the spreads of 2 points at 1 wavelength take 0\.\d+ GiB; Capt"
+    ):
+        small.forward([1, 1])
+    with pytest.raises(InputError, match=r"^budget = 0: it must be greater than 0$"):
+        StoredOperator(SMALL, points, wavelength=WAVELENGTH, budget=0)
+    with pytest.raises(InputError, match=r"^dtype = 'half': it must be float32 or float64$"):
+        StoredOperator(SMALL, points, wavelength=WAVELENGTH, dtype="half")
+    with pytest.raises(TypeError, match="did you mean wavelength"):
+        StoredOperator(SMALL, points, wavelenght=WAVELENGTH)

@@ -1,0 +1,334 @@
+"""Deconvolution against exact sums of point spreads, closed forms, and points whose places are known."""
+
+from __future__ import annotations
+
+import functools
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    expose,
+    reconstruct,
+    render_capture,
+)
+from mitsuba_plenoptic.design import resolution_limit
+from mitsuba_plenoptic.lattice import turn
+from mitsuba_plenoptic.refocus.deconvolution.cells import to_bins
+from mitsuba_plenoptic.refocus.deconvolution.response import Response, bin_weight
+from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
+from mitsuba_plenoptic.refocus.deconvolution.variation import Noise
+from mitsuba_plenoptic.views.white_image import white_image
+
+WAVELENGTH = 633.0
+SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+CAMERAS = {
+    "square": SMALL,
+    "turned, moved, two pitches": SMALL.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02), mla_pitch=(0.064, 0.07)),
+    "hexagonal": SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.95),
+    "three types": SMALL.replace(mla_lattice="hexagonal", mla_focal_length=(0.45, 0.512, 0.6), detector_distance=0.512),
+    "focused": SMALL.replace(detector_distance=0.6, mla_distance=117.0),
+    "crop": SMALL.replace(crop_offset=(40, 64), crop_size=(96, 80)),
+}
+
+
+@functools.cache
+def response_of(camera, distance=253.0, oversample=2, wavelength=WAVELENGTH):
+    return Response(camera, [distance], wavelength=wavelength, oversample=oversample)
+
+
+def exact_capture(camera, cells, index, values, distance, parts):
+    """Add the point spreads of bins one by one."""
+    lit = np.flatnonzero(values.any(axis=1))
+    places = np.concatenate([cells.bin_places(index[cell], parts) for cell in lit])
+    weights = np.repeat(values[lit].ravel(), parts**2) * (bin_weight(cells) / parts**2)
+    q = np.column_stack(turn(*places.reshape(-1, 2).T, camera.mla_rotation))
+    points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
+    lit = weights > 0
+    operator = CaptureOperator(camera, points[lit], wavelength=WAVELENGTH, accuracy=0)
+    return operator.forward(weights[lit])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("turned, moved, two pitches", "crop"))) for n in CAMERAS],
+)
+def test_response_is_that_of_exact_point_spreads(name):
+    camera = CAMERAS[name]
+    response = response_of(camera)
+    plane, cells = response.planes[0], response.cells
+    # some bins of cells that are one or two lenses off the middle, by other radiators
+    index = plane.lit.index
+    values = np.zeros(plane.shape, np.float32)
+    random = np.random.default_rng(0)
+    near = np.flatnonzero((np.abs(index - np.median(index, axis=0)) <= 2).all(1))
+    values[random.choice(near, 2, replace=False), random.integers(0, values.shape[1], 2)] = 1, 2
+    # A focused camera tells single radiators apart.
+    expected = exact_capture(camera, cells, index, values, 253.0, 5 if name == "focused" else 3)
+    found = response.forward([values])
+    assert np.linalg.norm(found - expected) <= (0.04 if name == "focused" else 0.025) * np.linalg.norm(expected)
+    assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
+
+
+@pytest.mark.parametrize("wavelength", [WAVELENGTH, None])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("hexagonal", "three types", "focused")))
+        for name in CAMERAS
+    ],
+)
+def test_adjoint_is_the_transpose(name, wavelength):
+    response = response_of(CAMERAS[name], wavelength=wavelength)
+    random = np.random.default_rng(1)
+    values = random.random(response.planes[0].shape).astype(np.float32)
+    image = response.forward([values])
+    other = random.random(image.shape).astype(np.float32)
+    back = response.adjoint(other)[0]
+    assert np.vdot(image, other) == pytest.approx(np.vdot(values, back), rel=1e-5)
+
+
+@pytest.mark.parametrize("distance", [230.0, 240.0, np.inf])
+def test_white_planes_by_rays_are_white_captures(distance):
+    camera = CAMERAS["three types"] if distance == 230 else SMALL
+    response = response_of(camera, distance, 1, wavelength=None)
+    image = response.forward([np.ones(response.planes[0].shape, np.float32)])
+    expected = white_image(camera)
+    # Edges of micro-images are interpolated; what is beside them is right.
+    assert image.sum() == pytest.approx(expected.sum(), rel=1e-3)
+    assert np.linalg.norm(image - expected) <= 0.05 * np.linalg.norm(expected)
+
+
+def test_white_planes_by_rays_follow_snells_law():
+    """Against a ray capture at 35 degrees, where rays of slopes that the index divides land ten pixels away."""
+    camera = PlenopticCamera(
+        focal_length=20.0, aperture_radius=1.2, mla_distance=24.0, mla_focal_length=0.768, mla_medium=1.5,
+        detector_width=38.4, resolution=(9600, 9600), crop_offset=(9000, 4752), crop_size=(96, 96),
+    )  # fmt: skip
+    response = response_of(camera, 120.0, 1, wavelength=None)
+    image = response.forward([np.ones(response.planes[0].shape, np.float32)])
+    mi.set_variant("llvm_ad_mono")
+    scene = mi.load_dict({
+        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
+        "camera": camera.to_sensor(),
+    })  # fmt: skip
+    expected = render_capture(scene, spp=512).image
+    # Micro-images of a zone are evenly spaced.
+    assert np.linalg.norm(image - expected) <= 0.12 * np.linalg.norm(expected)
+    assert image.sum() == pytest.approx(expected.sum(), rel=0.02)
+
+
+def test_volume_is_the_sum_of_its_planes():
+    both = Response(SMALL, [230.0, 253.0], wavelength=WAVELENGTH, oversample=2)
+    random = np.random.default_rng(2)
+    values = [random.random(plane.shape).astype(np.float32) for plane in both.planes]
+    dark = [np.zeros_like(part) for part in values]
+    image = both.forward(values)
+    np.testing.assert_allclose(
+        image, both.forward([values[0], dark[1]]) + both.forward([dark[0], values[1]]), atol=1e-4
+    )
+    alone = response_of(SMALL).forward([values[1]])
+    # Its grid is another one.
+    assert np.linalg.norm(alone - both.forward([dark[0], values[1]])) <= 0.02 * np.linalg.norm(alone)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "square",
+        "turned, moved, two pitches",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "three types")),
+    ],
+)
+def test_bins_are_upright_whatever_the_lattice(name):
+    camera, oversample = CAMERAS[name], 4
+    response = response_of(camera, oversample=oversample, wavelength=None)
+    cells, lit = response.cells, response.planes[0].lit
+    places = np.stack([cells.bin_places(cell)[:, 0] for cell in lit.index])
+    x, y = turn(places[..., 0], places[..., 1], camera.mla_rotation)
+    plane = (3 + 5 * x - 2 * y).astype(np.float32)
+    found = to_bins(plane, cells, lit, camera, 240.0, oversample)
+    size = camera.mla_pitch / oversample
+    rows, columns = found.shape
+    assert (columns, rows) == tuple(oversample * count for count in camera.bin_count)
+    expected = 3 + 5 * (np.arange(columns) - (columns - 1) / 2) * size
+    expected = expected - 2 * ((np.arange(rows) - (rows - 1) / 2) * size)[:, None]
+    np.testing.assert_allclose(found, expected, atol=2e-4)
+
+
+class Blur:
+    """A small response that is known: neighbours share their light."""
+
+    def __init__(self):
+        bins = np.arange(20)
+        self.matrix = np.exp(-(((bins[:, None] - bins) / 1.5) ** 2)).astype(np.float32)
+
+    def forward(self, values):
+        return self.matrix @ values[0]
+
+    def adjoint(self, image):
+        return [self.matrix.T @ image]
+
+
+def likelihood(blur, values, image):
+    model = blur.forward([values])
+    return float((image * np.log(model) - model).sum())
+
+
+def test_iteration_is_richardsons_and_lucys_and_the_accelerated_one_goes_on_faster():
+    blur, truth = Blur(), np.zeros(20, np.float32)
+    truth[[6, 11, 12]] = 1, 2, 1
+    image = blur.forward([truth])
+    expected = np.full(20, image.sum() / blur.matrix.sum(), np.float64)
+    for _ in range(8):
+        expected *= blur.matrix.T @ (image / (blur.matrix @ expected)) / blur.matrix.sum(0)
+    plain = richardson_lucy(blur, image, iterations=8, accelerate=False)
+    assert plain.iterations == 8
+    np.testing.assert_allclose(plain.values[0], expected, rtol=0.01, atol=1e-3)
+    # Light is kept, and never negative.
+    assert (plain.values[0] >= 0).all()
+    assert blur.forward(plain.values).sum() == pytest.approx(image.sum(), rel=1e-3)
+    many = richardson_lucy(blur, image, iterations=120, accelerate=False)
+    quick = richardson_lucy(blur, image, iterations=30)
+    assert plain.residual > many.residual
+    assert likelihood(blur, quick.values[0], image) >= likelihood(blur, many.values[0], image)
+
+
+def test_iteration_stops_at_the_noise():
+    blur, truth = Blur(), np.linspace(1, 2, 20).astype(np.float32)
+    truth[8] = 8
+    image = np.random.default_rng(3).poisson(blur.forward([truth]) * 100).astype(np.float32)
+    noise = Noise(1.0, 0.0)
+    found = richardson_lucy(blur, image, iterations=500, misfit=noise.misfit)
+    assert found.stopped
+    assert 0 < found.iterations < 500
+    further = richardson_lucy(blur, image, iterations=500)
+    assert not further.stopped
+    assert further.residual < found.residual
+    assert noise.misfit(image, blur.forward(found.values)) <= 1 < noise.misfit(image, blur.forward([truth * 50]))
+    # Light that the bins cannot make does not keep it going.
+    image[::2] *= 3
+    assert richardson_lucy(blur, image, iterations=500, misfit=noise.misfit).iterations < 100
+
+
+def test_noise_is_the_detectors():
+    ramp = np.tile(np.linspace(0, 1, SMALL.shape[1]), (SMALL.shape[0], 1)).astype(np.float32)
+    detector = Detector(read_noise=20, dark_electrons=100, full_well=20000)
+    noisy = expose(Capture(ramp, SMALL, WAVELENGTH, "wave"), detector, photons=3000, seed=1)
+    noise = Noise.of(noisy.metadata["exposure"], None)
+    assert noise.misfit(noisy.image, ramp) == pytest.approx(1, abs=0.03)
+    photons = np.random.default_rng(4).poisson(200 * ramp) / 200
+    assert Noise.of(None, 200.0).misfit(photons.astype(np.float32), ramp) == pytest.approx(1, abs=0.03)
+    assert Noise.of(None, None) is None
+
+
+def sources(distance, camera=SMALL):
+    """Two points, brighter and darker, between bins, and their capture."""
+    q = np.array([[0.045, -0.03], [-0.052, 0.041]])
+    points = np.column_stack([-q * distance / camera.mla_distance, np.full(2, distance)])
+    image = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([2000.0, 1000.0])
+    return q, Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
+
+
+@pytest.mark.parametrize("distance", [226.0, pytest.param(253.0, marks=pytest.mark.slow)])
+def test_points_come_back(distance):
+    q, capture = sources(distance)
+    result = reconstruct(capture, distance, method="deconvolved", oversample=4, iterations=60)
+    image, size = result.image.astype(np.float64), SMALL.mla_pitch / 4
+    rows, columns = np.indices(image.shape)
+    x, y = ((index - (image.shape[0] - 1) / 2) * size for index in (columns, rows))
+    weight = size**2 * np.pi * 25 * 0.512**2 / (120**2 * 0.064**2 * 0.002**2)
+    for place, power in zip(q, (2000, 1000), strict=True):
+        near = np.hypot(x - place[0], y - place[1]) < 2.5 * size
+        light = image[near].sum()
+        assert (
+            np.hypot((image[near] * x[near]).sum() / light - place[0], (image[near] * y[near]).sum() / light - place[1])
+            < 0.1 * size
+        )
+        assert light * weight == pytest.approx(power, rel=0.03)
+    assert result.facts["iterations"] == 60
+    assert 0 < result.facts["residual"] < 0.3
+    assert result.facts["resolution_limit"] == resolution_limit(SMALL, distance, WAVELENGTH).frequency
+    assert not result.facts["in_focus"]
+
+
+def test_finer_than_the_lenses():
+    """A sinusoid of three times the lenses' own limit: rays lose it, deconvolution brings it back."""
+    distance, frequency, oversample = 253.0, 11.0, 6
+    camera = SMALL
+    response = response_of(camera, distance, 9)
+    places = np.stack([response.cells.bin_places(cell)[:, 0] for cell in response.planes[0].lit.index])
+    wave = 2 * np.pi * frequency * distance / camera.mla_distance
+    scene = (0.5 + 0.5 * np.cos(wave * places[..., 0])).astype(np.float32)
+    capture = Capture(np.maximum(response.forward([scene]), 0), camera, WAVELENGTH, "wave")
+
+    def contrast(**options):
+        image = reconstruct(capture, distance, oversample=oversample, **options).image
+        middle = image[len(image) // 4 : -len(image) // 4].mean(0)
+        x = (np.arange(len(middle)) - (len(middle) - 1) / 2) * camera.mla_pitch / oversample
+        window = np.cos(np.pi * x / (len(middle) * camera.mla_pitch / oversample)) ** 2
+        return 2 * (window * middle * np.cos(wave * x)).sum() / (window * middle).sum()
+
+    assert contrast(method="deconvolved", iterations=20) > 0.5
+    assert contrast(method="ray") < 0.1
+
+
+def test_what_no_light_makes_is_refused():
+    def refused(image, **options):
+        with pytest.raises(InputError) as found:
+            reconstruct(Capture(image, SMALL, WAVELENGTH, "wave"), 253.0, method="deconvolved", **options)
+        assert "\n" not in str(found.value)
+        return str(found.value)
+
+    image = np.zeros(SMALL.shape, np.float32)
+    assert "none of its pixels is lit" in refused(image)
+    image[5, 5] = 1
+    assert "oversample = 3000" in refused(image, oversample=3000)
+    assert "iterations = 0" in refused(image, iterations=0)
+    assert "photons = -1" in refused(image, photons=-1)
+    assert "response = 'x'" in refused(image, response="x")
+    image[7, 7] = -0.1
+    assert "1 of its pixels are below 0" in refused(image)
+    image[7, 7] = np.nan
+    assert "1 of its pixels are NaN" in refused(image)
+
+
+def test_planes_of_a_volume_are_different_ones():
+    image = np.ones(SMALL.shape, np.float32)
+    capture = Capture(image, SMALL, WAVELENGTH, "wave")
+    with pytest.raises(InputError, match="distance = 253: it is given twice"):
+        reconstruct(capture, [230.0, 253.0, 253.0], method="deconvolved", volume=True)
+
+
+def test_a_dark_channel_stays_dark():
+    """Red light before a detector of three channels: the others are 0, and red is what it is alone."""
+    _, red = sources(253.0, SMALL)
+    options = {"method": "deconvolved", "response": "ray", "iterations": 3}
+    dark = np.zeros_like(red.image)
+    image = np.stack([red.image, dark, dark], -1)
+    found = reconstruct(Capture(image, SMALL, None, "wave"), 253.0, **options)
+    alone = reconstruct(Capture(red.image, SMALL, None, "wave"), 253.0, **options)
+    np.testing.assert_array_equal(found.image[..., 0], alone.image)
+    assert (found.image[..., 1:] == 0).all()
+    assert found.facts == alone.facts
+    # So are the pixels of a detector without light that read noise has all put below 0.
+    noise = Capture(np.stack([red.image, dark - 0.01, dark], -1), SMALL, None, "wave")
+    found = reconstruct(noise, 253.0, photons=100.0, **options)
+    assert (found.image[..., 1:] == 0).all() and np.isfinite(found.facts["residual"])
+
+
+@pytest.mark.parametrize(("distance", "waves", "pixels"), [(253, 16.55, 19.69), (270, 7.17, 8.53), (227, 16.55, 19.69)])
+def test_resolution_limit_is_the_two_formulas(distance, waves, pixels):
+    found = resolution_limit(PlenopticCamera(), distance, WAVELENGTH)
+    assert found.waves == pytest.approx(waves, rel=1e-3)
+    assert found.pixels == pytest.approx(pixels, rel=1e-3)
+    assert found.frequency == found.waves
+    assert not found.in_focus
+    assert resolution_limit(PlenopticCamera(), 245.0, WAVELENGTH).in_focus
+    assert resolution_limit(PlenopticCamera(), 240.0, WAVELENGTH).frequency == pytest.approx(3.906, rel=1e-3)

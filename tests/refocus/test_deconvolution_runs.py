@@ -1,0 +1,227 @@
+"""Deconvolution's longer runs: checkpoints, workers, volumes whose kernels lie on disk, and total variation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stopped_runs import StoppedError
+
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Checkpoint,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    reconstruct,
+)
+from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.refocus.deconvolution import response as response_module
+from mitsuba_plenoptic.refocus.deconvolution.response import Response
+from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
+from mitsuba_plenoptic.refocus.deconvolution.variation import MOST, Noise, TotalVariation
+from mitsuba_plenoptic.runtime.batches import Cluster, Threads
+
+WAVELENGTH = 633.0
+SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+CAMERAS = {
+    "square": SMALL,
+    "hexagonal": SMALL.replace(mla_lattice="hexagonal", mla_aperture="circle", mla_fill=0.95),
+    "turned, two pitches": SMALL.replace(mla_rotation=7.0, mla_pitch=(0.064, 0.05)),
+    "three types": SMALL.replace(mla_lattice="hexagonal", mla_focal_length=(0.45, 0.512, 0.6), detector_distance=0.512),
+}
+
+
+def planned(camera, oversample=3):
+    return Response(camera, [253.0], wavelength=None, oversample=oversample)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_variation_is_that_of_an_even_slope(name):
+    """The sum of lengths of a plane's gradient, in closed form; and its derivatives by finite differences."""
+    response = planned(CAMERAS[name])
+    cells, plane = response.cells, response.planes[0]
+    variation = TotalVariation.of_cells(cells, [plane.lit])
+    places = np.stack([cells.bin_places(cell)[:, 0] for cell in plane.lit.index])
+    slope, shortest = (3.0, -2.0), min(cells.bin_sizes)
+    values = (5 + places @ np.array(slope)).astype(np.float32)
+    steps = [matrix @ values.ravel() for matrix in variation._differences[0]]
+    for step, expected in zip(steps, slope, strict=True):
+        whole = step != 0
+        assert whole.mean() > 0.8
+        np.testing.assert_allclose(step[whole], expected * shortest, atol=1e-4)
+    # The derivative in a random direction is the sum over the gradient.
+    random = np.random.default_rng(0)
+    values = random.random(plane.shape)
+    inside = random.random(plane.shape) > 0.1
+    direction = random.standard_normal(plane.shape) * inside
+
+    def total(t):
+        beyond = (~inside).ravel()
+        moved = (values + t * direction).ravel()
+        kept = [np.where(abs(m) @ beyond > 0, 0, m @ moved) for m in variation._differences[0]]
+        return np.sqrt(kept[0] ** 2 + kept[1] ** 2 + (1e-3 * values[inside].mean()) ** 2).sum()
+
+    found = variation.gradient([values.astype(np.float32)], [inside])[0]
+    assert np.abs(found).max() <= 2 + np.sqrt(2) < 1 / MOST
+    assert (found * direction).sum() == pytest.approx((total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_variation_lowers_the_error_of_an_even_and_noisy_target():
+    response = Response(SMALL, [253.0], wavelength=WAVELENGTH, oversample=4)
+    places = np.stack([response.cells.bin_places(cell)[:, 0] for cell in response.planes[0].lit.index])
+    truth = np.where(np.abs(places - 0.02).max(-1) < 0.08, 1.0, 0.2).astype(np.float32)
+    image = response.forward([truth])
+    photons = 300 / image.max()
+    noisy = (np.random.default_rng(5).poisson(np.maximum(image, 0) * photons) / photons).astype(np.float32)
+    middle = np.abs(places).max(-1) < 0.16
+
+    def error(weight, **options):
+        penalty = (TotalVariation.of_cells(response.cells, [response.planes[0].lit]), weight) if weight else None
+        found = richardson_lucy(response, noisy, penalty=penalty, **options).values[0]
+        return np.linalg.norm((found - truth)[middle]) / np.linalg.norm(truth[middle])
+
+    plain = min(error(0, iterations=count) for count in (10, 20, 40))
+    stopped = error(0, iterations=100, misfit=Noise(photons, 0.0).misfit)
+    assert error(0.01, iterations=40) < 0.8 * min(plain, stopped)
+
+
+@pytest.fixture
+def always_written(monkeypatch):
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
+
+
+TINY = SMALL.replace(detector_width=0.256, resolution=(128, 128))
+
+
+def colours():
+    """A capture of three channels at three wavelengths."""
+    points = np.array([[0.05, -0.03, 253.0], [-0.06, 0.04, 235.0]])
+    images = [CaptureOperator(TINY, points, wavelength=w).forward([2000.0, 1000.0]) for w in (633.0, 500.0, 450.0)]
+    return Capture(np.maximum(np.stack(images, -1), 0), TINY, (633.0, 500.0, 450.0), "wave")
+
+
+@pytest.mark.parametrize(
+    ("response", "volume", "stop"),
+    [
+        ("wave", False, 2),
+        pytest.param("ray", False, 11, marks=pytest.mark.slow),
+        pytest.param("ray", True, 5, marks=pytest.mark.slow),
+    ],
+)
+def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, monkeypatch, response, volume, stop):
+    """Stopped in the first plane, in a later one and channel, and in a volume: the bits of one that was not."""
+    capture, path = colours(), tmp_path / "out.checkpoint"
+    options = {"method": "deconvolved", "iterations": 3, "volume": volume, "variation": 0.005, "response": response}
+    whole = reconstruct(capture, [253.0, 235.0], **options)
+    save, count = Checkpoint.save_arrays, [0]
+
+    def stopped(self, arrays):
+        save(self, arrays)
+        count[0] += 1
+        if count[0] == stop:
+            raise StoppedError
+
+    monkeypatch.setattr(Checkpoint, "save_arrays", stopped)
+    with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+        reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **options)
+    assert path.exists()
+    monkeypatch.setattr(Checkpoint, "save_arrays", save)
+    other = r"the checkpoint of another run.*iterations = 3 there, 5 here"
+    with pytest.raises(InputError, match=other), Checkpoint(path, "resume") as checkpoint:
+        reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **(options | {"iterations": 5}))
+    with Checkpoint(path, "resume") as checkpoint:
+        resumed = reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **options)
+    for ours, theirs in zip(resumed, whole, strict=True):
+        np.testing.assert_array_equal(ours.image, theirs.image)
+        assert ours.facts == theirs.facts
+    assert not path.exists()
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path, always_written, monkeypatch):
+    capture, path = colours(), tmp_path / "out.checkpoint"
+    options = {"method": "deconvolved", "iterations": 3, "response": "ray"}
+
+    def stopped(self, arrays):
+        found = dict(arrays())
+        found["found.0"] = found["found.0"][:-1]
+        checkpoints._write_archive(self.path, self.run, {}, found)
+        raise StoppedError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save_arrays", stopped)
+        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+            reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
+    with pytest.raises(InputError, match="checkpoint: it is damaged"), Checkpoint(path, "resume") as checkpoint:
+        reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
+
+
+def test_workers_compute_the_point_spreads():
+    class Counted(Threads):
+        batches = 0
+
+        def __call__(self, batches):
+            for result in super().__call__(batches):
+                self.batches += 1
+                yield result
+
+    capture, workers = colours(), Counted(1)
+    options = {"method": "deconvolved", "iterations": 2}
+    made = reconstruct(capture, 253.0, batch_map=workers, **options)
+    assert workers.batches >= 3
+    np.testing.assert_array_equal(made.image, reconstruct(capture, 253.0, **options).image)
+    for name, value in (("batch_map", workers), ("checkpoint", Checkpoint("never"))):
+        with pytest.warns(UserWarning, match=rf"method ray has no use for {name} \(of deconvolved\)"):
+            reconstruct(capture, 253.0, **{name: value})
+
+
+def test_kernels_on_disk_are_those_in_memory(monkeypatch):
+    distances = [230.0, 250.0]
+    inside = Response(SMALL, distances, wavelength=None, oversample=2)
+    values = [np.random.default_rng(k).random(plane.shape).astype(np.float32) for k, plane in enumerate(inside.planes)]
+    image = inside.forward(values)
+    monkeypatch.setattr(response_module, "_MEMORY", 2**20)
+    with Response(SMALL, distances, wavelength=None, oversample=2) as outside:
+        blocks = [block for plane in outside.planes for zone in plane._zones for block in zone.blocks]
+        assert all(isinstance(block.matrix, np.memmap) for block in blocks)
+        np.testing.assert_array_equal(outside.forward(values), image)
+        for ours, theirs in zip(outside.adjoint(image), inside.adjoint(image), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
+    """It is that which each zone would compute for itself, and zones still share the work."""
+    monkeypatch.setattr(response_module, "_ZONE", 4)
+    camera = PlenopticCamera(
+        main_lens=Objective(20, 0.5), mla_pitch=0.075, mla_focal_length=1.5, detector_width=0.45, resolution=(60, 60)
+    )
+    options = {"wavelength": 550.0, "oversample": 1}
+    shared = Response(camera, [0.014], **options)
+    assert len({id(zone.blocks) for zone in shared.planes[0]._zones}) == 1 < len(shared.planes[0]._zones)
+    monkeypatch.setattr(response_module, "_alike", lambda camera, wavelength: False)
+    own = Response(camera, [0.014], **options)
+    assert len({id(zone.blocks) for zone in own.planes[0]._zones}) == len(own.planes[0]._zones) > 1
+    assert shared.shapes == own.shapes
+    values = [np.random.default_rng(0).random(shape).astype(np.float32) for shape in shared.shapes]
+    image = own.forward(values)
+    np.testing.assert_allclose(shared.forward(values), image, atol=2e-3 * image.max())
+    back = own.adjoint(image)[0]
+    np.testing.assert_allclose(shared.adjoint(image)[0], back, atol=2e-3 * back.max())
+
+
+@pytest.mark.slow
+def test_workers_in_processes_give_the_same_bits():
+    pytest.importorskip("distributed")
+    capture = colours()
+    with Cluster(workers=1) as cluster:
+        made = reconstruct(capture, 253.0, method="deconvolved", iterations=1, batch_map=cluster)
+    np.testing.assert_array_equal(made.image, reconstruct(capture, 253.0, method="deconvolved", iterations=1).image)
+
+
+def test_variation_beyond_what_keeps_light_positive_is_refused():
+    capture = colours()
+    for value in (-0.1, 0.3, np.nan):
+        with pytest.raises(InputError, match="variation = "):
+            reconstruct(capture, 253.0, method="deconvolved", variation=value)

@@ -1,0 +1,102 @@
+"""Where the light of bins comes from by a white capture, and images drawn back from there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
+from mitsuba_plenoptic.refocus.radiance import brought_back, displacements, is_known
+from mitsuba_plenoptic.views.white_image import white_image
+from tools.bench.scenes import walls
+
+CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
+FOCUSED = PlenopticCamera(detector_width=0.768, resolution=(192, 192), detector_distance=0.4)
+
+
+def error(image, camera):
+    return float(np.abs(image - walls.known_radiance(camera, "ramp")).max())
+
+
+def test_a_plane_that_is_read_beside_its_bins_is_brought_back():
+    random = np.random.default_rng(1)
+    y, x = (axis[..., None] for axis in np.mgrid[:9, :11].astype(float))
+    moved = random.uniform(-0.6, 0.6, (2, 9, 11, 1))
+
+    def plane(x, y):
+        return 2 + 0.3 * x - 0.2 * y
+
+    image = plane(x + moved[0], y + moved[1])
+    image[4, 5] = np.nan
+    back = brought_back(image, moved, random.uniform(0.2, 1, image.shape), 1)
+    assert np.isnan(back[4, 5])
+    back[4, 5] = plane(5, 4)
+    np.testing.assert_allclose(back, plane(x, y), atol=1e-9)
+
+
+def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
+    slope = 0.01
+    y, x = (axis[..., None] - 2.0 for axis in np.mgrid[:5, :5].astype(float))
+    step = slope * CAMERA.mla_pitch / 2
+    tilted = [1 + step * (x + 0.4), 1 + step * (y - 9.0)]
+    tilted[0][0, 0] = np.nan
+    across, down = displacements(tilted, slope, CAMERA, 2)
+    assert across[0, 0] == 0
+    np.testing.assert_allclose(across.ravel()[1:], 0.4, atol=1e-9)
+    np.testing.assert_allclose(down, -2)
+
+
+@pytest.mark.parametrize("distance", [150.0, pytest.param(1000.0, marks=pytest.mark.slow)])
+def test_a_ramp_that_interference_displaces_is_drawn_back(monkeypatch, distance):
+    """Divided by white alone, by hand, it is off to first order, as the gentle slope shows; drawn back it is not."""
+    monkeypatch.setattr(walls, "SLOPE", 0.1)
+    monkeypatch.setattr(walls, "_RAMP_END", 4.0)
+    ramp = walls.capture(CAMERA, distance, "ramp", "ray", 16)
+    white = walls.capture(CAMERA, 400.0, "white", "ray", 16)
+    options = {"method": "coherent", "wavelength": walls.WAVELENGTH}
+    divided = reconstruct(ramp, distance, **options).image / reconstruct(white, distance, **options).image
+    image = reconstruct(ramp, distance, white=white, **options).image
+    assert error(image, CAMERA) < 0.6 * error(divided, CAMERA)
+
+
+@pytest.mark.slow
+def test_a_ramp_that_waves_record_is_drawn_back_by_every_method():
+    camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768))
+    ramp = walls.capture(camera, math.inf, "ramp", "wave", 16)
+    white = walls.capture(camera, 400.0, "white", "wave", 16)
+    for options in ({"method": "ray"}, {"method": "coherent"}, {"method": "partial"}):
+        divided = reconstruct(ramp, math.inf, **options).image / reconstruct(white, math.inf, **options).image
+        assert error(divided, camera) > 0.024
+        assert error(reconstruct(ramp, math.inf, white=white, **options).image, camera) < 0.022
+
+
+def test_several_distances_read_what_each_reads_alone():
+    white = Capture(white_image(CAMERA), CAMERA)
+    ramp = Capture(white.image * np.linspace(0.5, 1.5, 192, dtype=np.float32), CAMERA)
+    distances = [150.0, 280.0, math.inf]
+    steps = []
+    together = reconstruct(ramp, distances, white=white, progress=lambda done, of: steps.append((done, of)))
+    for result, distance in zip(together, distances, strict=True):
+        np.testing.assert_array_equal(result.image, reconstruct(ramp, distance, white=white).image)
+    assert steps[-1][0] == steps[-1][1]
+    assert steps == sorted(steps)
+
+
+def test_focused_cameras_are_divided_alone():
+    assert is_known(CAMERA)
+    assert not is_known(FOCUSED)
+    white = Capture(white_image(FOCUSED), FOCUSED)
+    image = reconstruct(Capture(0.5 * white.image, FOCUSED), 280.0, white=white).image
+    np.testing.assert_allclose(image[np.isfinite(image)], 0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["coherent", "partial"])
+def test_a_plane_divided_by_a_white_capture_is_the_same_beside_others(method):
+    """Displacements are of single planes; with samples of their own they moved light by a tenth of a bin in focus."""
+    capture, white = mp.example("letters-wave"), mp.example("white")
+    beside = mp.reconstruct(capture, [240.0, 280.0], method=method, white=white)[0].image
+    alone = mp.reconstruct(capture, 240.0, method=method, white=white).image
+    assert np.sqrt(np.nanmean((beside - alone) ** 2)) < 2e-3 * np.nanmax(alone)

@@ -1,0 +1,86 @@
+"""Estimates of reconstructions: they leave the work as soon as its speed is known, and state its memory."""
+
+import re
+
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.refocus import api, estimate_reconstruction, reconstruct
+from mitsuba_plenoptic.runtime import limits, progress
+
+METHODS = [("ray", {}), ("coherent", {}), ("partial", {}), ("incoherent", {}), ("deconvolved", {"iterations": 3})]
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return mp.example("letters-wave")
+
+
+@pytest.mark.parametrize(("method", "options"), METHODS[1:])
+def test_an_estimate_ends_before_the_reconstruction_does(capture, method, options, monkeypatch):
+    """With a speed known from the first results on, no method by waves may reach its end."""
+    monkeypatch.setattr(progress, "SETTLED", 0.0)
+    ended = []
+    whole = api._side_by_side
+    monkeypatch.setattr(api, "_side_by_side", lambda *a, **k: ended.append(True) or whole(*a, **k))
+    cost = estimate_reconstruction(capture, 210.0, method=method, **options)
+    assert not ended
+    assert cost.seconds > 0 and cost.memory > 0
+
+
+def test_short_work_is_done_for_its_estimate(capture, monkeypatch):
+    monkeypatch.setattr(progress, "SETTLED", 1e9)
+    assert 0 < estimate_reconstruction(capture, [210.0, 240.0]).seconds < 1e3
+
+
+SLOW = [pytest.param(*each, marks=pytest.mark.slow) for each in METHODS[3:]]
+
+
+@pytest.mark.parametrize(("method", "options"), [METHODS[0], *SLOW])
+def test_the_memory_of_an_estimate_is_what_is_refused(capture, method, options, monkeypatch):
+    needed = estimate_reconstruction(capture, 210.0, method=method, **options).memory
+    monkeypatch.setenv(limits.VARIABLE, f"{1.01 * needed / limits.GIB:.9f}")
+    reconstruct(capture, 210.0, method=method, **options)
+    monkeypatch.setenv(limits.VARIABLE, f"{0.99 * needed / limits.GIB:.9f}")
+    with pytest.raises(mp.InputError, match="GiB"):
+        reconstruct(capture, 210.0, method=method, **options)
+
+
+@pytest.mark.parametrize(("method", "options"), METHODS[1:3])
+def test_fields_take_strips_where_memory_is_short(capture, method, options, monkeypatch):
+    monkeypatch.setattr(progress, "SETTLED", 0.0)
+    needed = estimate_reconstruction(capture, 210.0, method=method, **options).memory
+    monkeypatch.setenv(limits.VARIABLE, f"{0.99 * needed / limits.GIB:.9f}")
+    assert estimate_reconstruction(capture, 210.0, method=method, **options).memory < 0.99 * needed
+
+
+def test_long_work_says_its_time_and_memory(capture, monkeypatch, caplog):
+    caplog.set_level("INFO", logger="mitsuba_plenoptic")
+    reconstruct(capture, 210.0, method="coherent")
+    assert "takes about" not in caplog.text
+    monkeypatch.setattr(progress, "SETTLED", 0.0)
+    monkeypatch.setattr(api, "_LONG", 0.0)
+    reconstruct(capture, 210.0, method="coherent")
+    assert re.search(r"method coherent takes about \S+ s and \S+ GiB; method ray", caplog.text)
+    assert caplog.text.count("takes about") == 1
+
+
+def test_what_an_estimate_does_not_take(capture):
+    with pytest.raises(mp.InputError, match="progress: an estimate does not take it"):
+        estimate_reconstruction(capture, 210.0, progress=print)
+    with pytest.warns(UserWarning, match="method ray has no use for interleave"):
+        estimate_reconstruction(capture, 210.0, interleave=2)
+
+
+def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, capsys):
+    path = tmp_path / "raw.exr"
+    mp.write_capture(path, capture)
+    arguments = ["reconstruct", str(path), "--distance", "210", "--method", "partial"]
+    assert main([*arguments, "--estimate"]) == 0
+    assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", capsys.readouterr().out)
+    assert list(tmp_path.iterdir()) == [path]
+    assert main([*arguments, "--estimate", "-o", str(tmp_path / "out.png")]) == 2
+    assert "--output: an estimate does not take it" in capsys.readouterr().err
+    assert main(arguments) == 2
+    assert "name the file to write, or ask for an --estimate" in capsys.readouterr().err

@@ -1,0 +1,239 @@
+"""Fourier microscopes deconvolved: against exact sums of point spreads, closed forms, and beads at known places."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from stopped_runs import StoppedError
+
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Checkpoint,
+    Detector,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    expose,
+    reconstruct,
+)
+from mitsuba_plenoptic.design import lens_aperture, resolution_limit
+from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.points.units import radiance_weight
+from mitsuba_plenoptic.refocus.deconvolution import fourier
+from mitsuba_plenoptic.refocus.deconvolution.fourier import FourierResponse
+
+WAVELENGTH = 550.0
+LENS = Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)
+SMALL = PlenopticCamera(
+    main_lens=LENS,
+    mla_pitch=0.5,
+    mla_focal_length=20.0,
+    mla_offset=(0.25, 0.25),
+    detector_width=1.5,
+    resolution=(150, 150),
+)
+CAMERAS = {
+    "square": (SMALL, 1),
+    "finer bins": (SMALL, 2),
+    "coarse odd pixels": (SMALL.replace(resolution=(61, 61), detector_width=1.525), 3),
+    "hexagonal, three focal lengths": (
+        SMALL.replace(mla_lattice="hexagonal", mla_offset=(0.1, 0), mla_focal_length=(18.0, 20.0, 23.0)),
+        1,
+    ),
+    "crop": (SMALL.replace(crop_offset=(40, 13), crop_size=(80, 101)), 1),
+}
+
+
+def response_of(camera, depths, oversample=1):
+    return FourierResponse(camera, depths, wavelength=WAVELENGTH, oversample=oversample)
+
+
+def bin_area(camera, oversample):
+    """Of a bin in the native image."""
+    return (camera.pixel_size / oversample * camera.mla_distance / camera.detector_distance) ** 2
+
+
+def exact(camera, oversample, row, column, depth, parts=3):
+    """Add exact spreads of even places in a bin, counted as they lie in a lens's picture."""
+    columns, rows = (oversample * count for count in camera.bin_count)
+    size = camera.bin_size(0) / oversample
+    inner = (np.arange(parts) + 0.5) / parts
+    x, y = np.meshgrid((column - columns / 2 + inner) * size, (row - rows / 2 + inner) * size)
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth)])
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
+    return operator.forward(
+        np.full(len(points), radiance_weight(camera, main_lens(camera), bin_area(camera, oversample)) / len(points))
+    )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("coarse odd pixels", "crop"))) for name in CAMERAS],
+)
+def test_every_bin_has_its_exact_spread(name):
+    """Even at the border of the field, from spreads of other points than the one that the response knows."""
+    camera, oversample = CAMERAS[name]
+    response = response_of(camera, [0.02], oversample)
+    rows, columns = response.shapes[0]
+    place = (rows - 2, columns // 2 + 3)
+    values = np.zeros((rows, columns), np.float32)
+    values[place] = 2
+    expected = 2 * exact(camera, oversample, *place, 0.02)
+    assert np.linalg.norm(response.forward([values]) - expected) < 0.01 * np.linalg.norm(expected)
+
+
+@pytest.mark.slow
+def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
+    """Parallax takes the pictures of the outer lenses far beyond the image of the stop."""
+    camera = SMALL.replace(detector_width=5.0, resolution=(250, 250))
+    response = response_of(camera, [-0.9])
+    values = np.zeros(response.shapes[0], np.float32)
+    values[12, 12] = 1
+    expected = exact(camera, 1, 12, 12, -0.9, parts=2)
+    found = response.forward([values])
+    assert found.sum() == pytest.approx(expected.sum(), rel=2e-3)
+    # Four places of the bin do not tell the fringes of several lenses' light evenly.
+    assert np.linalg.norm(found - expected) < 0.06 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("hexagonal")) for name in CAMERAS]
+)
+def test_the_adjoint_of_a_volume_is_the_transpose(name):
+    camera, oversample = CAMERAS[name]
+    response = response_of(camera, [-0.02, 0.01], oversample)
+    random = np.random.default_rng(0)
+    values = [random.random(shape).astype(np.float32) for shape in response.shapes]
+    image = random.random(camera.shape).astype(np.float32)
+    back = response.adjoint(image)
+    forward = np.vdot(response.forward(values), image)
+    assert forward == pytest.approx(sum(np.vdot(a, b) for a, b in zip(values, back, strict=True)), rel=1e-5)
+
+
+def test_an_even_object_reads_1():
+    """But for what isotropic light has less of in the middle of the stop than on the mean."""
+    response = response_of(SMALL, [0.0])
+    image = response.forward([np.ones(response.shapes[0], np.float32)])
+    alpha = LENS.half_angle
+    mean = 2 * (1 - math.cos(alpha)) / math.sin(alpha) ** 2
+    growth = LENS.magnification / LENS.last_focal_length
+    x = (np.arange(64) + 0.5) / 64 * 0.5 - 0.25
+    sine = np.hypot(x, x[:, None]) * growth
+    assert image[65:85, 65:85].mean() == pytest.approx((1 / np.sqrt(1 - sine**2)).mean() / mean, rel=0.01)
+
+
+def test_beads_come_back_to_their_planes_places_and_powers():
+    depths, oversample = [-0.06, 0.0, 0.06], 2
+    beads = np.array([[0.0083, -0.0041, -0.06], [-0.0112, 0.0067, 0.0], [0.0021, 0.0103, 0.06]])
+    powers = np.array([1.0, 0.7, 1.2])
+    image = CaptureOperator(SMALL, beads, wavelength=WAVELENGTH, method="full_field").forward(powers)
+    capture = Capture(np.maximum(image, 0), SMALL, WAVELENGTH, "wave", {})
+    found = reconstruct(capture, depths, method="deconvolved", volume=True, oversample=oversample, iterations=60)
+    assert found[0].facts["residual"] < 0.1
+    for (X, Y, _), power, plane in zip(beads, powers, found, strict=True):
+        assert plane.bin_size == pytest.approx(0.01 * 50 / (20 * 20) / oversample)
+        # Pictures have +x to the left and +y up.
+        y, x = ((size / 2 - np.arange(size) - 0.5) * plane.bin_size for size in plane.image.shape)
+        light = np.nan_to_num(plane.image) * radiance_weight(SMALL, main_lens(SMALL), bin_area(SMALL, oversample))
+        near = (np.abs(x - X) < 8 * plane.bin_size) & (np.abs(y - Y)[:, None] < 8 * plane.bin_size)
+        mine = light * near
+        assert mine.sum() == pytest.approx(power, rel=0.03)
+        assert light[~near].sum() < 0.03 * power
+        centre = [(mine.sum(0) @ x) / mine.sum(), (mine.sum(1) @ y) / mine.sum()]
+        assert np.allclose(centre, [X, Y], atol=0.1 * plane.bin_size)
+
+
+def spectrum_of_the_middle_lens(camera, depth, frequencies):
+    """Contrast that lines in the object have in the picture of the lens on the axis, from the response itself."""
+    response = response_of(camera, [depth])
+    rows, columns = response.shapes[0]
+    point = np.zeros((rows, columns), np.float32)
+    point[rows // 2, columns // 2] = 1
+    half = round(0.25 / camera.pixel_size)
+    middle = np.array(camera.shape) // 2
+    picture = response.forward([point])[middle[0] - half : middle[0] + half, middle[1] - half : middle[1] + half]
+    x = (np.arange(2 * half) - half) * camera.bin_size(0)
+    line = picture.sum(axis=0)
+    phases = np.exp(-2j * np.pi * np.outer(frequencies, x))
+    # Bins and pixels are even over their widths.
+    return np.abs(phases @ line) / line.sum() / np.sinc(np.asarray(frequencies) * camera.bin_size(0)) ** 2
+
+
+def test_the_limit_is_where_the_responses_own_spectrum_ends():
+    camera = SMALL.replace(resolution=(450, 450))
+    cutoff = 2 * lens_aperture(camera) / (WAVELENGTH * 1e-6)
+    limit = resolution_limit(camera, 0.0, WAVELENGTH)
+    assert limit.waves == pytest.approx(cutoff)
+    assert not limit.in_focus
+    # In focus the spectrum of a square lens falls evenly to zero; depth puts lines out before.
+    parts = np.array([0.25, 0.5, 0.8, 0.95])
+    assert np.allclose(spectrum_of_the_middle_lens(camera, 0.0, parts * cutoff), 1 - parts, atol=0.02)
+    depth = 2 * WAVELENGTH * 1e-6 / lens_aperture(camera) ** 2
+    gone = resolution_limit(camera, depth, WAVELENGTH).waves
+    assert gone == pytest.approx(cutoff / 2 * (1 - math.sqrt(0.5)))
+    contrast = spectrum_of_the_middle_lens(camera, depth, gone * np.linspace(0.5, 1.5, 101))
+    assert np.linspace(0.5, 1.5, 101)[contrast.argmin()] == pytest.approx(1, abs=0.04)
+    assert contrast.min() < 0.02 < 0.3 < contrast[0]
+    assert resolution_limit(camera, depth).waves == pytest.approx(1 / (2 * lens_aperture(camera) * depth))
+    assert resolution_limit(SMALL, 0.0, WAVELENGTH).pixels == pytest.approx(400.0)
+
+
+def test_noise_ends_it_and_colours_keep_their_wavelengths():
+    beads = [(0.004, -0.003, 0.0), (-0.006, 0.002, 0.0)]
+    spreads = [
+        CaptureOperator(SMALL, [bead], wavelength=lam, method="full_field").forward([1.0])
+        for bead, lam in zip(beads, (600.0, 450.0), strict=True)
+    ]
+    image = np.maximum(np.stack([spreads[0], spreads[1], spreads[0]], axis=-1), 0)
+    capture = Capture(image, SMALL, (600.0, 450.0, 600.0), "wave", {})
+    noisy = expose(capture, Detector(gain=1.0), photons=2000 / float(image.max()), seed=0)
+    found = reconstruct(noisy, 0.0, method="deconvolved", oversample=2, variation=0.002)
+    assert found.facts["stopped_by_noise"]
+    for channel, (X, Y, _) in zip((0, 1), beads, strict=True):
+        plane = np.nan_to_num(found.image[..., channel])
+        row, column = np.unravel_index(plane.argmax(), plane.shape)
+        place = (np.array(plane.shape[::-1]) / 2 - [column + 0.5, row + 0.5]) * found.bin_size
+        assert np.allclose(place, [X, Y], atol=found.bin_size)
+
+
+def test_a_run_goes_on_and_spectra_on_disk_are_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
+    random = np.random.default_rng(0)
+    capture = Capture(random.random(SMALL.shape).astype(np.float32), SMALL, WAVELENGTH, "wave", {})
+    options = {"method": "deconvolved", "volume": True, "oversample": 2, "iterations": 4}
+    whole = reconstruct(capture, [0.0, 0.03], **options)
+    save, count = Checkpoint.save_arrays, [0]
+
+    def stopped(self, arrays):
+        save(self, arrays)
+        count[0] += 1
+        if count[0] == 2:
+            raise StoppedError
+
+    path = tmp_path / "out.checkpoint"
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save_arrays", stopped)
+        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
+            reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
+    monkeypatch.setattr(fourier, "_MEMORY", 0)
+    with Checkpoint(path, "resume") as checkpoint:
+        again = reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
+    for one, other in zip(whole, again, strict=True):
+        np.testing.assert_array_equal(one.image, other.image)
+
+
+def test_what_cannot_be_is_refused():
+    capture = Capture(np.ones(SMALL.shape, np.float32), SMALL, WAVELENGTH, "wave", {})
+    with pytest.raises(InputError, match=r"method = ray: behind main_lens = 20x/0\.25 objective"):
+        reconstruct(capture, 0.0)
+    with pytest.raises(InputError, match=r"response = ray: behind main_lens"):
+        reconstruct(capture, 0.0, method="deconvolved", response="ray")
+    with pytest.raises(InputError, match=r"images of .* bins"):
+        reconstruct(capture, 0.0, method="deconvolved", oversample=3000)
+    with pytest.raises(InputError, match="none of its pixels is lit"):
+        reconstruct(Capture(0 * capture.image, SMALL, WAVELENGTH, "wave", {}), 0.0, method="deconvolved")

@@ -1,0 +1,173 @@
+"""Refocusing through microlens arrays of every kind: back to where the light came from, with its energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
+
+from mitsuba_plenoptic import PlenopticCamera, reconstruct
+from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic.refocus import lens_tiles
+from mitsuba_plenoptic.refocus.full_fields import reconstruct_subsets
+from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
+from mitsuba_plenoptic.refocus.radiance import over_lenses
+from mitsuba_plenoptic.refocus.wave_methods import white_throughput
+from mitsuba_plenoptic.views.white_image import white_image
+
+SMALL = small_camera(12, **HALF)
+SCATTERED = scattered(5, distances=(112.5, 127.5), image=0.4)
+WAVES = [
+    {"method": "coherent"},
+    {"method": "partial", "interleave": 2},
+    {"method": "partial", "interleave": "auto"},
+]
+
+
+def white_capture(camera):
+    """Sharp discs about the true centres."""
+    b, z = camera.mla_distance, camera.detector_distance
+    px, py = camera.pixel_coordinates(0)[None, :], camera.pixel_coordinates(1)[:, None]
+    cx, cy = camera.lattice.centre(*camera.lattice.cell(px * b / (b + z), py * b / (b + z)))
+    distance = np.hypot(px - cx * (b + z) / b, py - cy * (b + z) / b)
+    return np.clip((camera.micro_image_diameter / 2 - distance) / camera.pixel_size + 0.5, 0, 1).astype(np.float32)
+
+
+def test_routes_of_two_axes_and_of_one_agree():
+    """A quarter of a turn changes nothing on a square lattice but the way that its fields take."""
+    camera = SMALL.replace(mla_rotation=90.0)
+    image = np.maximum(capture(SMALL, SCATTERED, np.ones(5)), 0)
+    for interleave in (1, 2):
+        one, two = (reconstruct_subsets(image, c, [115.0], WAVELENGTH, interleave=interleave) for c in (SMALL, camera))
+        assert error(two[0], one[0]) < 2e-3
+    one, two = (reconstruct_lens_by_lens(image, c, [115.0], WAVELENGTH) for c in (SMALL, camera))
+    assert error(two[0], one[0]) < 2e-3
+    assert white_throughput(camera, WAVELENGTH) == pytest.approx(white_throughput(SMALL, WAVELENGTH), abs=0.01)
+
+
+@pytest.mark.parametrize("blur", [1.05, 6.0])
+def test_lenses_out_of_focus_take_half_as_many_samples(blur, monkeypatch):
+    """Sums over lenses are those of fine samples, which are taken in focus, and where bins are shown as they are."""
+    camera = SMALL.replace(mla_lattice="hexagonal")
+    nearness = 1 / camera.focal_length - 1 / camera.mla_distance
+    nearness += blur * camera.mla_pitch / camera.aperture_diameter / camera.mla_distance
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    image = (white_capture(camera) * (1.2 + np.sin(30 * px) * np.sin(50 * py[:, None]))).astype(np.float32)
+    sums = []
+    for least in (1.0, np.inf):
+        monkeypatch.setattr(lens_tiles, "_BLURRED", least)
+        fine = reconstruct_lens_by_lens(image, camera, [1 / nearness], WAVELENGTH, oversample=9)[0]
+        sums.append(over_lenses(fine, camera, 1, 9))
+    assert 0 < error(*sums) < 5e-4
+    monkeypatch.undo()
+    blurred, sharp, shown = (
+        lens_tiles.reconstruction_tile(kind, WAVELENGTH, distances, 9).samples
+        for kind, distances in (
+            (camera, [1 / nearness]),
+            (camera, [1 / nearness, camera.focus_distance]),
+            (SMALL, [1 / nearness]),
+        )
+    )
+    assert sharp == shown > blurred
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("circles", "hexagonal", "gaps"))) for n in LATTICES]
+)
+def test_single_lenses_are_full_fields_of_one_lens(name):
+    camera = SMALL.replace(**LATTICES[name])
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    i, j = camera.lattice.cell(0.09, -0.12)
+    cx, cy = camera.lattice.centre(i, j)
+    image = (np.hypot(px - cx, py[:, None] - cy) < 0.016).astype(np.float32)
+    for distance in (112.5, 120.0):
+        full, single = (
+            over_lenses(route(image, camera, [distance], WAVELENGTH, oversample=9)[0], camera, 1, 9)
+            for route in (reconstruct_subsets, reconstruct_lens_by_lens)
+        )
+        assert single.sum() == pytest.approx(full.sum(), rel=0.02)
+        # in focus it is the sharp edge of a lens that falls on the samples
+        assert error(single, full) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("camera", "distances", "interference"),
+    [
+        (small_camera(24, **HALF), (111.5, 120.0), (0.06, 0.12)),
+        pytest.param(
+            PlenopticCamera(**OTHER, detector_width=1.2, resolution=(640, 560)),
+            (162.75, 175.0),
+            (0.06, 0.12),
+            marks=pytest.mark.slow,
+        ),
+        (small_camera(20, **HALF, **LATTICES["hexagonal"]), (114.0, 120.0), (0.02, 0.03)),
+        *(
+            pytest.param(
+                small_camera(20, **HALF, **LATTICES[name]), (114.0, 120.0), (0.02, 0.03), marks=pytest.mark.slow
+            )
+            for name in ("turned", "circles", "gaps")
+        ),
+    ],
+    ids=["paper", "other", "hexagonal", "turned", "circles", "gaps"],
+)
+def test_a_white_capture_reads_one(camera, distances, interference):
+    white = white_capture(camera)
+    columns, rows = camera.bin_count
+    for options in WAVES:
+        for result in reconstruct(white, distances, camera=camera, wavelength=WAVELENGTH, **options):
+            middle = result.image[rows // 4 : -(rows // 4), columns // 4 : -(columns // 4)]
+            # Sharp micro-images are not what waves record: one wave of them interferes the most.
+            mean, deviation = interference if options["method"] == "coherent" else (0.01, 0.03)
+            assert middle.mean() == pytest.approx(1, abs=mean)
+            assert middle.std() < deviation
+
+
+@pytest.fixture(
+    scope="module",
+    params=["hexagonal", *(pytest.param(name, marks=pytest.mark.slow) for name in ("three focal lengths", "turned"))],
+)
+def points(request):
+    """Return a camera, and its captures of points: distance, centre of the lens that a point is seen at, spread."""
+    camera = SMALL.replace(**LATTICES[request.param])
+    made = []
+    for (x, y), distance in (((0.13, -0.08), 114.0), ((-0.1, 0.12), 120.0)):
+        # in focus a lens is the finest that can be told
+        cx, cy = camera.lattice.centre(*camera.lattice.cell(x, y))
+        position = (-cx * distance / camera.mla_distance, -cy * distance / camera.mla_distance, distance)
+        made.append((distance, (cx, cy), point_spread_function(camera, position, wavelength=WAVELENGTH)))
+    return camera, made
+
+
+@pytest.mark.parametrize("options", [{"method": "ray"}, *WAVES], ids=lambda o: str(list(o.values())))
+def test_forward_then_back_lands_where_the_point_is(options, points):
+    camera, captures = points
+    for distance, (cx, cy), spread in captures:
+        light = {} if options["method"] == "ray" else {"wavelength": WAVELENGTH}
+        image = reconstruct(spread, distance, camera=camera, **light, **options).image
+        row, column = np.unravel_index(image.argmax(), image.shape)
+        near = image[row - 1 : row + 2, column - 1 : column + 2].astype(float)
+        near -= min(near.min(), 0.2 * near.max())
+        rows, columns = np.mgrid[row - 1 : row + 2, column - 1 : column + 2] + 0.5 - 6
+        assert (near * columns).sum() / near.sum() == pytest.approx(cx / camera.mla_pitch, abs=0.25)
+        assert (near * rows).sum() / near.sum() == pytest.approx(cy / camera.mla_pitch, abs=0.25)
+
+
+def test_far_subsets_are_the_limit_of_single_lenses():
+    """On a hexagonal lattice, with the subsets taken along its own vectors."""
+    camera = SMALL.replace(**LATTICES["hexagonal"])
+    image = np.maximum(capture(camera, SCATTERED, np.ones(5)), 0)
+    images = [reconstruct_subsets(image, camera, [115.0], WAVELENGTH, interleave=period)[0] for period in (1, 4)]
+    limit = reconstruct_lens_by_lens(image, camera, [115.0], WAVELENGTH)[0]
+    assert error(images[1], limit) < 0.006 < 0.012 < error(images[0], limit)
+
+
+@pytest.mark.parametrize("distance", [400.0, 500.0, 700.0])
+def test_rows_of_a_hexagonal_array_do_not_show_where_images_of_pixels_are_wide(distance):
+    """Rows of lenses and images of pixels, of 1.3 to 3.6 lenses here, lie in almost even steps behind each other."""
+    camera = PlenopticCamera.matched(
+        f_number=2.8, lenses=24, pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320,
+        mla_lattice="hexagonal",
+    )  # fmt: skip
+    result = reconstruct(white_image(camera), distance, camera=camera, method="coherent", wavelength=550.0)
+    rows = result.image.mean(axis=1)
+    np.testing.assert_allclose(rows, rows.mean(), rtol=0.05)

@@ -1,0 +1,186 @@
+"""Ray refocusing against a slow direct sum, geometry and closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
+from mitsuba_plenoptic.refocus.methods import METHODS, method
+from mitsuba_plenoptic.refocus.ray import axis_bins, bin_image, ray_sums
+from mitsuba_plenoptic.views.white_image import white_image
+
+
+def by_single_rays(image, camera, distance):
+    """Refocus with the textbook's loop: each pixel's ray, written out, into a histogram."""
+    b, z, f1, pitch = camera.mla_distance, camera.detector_distance, camera.focal_length, camera.mla_pitch
+    rows, columns = np.indices(image.shape)
+    px = (columns + camera.crop_offset[0] + 0.5 - camera.resolution[0] / 2) * camera.pixel_size
+    py = (rows + camera.crop_offset[1] + 0.5 - camera.resolution[1] / 2) * camera.pixel_size
+    cx, cy = ((np.floor(p * b / (b + z) / pitch) + 0.5) * pitch for p in (px, py))
+    tx, ty = (cx - px) / z, (cy - py) / z
+    Px, Py = cx + b * tx, cy + b * ty
+    X, Y = Px + distance * (tx - Px / f1), Py + distance * (ty - Py / f1)
+    size = pitch * distance / b
+    # Half a pixel more than the pupil, so that pixels lit in part count.
+    inside = np.hypot(Px, Py) <= camera.aperture_radius + camera.pixel_size / 2 * b / z
+    nx, ny = camera.lens_count
+    edges = [(np.arange(n + 1) - n / 2) * size for n in (ny, nx)]
+    total, _, _ = np.histogram2d(-Y[inside], -X[inside], bins=edges, weights=image[inside])
+    return total
+
+
+@pytest.mark.parametrize("distance", [210.0, 240.0, 283.0])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        PlenopticCamera(detector_width=1.024, resolution=(512, 512)),
+        PlenopticCamera(detector_width=1.024, resolution=(500, 300), crop_offset=(33, 7), crop_size=(420, 260)),
+        PlenopticCamera(detector_width=1.1, resolution=(512, 512), mla_focal_length=0.6, aperture_radius=7),
+    ],
+    ids=["paper", "crop", "other"],
+)
+def test_point_version_is_the_direct_sum(camera, distance):
+    image = np.random.default_rng(0).random(camera.shape)
+    ours = reconstruct(image, distance, camera=camera, footprint="point").image
+    light, white = (by_single_rays(pixels, camera, distance) for pixels in (image, white_image(camera)))
+    dark = white < 0.01 * white.max()
+    assert np.array_equal(np.isnan(ours), dark)
+    # A pixel whose ray meets a bin's edge to within rounding may go to either side.
+    theirs = light[~dark] / white[~dark]
+    assert np.abs(ours[~dark] - theirs).sum() <= 2e-3 * theirs.sum()
+
+
+def test_footprint_version_is_the_mean_of_rays_through_the_whole_lens():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    image = np.zeros(camera.shape)
+    image[150, 140] = 1.0
+    ours = ray_sums(image[..., None], camera, 280.0, camera.lit_radius, "lens", 1)[..., 0]
+    # Many rays through the lens of this one pixel.
+    b, z, f1 = camera.mla_distance, camera.detector_distance, camera.focal_length
+    p = (np.array([140, 150]) + 0.5 - 128) * camera.pixel_size
+    m = (np.floor(p * b / (b + z) / 0.064)[:, None] + (np.arange(2000) + 0.5) / 2000) * 0.064
+    c = (np.floor(p * b / (b + z) / 0.064)[:, None] + 0.5) * 0.064
+    t = (m - p[:, None]) / z - (m - c) / camera.mla_focal_length
+    P = m + b * t
+    u = -(P + 280 * (t - P / f1)) * b / 280 / 0.064 + 4
+    x, y = (np.histogram(axis, bins=np.arange(9))[0] / 2000 for axis in u)
+    expected = np.outer(y, x)
+    np.testing.assert_allclose(ours, expected, atol=2e-3 * expected.max())
+    assert np.count_nonzero(expected) >= 2
+
+
+def test_energy_of_what_passes_the_pupil_is_kept():
+    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
+    image = np.zeros(camera.shape, dtype=np.float32)
+    image[200:312, 200:312] = np.random.default_rng(3).random((112, 112))
+    sums = [
+        ray_sums(image[..., None], camera, g, camera.lit_radius, f, 1).sum()
+        for g in (215.0, 240.0)
+        for f in ("lens", "point")
+    ]
+    np.testing.assert_allclose(sums, sums[0], rtol=1e-4)
+
+
+def test_channels_are_refocused_alike_and_many_distances_at_once():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
+    results = reconstruct(Capture(image, camera), [210, 240])
+    assert [r.distance for r in results] == [210, 240]
+    assert results[0].image.shape == (8, 8, 3)
+    for channel in range(3):
+        single = reconstruct(image[..., channel], 210.0, camera=camera)
+        np.testing.assert_allclose(results[0].image[..., channel], single.image, rtol=1e-5)
+        assert single.bin_size == pytest.approx(0.112)
+
+
+def test_binning_spreads_and_loses_what_it_should():
+    low, high = np.array([0.25, 1.0, 1.5, -0.5]), np.array([1.25, 1.0, 3.5, 0.5])
+    bins = axis_bins(low, high, np.zeros(4), 3, 1.0)
+    dense = bins.weights.toarray()
+    np.testing.assert_allclose(dense, [[0.75, 0, 0, 0.5], [0.25, 1, 0.25, 0], [0, 0, 0.5, 0]])
+    image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
+    np.testing.assert_allclose(bin_image(image, bins, bins, 1.0)[..., 0], dense @ image[..., 0] @ dense.T, rtol=1e-6)
+
+
+def ramp_capture(camera, distance):
+    """What the camera records of a radiance that rises from 0.5 to 1.5 across the field: what each pixel sees there."""
+    p = camera.pixel_coordinates(0)
+    c, _ = camera.lattice.centre(*camera.lattice.cell(*np.meshgrid(*(camera.pixel_coordinates(i) for i in (0, 1)))))
+    t = (c - p) / camera.detector_distance
+    P = c + camera.mla_distance * t
+    slope = t - P / camera.focal_length + P / distance
+    half_field = camera.bin_count[0] * camera.mla_pitch / 2 / camera.mla_distance
+    return white_image(camera) * (1 - 0.5 * slope / half_field)
+
+
+@pytest.mark.parametrize("distance", [150.0, 210.0, 240.0, 1000.0, math.inf])
+@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
+def test_walls_are_right_to_the_border(lattice, distance):
+    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512), **lattice)
+    columns = (np.arange(16) + 0.5) / 8 - 1
+    white = reconstruct(white_image(camera), distance, camera=camera)
+    np.testing.assert_allclose(white.image, 1, atol=1e-5)
+    # X / g grows to the left.
+    ramp = reconstruct(ramp_capture(camera, distance), distance, camera=camera)
+    np.testing.assert_allclose(ramp.image, np.tile(1 + 0.5 * columns, (16, 1)), atol=0.03)
+    assert white.bin_size == pytest.approx(0.064 / 120 * (1 if math.isinf(distance) else distance))
+
+
+def test_a_white_capture_takes_out_what_it_tells():
+    """Pixels of unequal gain, which the computed white does not know."""
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    gain = np.linspace(0.75, 1.25, 256)
+    image = white_image(camera) * gain
+    np.testing.assert_allclose(reconstruct(0.7 * image, 240.0, camera=camera, white=image).image, 0.7, rtol=1e-5)
+    colour = np.stack([image, 2 * image, 3 * image], axis=-1)
+    result = reconstruct(colour, 240.0, camera=camera, white=Capture(image, camera))
+    np.testing.assert_allclose(result.image, np.broadcast_to([1, 2, 3], (8, 8, 3)), rtol=1e-5)
+    assert result.options["white"] == "capture"
+    with pytest.raises(InputError, match=r"white of shape \(3, 3\): it must have the pixels of the capture"):
+        reconstruct(image, 240.0, camera=camera, white=np.ones((3, 3)))
+
+
+@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}], ids=["square", "hexagonal"])
+def test_bins_that_no_ray_reaches_are_marked(lattice):
+    camera = PlenopticCamera(
+        detector_width=1.024, resolution=(512, 512), crop_offset=(0, 256), crop_size=(128, 256), **lattice
+    )
+    image = reconstruct(white_image(camera), 240.0, camera=camera).image
+    reached = np.zeros((16, 16), bool)
+    reached[8:, :4] = True
+    away = np.ones((16, 16), bool)
+    away[7:, :6] = False
+    assert np.isnan(image[away]).all()
+    np.testing.assert_allclose(image[reached], 1, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"distance": [240.0, math.nan]}, "distance = nan: it must be finite"),
+        ({"distance": "far"}, "distance = 'far': it must be a number"),
+        ({"camera": None}, "a plain array needs the camera"),
+        ({"capture": np.ones((3, 3))}, "the camera records 64 rows"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    arguments = {"capture": np.ones((64, 64)), "distance": 240.0, "camera": camera} | arguments
+    with pytest.raises(InputError, match=message):
+        reconstruct(arguments.pop("capture"), arguments.pop("distance"), **arguments)
+
+
+def test_a_new_method_is_one_registered_function(monkeypatch):
+    monkeypatch.setitem(METHODS, "mean", None)
+
+    @method("mean", options=("footprint",), waves=False)
+    def mean(task, *, footprint):
+        return [np.full((*task.camera.bin_count[::-1], 1), task.image.mean() + g) for g in task.distances]
+
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    result = reconstruct(np.ones((64, 64)), 240.0, camera=camera, method="mean", footprint="point")
+    assert (result.image == 241).all() and result.image.shape == (2, 2)
+    assert result.options == {"footprint": "point", "oversample": 1}

@@ -1,0 +1,139 @@
+"""Volumes: planes on common voxels, their files, and what is seen of them; several planes found at once."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+import tifffile
+
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, Reconstruction, reconstruct
+from mitsuba_plenoptic.refocus import Volume, write_volume
+from mitsuba_plenoptic.report.volumes import depth_coded, volume_overview
+
+WAVELENGTH = 633.0
+SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+POWER = np.pi * 25 * 0.512**2 / (120**2 * 0.064**2 * 0.002**2)
+"""What the pixels together record of a square millimetre on the array of radiance 1."""
+
+
+def made(distance, image, oversample=1):
+    size = SMALL.bin_size(distance) / oversample
+    return Reconstruction(np.asarray(image, np.float32), distance, size, "deconvolved", SMALL)
+
+
+def test_voxels_show_the_same_place_of_every_plane():
+    """A slope in the scene, sampled by bins that grow with the distance, is that slope in all planes."""
+
+    def bins(distance, count=24):
+        x = (np.arange(count) - (count - 1) / 2) * SMALL.bin_size(distance) / 4
+        return made(distance, 10 + 3 * x - 2 * x[:, None], 4)
+
+    volume = Volume.of([bins(280.0), bins(210.0), bins(245.0)])
+    assert volume.distances == (210.0, 245.0, 280.0)
+    assert volume.voxel_size == pytest.approx(SMALL.bin_size(210.0) / 4)
+    assert volume.values.shape == (3, 32, 32)
+    cube = volume.to_xarray()
+    expected = 10 + 3 * cube.x - 2 * cube.y
+    for plane in cube:
+        seen = ~np.isnan(plane.values)
+        half = 24 * SMALL.bin_size(float(plane.distance)) / 8
+        inside = (np.abs(cube.x) <= half - 1e-9) & (np.abs(cube.y) <= half - 1e-9)
+        np.testing.assert_array_equal(seen, inside.transpose("y", "x").values)
+        # Beyond the centre of the last bin its value goes on.
+        middle = (np.abs(cube.x) < 0.9 * half) & (np.abs(cube.y) < 0.9 * half)
+        inner = middle.transpose("y", "x").values
+        np.testing.assert_allclose(plane.values[inner], expected.transpose("y", "x").values[inner], atol=1e-4)
+
+
+def test_files_hold_voxel_sizes(tmp_path):
+    random = np.random.default_rng(0)
+    volume = Volume(random.random((4, 5, 6)).astype(np.float32), (210.0, 220.0, 230.0, 240.0), 0.03, {"a": [1]})
+    write_volume(tmp_path / "a.tif", volume)
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        told, tags = file.imagej_metadata, file.pages[0].tags
+        assert told["spacing"] == 10 and told["unit"] == "mm" and told["slices"] == 4
+        assert json.loads(told["Info"]) == {"distances": [210, 220, 230, 240], "a": [1]}
+        numerator, denominator = tags["XResolution"].value
+        assert denominator / numerator == pytest.approx(0.03, rel=1e-6)
+        np.testing.assert_array_equal(file.asarray(), volume.values)
+    uneven = Volume(random.random((3, 5, 6, 3)).astype(np.float32), (210.0, 220.0, 250.0), 0.03)
+    with pytest.raises(InputError, match=r"distance = 210, 220, 250: planes of a .tif are evenly spaced"):
+        write_volume(tmp_path / "b.tif", uneven)
+    write_volume(tmp_path / "b.ome.tif", uneven)
+    with tifffile.TiffFile(tmp_path / "b.ome.tif") as file:
+        np.testing.assert_array_equal(np.moveaxis(file.asarray(), 1, -1), uneven.values)
+        pixels = next(
+            entry for entry in ElementTree.fromstring(file.ome_metadata).iter() if entry.tag.endswith("Pixels")
+        )
+    assert float(pixels.attrib["PhysicalSizeX"]) == 0.03 and pixels.attrib["PhysicalSizeXUnit"] == "mm"
+    assert "PhysicalSizeZ" not in pixels.attrib
+    planes = [entry.attrib for entry in pixels if entry.tag.endswith("Plane")]
+    places = {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes}
+    assert places == {0: 210, 1: 220, 2: 250}
+    for name in ("c.png", "c"):
+        with pytest.raises(InputError, match=r"give a name that ends in .tif or"):
+            write_volume(tmp_path / name, volume)
+
+
+def test_zarr_is_what_xarray_reads(tmp_path):
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("zarr")
+    volume = Volume(np.ones((2, 3, 4), np.float32), (210.0, 230.0), 0.03)
+    write_volume(tmp_path / "a.zarr", volume)
+    assert xarray.open_dataarray(tmp_path / "a.zarr", engine="zarr").equals(volume.to_xarray())
+
+
+def test_views_are_those_of_numpy():
+    values = np.zeros((3, 4, 5), np.float32)
+    values[1, 2, 3], values[2, 0, 0], values[0, 3, 4] = 5, 2, np.nan
+    volume = Volume(values, (210.0, 220.0, 240.0), 0.1)
+    assert volume.maximum("z")[2, 3] == 5 and volume.maximum("z")[0, 0] == 2 and volume.maximum("z")[3, 4] == 0
+    assert volume.maximum("y").shape == (3, 5) and volume.maximum("y")[1, 3] == 5
+    assert volume.maximum("x").shape == (3, 4) and volume.maximum("x")[2, 0] == 2
+    front, above, side = volume.slices()
+    np.testing.assert_array_equal(front, values[1])
+    np.testing.assert_array_equal(above, values[:, 2])
+    np.testing.assert_array_equal(side, values[:, :, 3])
+    with pytest.raises(InputError, match="row = 4: the volume's are numbered from 0 to 3"):
+        volume.slices(row=4)
+    coded = depth_coded(volume)
+    assert coded.shape == (4, 5, 3) and (coded[1, 1] == 0).all()
+    far, middle = coded[0, 0], coded[2, 3]
+    assert far[0] > 5 * far[2] and middle[1] > middle[2]
+    picture = volume_overview(volume)
+    assert picture.shape[2] == 3 and picture.max() == 5
+
+
+@pytest.mark.parametrize("distances", [[], [np.inf], [230.0, 230.0]])
+def test_what_is_no_volume_is_refused(distances):
+    with pytest.raises(InputError, match=r"a volume needs|it is given twice"):
+        Volume.of([made(distance, np.ones((6, 6))) for distance in distances])
+
+
+@pytest.mark.slow
+def test_planes_come_back_apart():
+    """Points in three planes: their places, powers and planes, and how much of each is found in the others."""
+    distances, oversample = [222.0, 256.0, 280.0], 3
+    camera = PlenopticCamera(detector_width=0.64, resolution=(320, 320))
+    q = np.array([[0.061, -0.043], [-0.072, 0.055], [0.013, 0.091]])
+    powers = np.array([2000.0, 1500.0, 2500.0])
+    g = np.array(distances)
+    points = np.column_stack([-q * g[:, None] / camera.mla_distance, g])
+    image = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward(powers)
+    capture = Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
+    results = reconstruct(capture, distances, method="deconvolved", oversample=oversample, iterations=80, volume=True)
+    size = camera.mla_pitch / oversample
+    rows, columns = np.indices(results[0].image.shape)
+    x, y = ((index - (rows.shape[0] - 1) / 2) * size for index in (columns, rows))
+    for plane, result in enumerate(results):
+        light = np.nan_to_num(result.image.astype(np.float64)) * size**2 * POWER
+        near = np.hypot(x - q[plane, 0], y - q[plane, 1]) < 2.5 * size
+        found = light[near].sum()
+        place = np.array([(light[near] * x[near]).sum(), (light[near] * y[near]).sum()]) / found
+        assert np.hypot(*(place - q[plane])) < 0.1 * size
+        assert found == pytest.approx(powers[plane], rel=0.03)
+        # Cross-talk: what this plane holds beside its own point.
+        assert light.sum() - found < 0.03 * powers[plane]

@@ -1,0 +1,447 @@
+"""Wave refocusing: geometry of single pixels and lenses, energy, the routes against each other, bad input."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import wave_cases
+from wave_cases import HALF, WAVELENGTH
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, write_capture
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic.refocus import full_fields, planning
+from mitsuba_plenoptic.refocus.full_fields import BackwardFields, lit_window, reconstruct_subsets
+from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
+from mitsuba_plenoptic.refocus.planning import plan
+from mitsuba_plenoptic.refocus.ray import white_sums
+from mitsuba_plenoptic.views.white_image import white_image
+
+# Grey or random pixels and single ones are no captures, and a guard says so.
+pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
+
+SMALL = wave_cases.small_camera(20, **HALF)
+OTHER = PlenopticCamera(**wave_cases.OTHER, detector_width=1.2, resolution=(640, 560))
+DISTANCES = [105.0, 120.0, 140.0]
+METHODS = {
+    "coherent": {"method": "coherent"},
+    "K2": {"method": "partial", "interleave": 2},
+    "auto": {"method": "partial", "interleave": "auto"},
+}
+
+cameras = pytest.mark.parametrize(
+    "camera", [SMALL, pytest.param(OTHER, marks=pytest.mark.slow)], ids=["paper", "other"]
+)
+wave_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
+MOSTLY = [pytest.param(options, marks=[pytest.mark.slow] * (name == "K2")) for name, options in METHODS.items()]
+"""Of tests in which every second lens takes the longest and tells the least."""
+most_methods = pytest.mark.parametrize("options", MOSTLY, ids=METHODS.keys())
+all_methods = pytest.mark.parametrize("options", [{"method": "ray"}, *METHODS.values()], ids=["ray", *METHODS.keys()])
+
+
+def refocus(image, distance, camera=SMALL, wavelength=WAVELENGTH, method="ray", **options):
+    if method != "ray":
+        options["wavelength"] = wavelength
+    return reconstruct(image, distance, camera=camera, method=method, **options)
+
+
+def lit_inside(camera, first, last):
+    """Return noise in a square of the detector, so that no light falls beside the image."""
+    image = np.zeros(camera.shape, np.float32)
+    image[first:last, first:last] = np.random.default_rng(0).random((last - first,) * 2)
+    return image
+
+
+def lens_of(p, camera):
+    """Index of the chief-ray lens, written out."""
+    b, z = camera.mla_distance, camera.detector_distance
+    return np.floor(p * b / (b + z) / camera.mla_pitch)
+
+
+def micro_image(camera, i, j, radius=None):
+    """White disc under lens (i, j), of the micro-image's size or smaller."""
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    b, z = camera.mla_distance, camera.detector_distance
+    cx, cy = (((k + 0.5) * camera.mla_pitch) * (b + z) / b for k in (i, j))
+    radius = radius or camera.micro_image_diameter / 2
+    disc = np.hypot(px - cx, (py - cy)[:, None]) < radius
+    mine = (lens_of(px, camera) == i) & (lens_of(py, camera) == j)[:, None]
+    return (disc & mine).astype(np.float32)
+
+
+def bin_of_pixel(p, camera, distance):
+    """Bins from the centre at which the ray of a pixel through its lens's centre ends, written out."""
+    b, z = camera.mla_distance, camera.detector_distance
+    c = (lens_of(p, camera) + 0.5) * camera.mla_pitch
+    P = c + b * (c - p) / z
+    X = P + distance * ((c - p) / z - P / camera.focal_length)
+    return -X * b / distance / camera.mla_pitch
+
+
+def centroid(image):
+    rows, columns = image.shape
+    x, y = np.arange(columns) + 0.5 - columns / 2, np.arange(rows) + 0.5 - rows / 2
+    total = image.sum(dtype=np.float64)
+    return (image.sum(0, dtype=np.float64) @ x) / total, (image.sum(1, dtype=np.float64) @ y) / total
+
+
+@all_methods
+@pytest.mark.parametrize(("column", "row"), [(320 + 16, 320 + 16), (172, 462)], ids=["axis", "off"])
+def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
+    image = np.zeros(SMALL.shape, np.float32)
+    image[row, column] = 1
+    px, py = SMALL.pixel_coordinates(0)[column], SMALL.pixel_coordinates(1)[row]
+    for result in refocus(image, DISTANCES, **options):
+        expected = [bin_of_pixel(p, SMALL, result.distance) for p in (px, py)]
+        # Both pixels look through the inner half of the pupil, which keeps nearly all of their diffracted light.
+        np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
+
+
+@wave_methods
+@pytest.mark.parametrize("lens", [(0, 0), (-6, 4), (7, -8)])
+def test_a_lit_lens_goes_where_geometry_says(options, lens):
+    for result in refocus(micro_image(SMALL, *lens), DISTANCES, **options):
+        # Images are divided by white, which is less near the border.
+        light = result.image * white_sums(SMALL, result.distance, SMALL.lit_radius, "lens", 1)
+        np.testing.assert_allclose(centroid(light), [k + 0.5 for k in lens], atol=0.1)
+
+
+@most_methods
+@pytest.mark.parametrize(("middle", "offset"), [((0, 0), (2, -2)), ((-3, 3), (0, 0))], ids=["axis", "off"])
+def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options, middle, offset):
+    # A lattice in phase sends light to multiples of the angle lambda / D2 only: two pixels are one, where a lens is 25
+    # of the paper's pixels wide. The pupil is wide enough to keep both sides of the diffracted light.
+    camera = PlenopticCamera(**{**HALF, "aperture_radius": 3.5}, detector_width=1.28, resolution=(500, 500))
+    image = np.zeros(camera.shape, np.float32)
+    columns, rows = (25 * (np.arange(m - 2, m + 3)) + 262 + o for m, o in zip(middle, offset, strict=True))
+    image[np.ix_(rows, columns)] = 1
+    px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    for result in refocus(image, DISTANCES, camera, **options):
+        expected = [bin_of_pixel(p, camera, result.distance).mean() for p in (px[columns], py[rows])]
+        np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Spreads of points before a camera: distance, column and row of bins from the axis, capture."""
+    rng = np.random.default_rng(7)
+    made = []
+    for distance in DISTANCES:
+        for _ in range(2):
+            i, j = rng.integers(-7, 7, 2)
+            u = np.array([i, j]) + 0.5 + rng.uniform(-0.25, 0.25, 2)
+            X, Y = -u * SMALL.bin_size(distance)
+            made.append((distance, i, j, point_spread_function(SMALL, (X, Y, distance), wavelength=WAVELENGTH)))
+    return made
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *MOSTLY],
+    ids=["ray", "point", *METHODS.keys()],
+)
+def test_forward_then_back_peaks_in_the_radiators_bin(options, points):
+    for distance, i, j, spread in points:
+        image = refocus(spread, distance, **options).image
+        row, column = np.unravel_index(np.argmax(image), image.shape)
+        assert (column - 10, row - 10) == (i, j)
+
+
+@cameras
+@pytest.mark.parametrize("interleave", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
+    image = lit_inside(camera, camera.shape[0] // 2 - 100, camera.shape[0] // 2 + 100)
+    focus = camera.focus_distance
+    distances = [0.93 * focus, focus, 1.1 * focus]
+    lit = lit_window(image, camera)
+    made = plan(camera, WAVELENGTH, distances, lit)
+    fields = BackwardFields(camera, WAVELENGTH, made, interleave=interleave)
+    (left, right), (top, bottom) = lit
+    passed = sum(fields.power(field) for field in fields.at_pupil(np.sqrt(image[top:bottom, left:right])))
+    assert 0.05 * image.sum() < passed < image.sum()
+    for total in reconstruct_subsets(image, camera, distances, WAVELENGTH, interleave=interleave):
+        assert total.sum() == pytest.approx(passed, rel=5e-3)
+
+
+@cameras
+def test_single_lenses_are_full_fields_of_one_lens(camera):
+    for lens, radius in (((0, 0), None), ((-7, 5), None), ((6, -6), 0.7 * camera.micro_image_diameter / 2)):
+        image = micro_image(camera, *lens, radius)
+        distances = [0.9 * camera.focus_distance, camera.focus_distance, 1.15 * camera.focus_distance]
+        full = reconstruct_subsets(image, camera, distances, WAVELENGTH)
+        single = reconstruct_lens_by_lens(image, camera, distances, WAVELENGTH)
+        for a, b in zip(full, single, strict=True):
+            assert np.linalg.norm(a - b) <= 7e-3 * np.linalg.norm(a)
+            assert b.sum() == pytest.approx(a.sum(), rel=4e-3)
+
+
+@pytest.mark.parametrize("oversample", [2, 10])
+def test_fine_bins_of_single_lenses_are_those_of_full_fields(oversample):
+    # In focus, where the power of a lens changes within a few bins; sums of few samples would be some percent off.
+    image = micro_image(SMALL, 2, -3)
+    at = [SMALL.focus_distance]
+    full = reconstruct_subsets(image, SMALL, at, WAVELENGTH, oversample=oversample)[0]
+    single, finer = (
+        reconstruct_lens_by_lens(image, SMALL, at, WAVELENGTH, oversample=n * oversample)[0] for n in (1, 4)
+    )
+    assert np.linalg.norm(full - single) <= 1e-2 * np.linalg.norm(full)
+    count = len(single)
+    assert np.linalg.norm(finer.reshape(count, 4, count, 4).sum((1, 3)) - single) <= 1e-5 * np.linalg.norm(single)
+
+
+def far_out_of_focus():
+    """Squares of lit lenses, seen through half of the pupil."""
+    image = np.zeros(SMALL.shape, np.float32)
+    for i in range(-6, 6):
+        for j in range(-6, 6):
+            if (i // 3 + j // 3) % 2 == 0:
+                image += micro_image(SMALL, i, j, 0.015)
+    return image
+
+
+def rms_distance(image, limit):
+    lit = limit > 0.2 * limit.max()
+    return math.sqrt(np.mean((image - limit)[lit] ** 2)) / limit[lit].mean()
+
+
+def test_interference_falls_with_the_period():
+    image = far_out_of_focus()
+    auto, *others = (refocus(image, 140.0, method="partial", interleave=k).image for k in ("auto", 1, 2, 4))
+    distances = [rms_distance(other, auto) for other in others]
+    assert distances == sorted(distances, reverse=True)
+    assert distances[0] > 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("distance", DISTANCES)
+def test_auto_is_the_limit_of_large_periods(distance):
+    image = far_out_of_focus()
+    limit, auto = (refocus(image, distance, method="partial", interleave=k).image for k in (8, "auto"))
+    assert rms_distance(auto, limit) <= 6e-3
+
+
+def test_a_period_of_one_is_coherent():
+    image = np.random.default_rng(0).random(SMALL.shape, dtype=np.float32)
+    a = refocus(image, 115.0, method="coherent").image
+    b = refocus(image, 115.0, method="partial", interleave=1).image
+    assert np.array_equal(a, b)
+
+
+@most_methods
+def test_many_distances_share_the_way_and_change_little(options):
+    image = lit_inside(SMALL, 250, 390)
+    for result in refocus(image, [105.0, 140.0], **options):
+        alone = refocus(image, result.distance, **options).image
+        assert np.linalg.norm(result.image - alone) <= 5e-3 * np.linalg.norm(alone)
+
+
+def test_without_the_relay_planes_out_of_focus_stay_blurred():
+    """A point at 140 mm, back at its distance: the literal reading of the paper spreads it widely."""
+    X = -0.5 * SMALL.bin_size(140.0)
+    spread = point_spread_function(SMALL, (X, X, 140.0), wavelength=WAVELENGTH)
+    with_relay, without = (refocus(spread, 140.0, method="partial", relay=relay).image for relay in (True, False))
+    assert without.max() < 0.5 * with_relay.max()
+
+
+@all_methods
+def test_finer_bins_add_up_to_the_coarse_ones(options):
+    image = lit_inside(SMALL, 250, 390)
+    coarse, fine = (refocus(image, 127.5, oversample=count, **options) for count in (1, 3))
+    assert fine.image.shape == (60, 60)
+    assert fine.bin_size == pytest.approx(coarse.bin_size / 3)
+    means = fine.image.reshape(20, 3, 20, 3).mean((1, 3))
+    np.testing.assert_allclose(means, coarse.image, atol=5e-3 * coarse.image.max())
+
+
+@most_methods
+def test_a_crop_lands_on_the_full_grid_of_bins(options):
+    image = lit_inside(SMALL, 181, 300)
+    crop = SMALL.replace(crop_offset=(80, 170), crop_size=(240, 250))
+    whole, part = (
+        refocus(pixels, 110.0, camera, **options).image * white_sums(camera, 110.0, camera.lit_radius, "lens", 1)
+        for pixels, camera in ((image, SMALL), (image[170:420, 80:320], crop))
+    )
+    # Dividing by white left the same light; where rays do not reach there is some that was diffracted.
+    reached = ~np.isnan(part)
+    assert 0.1 < reached.mean() < 0.9
+    np.testing.assert_allclose(part[reached], whole[reached], atol=1e-4 * whole.max())
+    assert whole[~reached].sum() < 0.05 * whole.sum()
+
+
+@most_methods
+def test_pixels_below_zero_leave_no_light_on_average(options):
+    """Noise of mean zero beside a lit square: cut off at zero it would be light."""
+    dark = np.random.default_rng(1).normal(0, 0.02, SMALL.shape).astype(np.float32)
+    image = lit_inside(SMALL, 256, 384) + dark
+    without, noisy = (refocus(pixels, 120.0, **options).image for pixels in (image - dark, image))
+    cut = refocus(np.maximum(image, 0), 120.0, **options).image
+    beside = np.ones((20, 20), bool)
+    beside[6:14, 6:14] = False
+    assert abs(noisy[beside].mean()) < 0.1 * cut[beside].mean()
+    np.testing.assert_allclose(noisy[8:12, 8:12], without[8:12, 8:12], rtol=0.1)
+
+
+@pytest.fixture(scope="module", params=[pytest.param(500.0, marks=pytest.mark.slow), math.inf])
+def far_point(request):
+    """Return a point's distance, the camera before which it is, and its capture by waves."""
+    camera = wave_cases.small_camera(8, **HALF)
+    far = min(request.param, 1e7)
+    X, Y = (u * camera.mla_pitch / camera.mla_distance * far for u in (-1.5, 2.5))
+    return request.param, camera, point_spread_function(camera, (X, Y, far), wavelength=WAVELENGTH)
+
+
+@wave_methods
+def test_far_planes(options, far_point):
+    """A point there, captured by waves, comes back; pixels see two bins of so far a plane."""
+    distance, camera, spread = far_point
+    image = refocus(spread, distance, camera, **options).image
+    row, column = np.unravel_index(np.argmax(image), image.shape)
+    assert abs(column - 4 - 1) <= 1 and abs(row - 4 + 3) <= 1
+
+
+def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
+    image = lit_inside(SMALL, 200, 440)
+    whole = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
+    assert len(plan(SMALL, WAVELENGTH, [112.5], lit_window(image, SMALL)).strips) == 1
+    monkeypatch.setattr(full_fields, "plan", lambda *given: planning._plan(*given, 3))
+    monkeypatch.setattr(full_fields, "require_feasible", lambda made: None)
+    parts = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
+    assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
+
+
+@pytest.mark.parametrize("oversample", [1, 10])
+def test_bins_are_sampled_finely_enough(monkeypatch, oversample):
+    """Ten bins per lens show interference that single samples of them would smooth."""
+    camera = wave_cases.small_camera(8, **HALF)
+    options = {"method": "coherent", "oversample": oversample}
+    made = refocus(white_image(camera), 127.5, camera, **options).image
+    for samples in ("_DIRECTION_SAMPLES", "_FINE_DIRECTION_SAMPLES"):
+        monkeypatch.setattr(planning, samples, 15.0)
+    exact = refocus(white_image(camera), 127.5, camera, **options).image
+    assert np.linalg.norm(made - exact) < 2e-3 * np.linalg.norm(exact)
+
+
+def test_a_white_capture_is_one_where_its_waves_cancel():
+    """Sharp micro-images interfere; the computed white knows nothing of it."""
+    camera = wave_cases.small_camera(8, **HALF)
+    white = white_image(camera)
+    options = {"method": "coherent", "oversample": 3}
+    assert refocus(white, 250.0, camera, **options).image.min() < 0.2
+    np.testing.assert_allclose(refocus(white, 250.0, camera, white=white, **options).image, 1, atol=1e-5)
+
+
+@wave_methods
+def test_a_dark_capture_is_dark(options):
+    assert not refocus(np.zeros(SMALL.shape), 110.0, **options).image.any()
+
+
+def test_each_channel_has_its_wavelength():
+    camera = wave_cases.small_camera(8, **HALF)
+    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
+    wavelengths = (620.0, 550.0, 460.0)
+    result = reconstruct(Capture(image, camera, wavelengths, "wave"), 125.0, method="partial")
+    assert result.options["wavelength"] == list(wavelengths)
+    for channel, wavelength in enumerate(wavelengths):
+        single = refocus(image[..., channel], 125.0, camera, wavelength, method="partial")
+        assert np.array_equal(result.image[..., channel], single.image)
+
+
+def test_pixels_too_coarse_for_the_wave_are_subdivided():
+    coarse = SMALL.replace(resolution=(160, 160))
+    image = lit_inside(coarse, 65, 95)
+    fine = np.repeat(np.repeat(image, 4, 0), 4, 1)
+    # The radiance differs as the white of coarse pixels does.
+    a, b = (
+        sum(reconstruct_subsets(pixels, camera, [125.0], WAVELENGTH)) * camera.pixel_size**2
+        for pixels, camera in ((image, coarse), (fine, SMALL))
+    )
+    np.testing.assert_allclose(a, b, atol=1e-2 * b.max())
+
+
+@all_methods
+def test_progress_ends_complete(options):
+    seen = []
+    camera = wave_cases.small_camera(4, **HALF)
+    image = np.ones((128, 128, 3), np.float32)
+    refocus(image, [115.0, 120.0], camera, progress=lambda *step: seen.append(step), **options)
+    assert seen[0][0] == 0
+    assert seen[-1][0] == seen[-1][1]
+    assert seen == sorted(seen)
+
+
+def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
+    camera = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+    raw, out = tmp_path / "raw.exr", tmp_path / "out.exr"
+    write_capture(raw, Capture(np.ones(camera.shape), camera, 633.0, "wave"))
+    arguments = ["reconstruct", str(raw), "-o", str(out), "--distance", "230", "--method", "partial"]
+    assert main([*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay"]) == 0
+    image, _, header = read_exr(out)
+    assert image.shape == (8, 8)
+    assert (header["method"], header["distance"]) == ("partial", 230.0)
+    assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
+    assert PlenopticCamera.from_dict(header["camera"]) == camera
+    assert main([*arguments, "--interleave", "9"]) == 2
+    assert "interleave = 9: it must be 'auto' or a whole number from 1 to 4" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"wavelength": None}, "wavelength = None: a wave method needs one"),
+        ({"wavelength": -5}, "wavelength = -5: it must be greater than 0"),
+        ({"wavelength": 64000}, "wavelength = 64000: it must be from 200 to 2500 nm"),
+        ({"wavelength": (500, 600)}, "the capture has 1 channels"),
+        (
+            {"interleave": 0},
+            "interleave = 0: it must be 'auto' or a whole number from 1 to 2, the lenses along an axis",
+        ),
+        ({"interleave": 3}, "interleave = 3: it must be 'auto' or a whole number from 1 to 2"),
+        ({"interleave": 1.5}, "interleave = 1.5: it must be 'auto' or a whole number"),
+        ({"interleave": "all"}, "interleave = 'all': it must be 'auto' or a whole number"),
+        ({"oversample": 0}, "oversample = 0: it must be at least 1"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+    given = {"image": np.ones((64, 64)), "distance": 240.0, "camera": camera, "method": "partial"} | arguments
+    with pytest.raises(InputError, match=message):
+        refocus(**given)
+
+
+def test_a_plane_that_no_ray_reaches_is_refused_by_waves_as_by_rays():
+    camera = PlenopticCamera(detector_width=0.128, resolution=(16, 1), detector_distance=0.58)
+    for method in ("ray", "coherent"):
+        with pytest.raises(InputError, match="no light comes from any of the 4 bins there"):
+            refocus(np.ones(camera.shape), 160.0, camera, 1000.0, method=method)
+
+
+def test_few_lenses_far_apart_need_little_memory(monkeypatch):
+    """One by one and in full fields, of 2048 x 2048 pixels."""
+    camera = wave_cases.small_camera(64)
+    image = np.zeros(camera.shape, np.float32)
+    image[100:124, 100:124] = image[-124:-100, -124:-100] = 1
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.025")
+    assert refocus(image, 160.0, camera, method="partial", interleave="auto").image.any()
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.01")
+    for interleave, what in (("auto", "lens by lens"), (2, "its wave reconstruction")):
+        with pytest.raises(InputError, match=f"{what}: it would need"):
+            refocus(image, 160.0, camera, method="partial", interleave=interleave)
+
+
+@wave_methods
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mla_pitch": 0.001, "mla_rotation": 71.67, "mla_aperture": "circle", "mla_fill": 0.51}, "less than a pixel"),
+        ({"aperture_radius": 0.05}, "aperture_radius = 0.05: its micro-images of 0.21 pixels light no pixel"),
+    ],
+    ids=["narrow lenses", "small micro-images"],
+)
+def test_a_camera_without_white_is_refused(options, change, message):
+    """No pixel belongs to the lens beside the axis, or none is lit: images would be divided by nothing."""
+    camera = PlenopticCamera(detector_width=0.128, resolution=(64, 64), **change)
+    with pytest.raises(InputError, match=message):
+        refocus(np.zeros(camera.shape), 240.0, camera, **options)

@@ -1,0 +1,225 @@
+"""Extensions can be deleted: the core imports none, works without them, and names one that is missing."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import mitsuba_plenoptic
+from mitsuba_plenoptic.extension import GROUP, Extension, installed
+
+PACKAGE = Path(mitsuba_plenoptic.__file__).parent
+FOLDER = PACKAGE / "extensions"
+SHIPPED = sorted(path.name for path in FOLDER.iterdir() if (path / "__init__.py").exists())
+
+
+def imports(path):
+    """Yield the modules below the package, as lists of names, that a file imports anywhere."""
+    parts = path.relative_to(PACKAGE).parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = [*parts[: len(parts) - node.level + 1], *(node.module or "").split(".")]
+            for alias in node.names:
+                yield [name for name in [*base, alias.name] if name]
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("mitsuba_plenoptic."):
+            yield str(node.module).split(".")[1:]
+
+
+def test_the_core_imports_no_extension():
+    # Type checkers alone read the imports of the generated list.
+    core = [path for path in PACKAGE.rglob("*.py") if FOLDER not in path.parents and path.name != "shipped.py"]
+    assert len(core) > 150
+    assert [path for path in core if any(names[0] == "extensions" for names in imports(path))] == []
+
+
+def test_extensions_import_others_only_where_their_docstring_says_so():
+    for name in SHIPPED:
+        words = ast.get_docstring(ast.parse((FOLDER / name / "__init__.py").read_text()))
+        for path in (FOLDER / name).rglob("*.py"):
+            for names in imports(path):
+                if names[0] == "extensions" and names[1] != name:
+                    assert f"`{names[1]}`" in words, (path, names)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_an_init_holds_the_record_only(name):
+    body = ast.parse((FOLDER / name / "__init__.py").read_text()).body
+    assert isinstance(body[0], ast.Expr) and isinstance(body[1], ast.ImportFrom) and body[1].module == "extension"
+    assert len(body) == 3 and isinstance(body[2], ast.Assign) and body[2].targets[0].id == "EXTENSION"
+
+
+def test_all_that_records_name_is_there():
+    for package, record in installed().items():
+        for module, names in record.names.items():
+            assert all(hasattr(importlib.import_module(f"{package}.{module}"), name) for name in names)
+        for module in [*record.plugins, *record.methods, *record.lenses]:
+            importlib.import_module(f"{package}.{module}")
+        for kind in ("parameters", "responses", "presets", "captures", "cameras"):
+            for text in getattr(record, kind).values():
+                module, _, name = text.partition(":")
+                assert hasattr(importlib.import_module(f"{package}.{module}"), name)
+        for name, module in record.commands.items():
+            assert hasattr(importlib.import_module(f"{package}.{module}"), name)
+
+
+def test_the_list_of_what_extensions_add_is_written_anew(tmp_path):
+    make_shipped = importlib.import_module("make_shipped")
+    path = tmp_path / "shipped.py"
+    make_shipped.write(path)
+    assert path.read_text() == (PACKAGE / "shipped.py").read_text()
+
+
+# An editable installation would add the folders that the copy lacks.
+_ALONE = "import sys; sys.meta_path = [one for one in sys.meta_path if 'editable' not in repr(one).lower()]\n"
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """Return a function that copies the package without some extensions, and runs code there."""
+
+    def run(without, code):
+        folder = tmp_path / "copy"
+        ignored = shutil.ignore_patterns("__pycache__", *without)
+        shutil.copytree(PACKAGE, folder / "mitsuba_plenoptic", ignore=ignored)
+        shutil.copytree(PACKAGE.parent / "scenes", folder / "mitsuba_plenoptic" / "scenes")
+        return subprocess.run(
+            [sys.executable, "-c", _ALONE + textwrap.dedent(code)],
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(folder)},
+        )
+
+    return run
+
+
+CORE = """
+    import json, pathlib, numpy as np
+    import mitsuba_plenoptic as mp
+    from mitsuba_plenoptic.cli import main
+    assert pathlib.Path(mp.__file__).parent.parent == pathlib.Path.cwd(), mp.__file__
+    scene = mp.load_scene("letters", parameters={"detector_width": 1.024, "resolution": 512})
+    for model in ("ray", "wave"):
+        capture = mp.render_capture(scene, model=model, spp=2)
+        assert capture.image.shape == (512, 512) and capture.image.sum() > 0
+    for method in mp.refocus.METHODS:
+        found = mp.reconstruct(capture, 240, method=method, **({"iterations": 2} if method == "deconvolved" else {}))
+        assert np.isfinite(found.image).any()
+    assert mp.decode(capture).ndim == 4
+    point = mp.CaptureOperator(capture.camera, [(0.0, 0.0, 240.0)], wavelength=633.0)
+    assert point.forward([1.0]).sum() > 0
+    assert main(["--help"]) == 0 and main(["render", "--help"]) == 0
+"""
+
+MISSING = """
+    import json
+    import mitsuba_plenoptic as mp
+    from mitsuba_plenoptic.views.light_field_files import open_light_field
+
+    def line(function, *arguments, **options):
+        try:
+            function(*arguments, **options)
+        except (mp.InputError, AttributeError, ImportError) as error:
+            return str(error)
+
+    def module(name):
+        __import__(f"mitsuba_plenoptic.{name}")
+
+    camera = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.064)
+    assert "photodiode_response" not in camera.to_dict()
+    small = {"type": "scene", "integrator": {"type": "plenoptic_wave"}, "light": {"type": "constant"},
+             "sensor": camera.replace(mla_pitch=0.004, mla_focal_length=0.008, detector_distance=0.008).to_sensor()}
+    lines = [
+        line(mp.PlenopticCamera, photodiode_response="a.json"),
+        line(mp.PlenopticCamera.from_json, '{"photodiode_response": {}}'),
+        line(mp.PlenopticCamera.preset, "phone_quad"),
+        line(lambda: mp.calibrate),
+        line(module, "torch"),
+        line(open_light_field, "a.mat"),
+        line(lambda: mp.render_capture(mp.load_scene(small), spp=1)),
+    ]
+    from mitsuba_plenoptic.cli import main
+    open("photo.lfr", "wb").close()
+    statuses = [main(["dual", "raw.exr", "-o", "out.exr"]), main(["info", "photo.lfr"])]
+    print(json.dumps([lines, statuses]))
+"""
+
+
+def test_the_core_works_without_extensions(copy):
+    made = copy(["extensions"], CORE)
+    assert made.returncode == 0, made.stderr
+    assert " calibrate  " not in made.stdout
+
+
+def test_one_line_names_a_missing_extension(copy):
+    made = copy(["extensions"], MISSING)
+    assert made.returncode == 0, made.stderr
+    lines, statuses = json.loads(made.stdout.splitlines()[-1])
+    assert lines == [
+        "photodiode_response: extension onchip is not installed",
+        "photodiode_response: extension onchip is not installed",
+        "phone_quad: extension onchip is not installed",
+        "calibrate: extension calibrate is not installed",
+        "torch: extension inverse is not installed",
+        "a.mat: .mat: extension raw is not installed",
+        "plenoptic_wave: mla_pitch = 0.004: small lenses: extension onchip is not installed",
+    ]
+    assert statuses == [2, 2]
+    assert "mitsuba-plenoptic: error: dual: extension onchip is not installed" in made.stderr
+    assert "photo.lfr: .lfr: extension raw is not installed" in made.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_core_works_without_each_extension(copy, name):
+    made = copy([name], CORE)
+    assert made.returncode == 0, made.stderr
+
+
+def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
+    """The page on extensions shows a whole one; here the package is installed by its entry point alone."""
+    page = (PACKAGE.parent / "docs" / "develop" / "extension.md").read_text()
+    files = dict(zip(("dust/__init__.py", "dust/parameter.py", "dust/dusty.py", "dust/dust_command.py"),
+                     [part.partition("```")[0] for part in page.split("```python\n")[1:]], strict=False))  # fmt: skip
+    for name, text in files.items():
+        path = tmp_path / "site" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    info = tmp_path / "site" / "dust-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: dust\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{GROUP}]\ndust = dust\n")
+    code = """
+    import mitsuba as mi
+    import numpy as np
+    import mitsuba_plenoptic as mp
+    from mitsuba_plenoptic.cli import main
+    camera = mp.PlenopticCamera(dust=0.25, resolution=(64, 64), detector_width=0.128)
+    assert mp.PlenopticCamera.from_json(camera.to_json()).dust == 0.25
+    scene = {"type": "scene", "light": {"type": "constant"}, "sensor": camera.to_sensor()}
+    mi.set_variant("llvm_ad_mono")
+    clear, dusty = (
+        mp.render_capture(mp.load_scene(scene | {"integrator": integrator}), spp=4).image
+        for integrator in ({"type": "path"}, {"type": "plenoptic_dusty", "child": {"type": "path"}})
+    )
+    np.testing.assert_allclose(dusty, 0.75 * clear, rtol=1e-5)
+    assert main(["dust", "0.25"]) == 0
+    """
+    made = python(code, PYTHONPATH=os.pathsep.join([str(tmp_path / "site"), str(PACKAGE.parent)]))
+    assert made.returncode == 0, made.stderr
+    assert "75 %" in made.stdout
+
+
+def test_a_record_has_every_kind_of_the_list():
+    fields = set(Extension.__dataclass_fields__)
+    assert set(importlib.import_module("make_shipped").KINDS) <= fields

@@ -1,0 +1,131 @@
+"""Light fields of Fourier microscopes: places, parallax and brightness of views against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera
+from mitsuba_plenoptic.design import parallax
+from mitsuba_plenoptic.views import (
+    camera_of,
+    decode,
+    depth_range,
+    disparity,
+    epipolar_image,
+    refocus,
+    shift_and_add,
+    view,
+    view_mosaic,
+)
+
+LENS = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
+SQUARE = PlenopticCamera(
+    main_lens=LENS,
+    mla_pitch=0.5,
+    mla_focal_length=20.0,
+    mla_offset=(0.25, 0.25),
+    detector_width=2.6,
+    resolution=(260, 260),
+)
+HEXAGONAL = SQUARE.replace(mla_lattice="hexagonal", mla_offset=(0, 0))
+TO_STOP = -200 / 50
+POINTS = np.array([[0.01, -0.004, 0.02]])
+
+
+def capture_of(camera, points=POINTS, power=1.0):
+    image = CaptureOperator(camera, points, wavelength=550, method="full_field").forward(np.full(len(points), power))
+    return Capture(np.maximum(image, 0), camera, 550.0, "wave", {})
+
+
+@pytest.fixture(scope="module", params=[SQUARE, HEXAGONAL], ids=["square", "hexagonal"])
+def lf(request):
+    return decode(capture_of(request.param))
+
+
+def test_each_view_sees_the_object_from_its_lenss_direction(lf):
+    """The centre of light of each view that is not cut by the stop, against the parallax of its lens."""
+    camera, (X, Y, depth) = camera_of(lf), POINTS[0]
+    scale = LENS.view_scale(camera.detector_distance)
+    lit = np.argwhere(lf.weight.values[:, :, 24 if camera == SQUARE else 21, 24] > 0.9)
+    assert len(lit) >= 13
+    for row, column in lit:
+        picture = lf.isel(v=row, u=column)
+        values = np.where(picture.values > 0.05 * float(picture.max()), picture.values, 0)
+        x, y = (float((values * axis).sum() / values.sum()) for axis in (picture.s.values, picture.t.values[:, None]))
+        c = np.array([float(lf.u[column]), float(lf.v[row])]) / TO_STOP
+        distance = float(np.hypot(*c))
+        shift = parallax(camera, distance) * depth / scale * (c / distance) if distance else np.zeros(2)
+        assert np.allclose([x, y], [X + shift[0], Y + shift[1]], atol=0.35 * camera.bin_size(0))
+
+
+def test_even_lenses_have_even_views(lf):
+    """Pictures are divided by what a lens sees of the stop: all hold the same light."""
+    sums = lf.sum(("s", "t")).values[lf.weight.values.max(axis=(2, 3)) > 0.9]
+    assert np.ptp(sums) < 0.03 * sums.mean()
+    # All of a pixel's lens is lit by a bin of radiance r with what radiance_weight says of it.
+    camera = camera_of(lf)
+    lenses = math.pi * (LENS.blur_diameter(0) / 2) ** 2 / camera.lattice.lens_area
+    assert sums.mean() == pytest.approx(1 / lenses, rel=0.03)
+
+
+def test_a_hexagonal_array_leaves_places_without_a_view():
+    lf = decode(capture_of(HEXAGONAL))
+    there = lf.weight.values.max(axis=(2, 3)) > 0
+    assert not (there[:, :-1] & there[:, 1:]).any()
+    assert np.allclose(np.diff(lf.u), 0.25 * TO_STOP)
+    assert np.allclose(np.diff(lf.v), 0.25 * math.sqrt(3) * TO_STOP)
+    assert not lf.values[~there].any()
+
+
+def test_views_are_upright_and_crops_lose_their_pixels():
+    whole = decode(capture_of(SQUARE))
+    cropped = SQUARE.replace(crop_offset=(70, 90), crop_size=(120, 100))
+    part = decode(capture_of(cropped))
+    assert (np.diff(whole.s) < 0).all() and (np.diff(whole.u) < 0).all()
+    assert part.shape == whole.shape
+    seen = part.weight.values > 0.9
+    assert 0.1 < seen.mean() < 0.5
+    assert np.abs(part.values - whole.values)[seen].max() < 1e-3 * float(whole.max())
+    assert view(whole, u=0, v=0).shape == whole.shape[2:]
+    assert view_mosaic(whole).shape == (5 * 49, 5 * 49)
+    assert epipolar_image(whole, at=0.0).shape == (5, 49)
+
+
+def test_a_white_capture_and_colours():
+    capture = capture_of(SQUARE)
+    white = np.full(SQUARE.shape, 0.5, np.float32)
+    colour = decode(np.repeat(capture.image[..., None], 3, axis=2), camera=SQUARE, white=white)
+    np.testing.assert_allclose(decode(capture, white=6 * white).values, colour.values[..., 0], rtol=1e-5)
+    plain = decode(capture)
+    assert colour.dims == ("v", "u", "t", "s", "c")
+    lit = plain.weight.values > 0.9
+    # This white knows no stop; its radiance is found by the computed one near the axis.
+    near = float(plain.weight.max(("t", "s"))[1:4, 1:4].median())
+    expected = plain.values * plain.weight.values / near
+    assert np.allclose(colour.values[..., 0][lit], expected[lit], atol=1e-3 * float(plain.max()))
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (SQUARE.replace(mla_rotation=3.0), r"mla_rotation = 3: views of a Fourier microscope"),
+        (SQUARE.replace(resolution=(10, 10)), "a view needs three pixels"),
+        (PlenopticCamera.preset("lfm").replace(resolution=(64, 64)), "for thin main lenses only"),
+    ],
+)
+def test_what_has_no_views_is_refused(camera, message):
+    with pytest.raises(InputError, match=message):
+        decode(np.ones(camera.shape, np.float32), camera=camera)
+
+
+def test_parallax_that_is_not_even_is_refused():
+    lf = decode(np.ones(SQUARE.shape, np.float32), camera=SQUARE)
+    for work in (
+        lambda: refocus(lf, 0.01),
+        lambda: disparity(lf, 0.01),
+        lambda: depth_range(lf),
+        lambda: shift_and_add(lf, 0.5),
+    ):
+        with pytest.raises(InputError, match="an even parallax between views is not defined behind an objective"):
+            work()

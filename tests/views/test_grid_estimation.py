@@ -1,0 +1,94 @@
+"""Finding the micro-images of a white image whose lattice is unknown."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.views import LensGrid, estimate_lens_grid, lens_grid, white_image
+
+ROOT3 = math.sqrt(3)
+
+
+def distances(found, truth, shape):
+    """Distance of every true centre within the image from the nearest one found, and of each found from a true one."""
+    ours, theirs = (grid.centres().reshape(-1, 2) for grid in (found, truth))
+    theirs = theirs[((theirs > 0) & (theirs < shape[::-1])).all(1)]
+    ours = ours[((ours > 5) & (ours < np.array(shape[::-1]) - 5)).all(1)]
+    return cKDTree(found.centres().reshape(-1, 2)).query(theirs)[0], cKDTree(truth.centres().reshape(-1, 2)).query(
+        ours
+    )[0]
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        LensGrid((16.317, 16.317), (-23.3, -17.2), (70, 70), math.radians(0.3)),
+        LensGrid((17.1, 17.1 * ROOT3 / 2), (-23.3, -17.2), (80, 70), math.radians(0.3), 1),
+        LensGrid((17.1 * ROOT3, 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-0.3), 0),
+        LensGrid((17.0, 15.5), (-60.0, 17.3), (90, 80), math.radians(-3.0)),
+        LensGrid((17.1, 0.93 * 17.1 * ROOT3 / 2), (-23.3, -80.2), (80, 70), math.radians(4.0), 1),
+        LensGrid((17.1 * ROOT3, 1.003 * 17.1 / 2), (-23.3, -17.2), (140, 45), math.radians(-3.0), 0),
+        LensGrid((20.0, 1.3 * 20.0 * ROOT3 / 2), (-95.3, -17.2), (60, 60), math.radians(-5.0), 1),
+    ],
+    ids=[
+        "square",
+        "hexagonal",
+        "hexagonal, upright",
+        "rectangular",
+        "hexagonal, flat",
+        "hexagonal, upright, hardly stretched",
+        "hexagonal, tall",
+    ],
+)
+def test_centres_of_an_unknown_lattice(grid):
+    # A micro-image is 10.7 pixels wide. The picture is darker towards its corners and noisy.
+    camera = PlenopticCamera(detector_width=3.2, resolution=(800, 720))
+    image = white_image(camera, grid)
+    y, x = (np.linspace(-1, 1, n) for n in image.shape)
+    image = 900 * image * (1 - 0.15 * (x**2 + y[:, None] ** 2)) + 40
+    image += np.random.default_rng(0).normal(0, 20, image.shape)
+    missed, spurious = distances(estimate_lens_grid(image), grid, image.shape)
+    assert len(missed) > 1000
+    assert np.sqrt(np.mean(missed**2)) < 0.05
+    # Not a denser lattice that happens to hold the true one.
+    assert spurious.max() < 0.1
+
+
+def test_the_lattice_of_a_camera_is_found_as_it_is():
+    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
+    found, expected = estimate_lens_grid(white_image(camera)), lens_grid(camera)
+    assert found.shape == expected.shape
+    assert found.shifted_rows is None
+    assert found.spacing == pytest.approx(expected.spacing, abs=1e-3)
+    assert found.offset == pytest.approx(expected.offset, abs=0.02)
+    assert found.rotation == pytest.approx(0, abs=1e-4)
+
+
+def test_colour_pictures_count_by_their_mean():
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+    white = white_image(camera)
+    grey, colour = estimate_lens_grid(white), estimate_lens_grid(white[..., None] * [0.5, 1.0, 1.5])
+    assert colour.offset == pytest.approx(grey.offset, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.ones((100, 100)),
+        np.zeros((100, 100)),
+        np.random.default_rng(0).random((200, 200)),
+        np.ones((4, 4)),
+        np.ones(100),
+        np.full((100, 100), np.nan),
+        white_image(PlenopticCamera(detector_width=0.128, resolution=(64, 64))),
+    ],
+    ids=["flat", "black", "noise", "tiny", "line", "not finite", "four lenses"],
+)
+def test_pictures_without_a_lattice_are_refused(image):
+    with pytest.raises(InputError, match="white"):
+        estimate_lens_grid(image)

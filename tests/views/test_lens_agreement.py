@@ -1,0 +1,114 @@
+"""Depth of focused cameras from micro-images, on textured walls that Mitsuba renders at known distances."""
+
+from __future__ import annotations
+
+import functools
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.views import depth_map, distance_of, micro_images
+
+MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=2.64, resolution=(480, 384))
+# Of 16 pixels a lens, of which micro-images cover nine; lenses blur what is in front by up to half of their width.
+BLURRED = {
+    "three focal lengths": ({"mla_lattice": "hexagonal", "mla_focal_length": (0.768, 0.72, 0.82),
+                             "mla_distance": 118.464, "aperture_radius": 4.3}, 264),
+    "one focal length": ({"mla_focal_length": 0.384, "mla_distance": 121.536, "aperture_radius": 4.9}, 221),
+}  # fmt: skip
+
+
+@functools.cache
+def wall(distance, blurred=None, **changes):
+    """Render a wall with a random pattern, some pixels fine, before a camera of three focal lengths or of `BLURRED`."""
+    camera = MULTI_FOCUS.replace(**changes)
+    if blurred:
+        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(384, 384)).replace(**BLURRED[blurred][0])
+    pattern = gaussian_filter(np.random.default_rng(1).normal(size=(256, 256)), 1.0, mode="wrap")
+    pattern = np.clip(0.5 + 0.25 * pattern / pattern.std(), 0.02, 0.98).astype(np.float32)
+    texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None])}
+    place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(14)
+    scene = mp.load_scene(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "sensor": camera.to_sensor(),
+            "sky": {"type": "constant"},
+            "wall": {"type": "rectangle", "to_world": place, "bsdf": {"type": "diffuse", "reflectance": texture}},
+        }
+    )
+    capture = mp.render_capture(scene, spp=64)
+    capture.metadata["distance"] = distance
+    return capture
+
+
+def errors(capture):
+    """Relative errors of the best guesses, away from the border."""
+    lf = mp.decode(capture)
+    found = depth_map(lf, 335, 385, micro_images=micro_images(capture))
+    inner = found.isel(s=slice(3, -3), t=slice(3, -3))
+    return np.abs(distance_of(lf, inner.disparity.values) / capture.metadata["distance"] - 1)
+
+
+# The lenses of three types are sharp at 364, 368 and 370 mm: in front of, between and behind these.
+@pytest.mark.parametrize(
+    "distance", [pytest.param(352, marks=pytest.mark.slow), 366, pytest.param(373, marks=pytest.mark.slow)]
+)
+def test_depth_of_a_hexagonal_array_of_three_focal_lengths(distance):
+    error = errors(wall(distance))
+    assert np.median(error) < 0.005
+    assert np.percentile(error, 90) < 0.01
+
+
+@pytest.mark.parametrize("camera", [pytest.param("three focal lengths", marks=pytest.mark.slow), "one focal length"])
+def test_lenses_out_of_focus_do_not_move_depths(camera):
+    distance = BLURRED[camera][1]
+    capture = wall(distance, camera)
+    lf = mp.decode(capture)
+    found = depth_map(lf, micro_images=micro_images(capture)).isel(s=slice(5, -5), t=slice(5, -5))
+    assert abs(np.median(distance_of(lf, found.disparity.values)) / distance - 1) < 0.004
+
+
+@pytest.mark.slow
+def test_turned_and_moved_lenses():
+    error = errors(wall(352, mla_rotation=7.0, mla_offset=(0.03, -0.02)))
+    assert np.median(error) < 0.003
+    assert np.percentile(error, 90) < 0.005
+
+
+def test_a_light_field_interpolated_between_lenses_is_refused():
+    lf = mp.decode(wall(366))
+    with pytest.raises(mp.InputError, match=r"micro_images = None: .* give micro_images\(capture\)$"):
+        depth_map(lf, 335, 385, planes=3)
+    other = wall(352, mla_rotation=7.0, mla_offset=(0.03, -0.02))
+    with pytest.raises(mp.InputError, match="another camera"):
+        depth_map(lf, 335, 385, planes=3, micro_images=micro_images(other))
+
+
+def test_micro_images_of_a_square_array_are_the_light_field():
+    camera = mp.PlenopticCamera.preset("paper").replace(
+        detector_width=0.512, resolution=(256, 256), mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9
+    )
+    image = np.random.default_rng(3).random(camera.shape, dtype=np.float32)
+    lf, images = mp.decode(image, camera=camera), micro_images(image, camera=camera)
+    np.testing.assert_array_equal(images.values[..., 0].transpose(2, 3, 0, 1), lf.values)
+    np.testing.assert_array_equal(images.weight.transpose(2, 3, 0, 1), lf.weight.values)
+    assert images.grid == images.bins
+
+
+def test_left_out_views_are_refused():
+    camera = mp.PlenopticCamera.preset("paper").replace(
+        detector_width=0.512, resolution=(256, 256), mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9
+    )
+    lf = mp.decode(np.ones(camera.shape), camera=camera)
+    with pytest.raises(mp.InputError, match="takes all of its views, along u some lack"):
+        depth_map(lf.isel(u=slice(None, None, 2)), 232, 245, planes=3)
+
+
+def test_micro_images_need_a_camera():
+    grid = mp.views.lens_grid(MULTI_FOCUS)
+    with pytest.raises(mp.InputError, match="camera = None"):
+        micro_images(np.ones((384, 480)), grid=grid, white=np.ones((384, 480)))

@@ -1,0 +1,354 @@
+"""Decoding: where samples come from, what they are worth, and what the axes mean."""
+
+from __future__ import annotations
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import xarray as xr
+from light_field_cases import PAPER, all_cameras, square_cameras
+from scene_cases import letters, pinhole_picture
+from scipy.spatial import cKDTree
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, design, load_scene, render_capture
+from mitsuba_plenoptic.views import (
+    LensGrid,
+    camera_of,
+    decode,
+    depth_range,
+    disparity,
+    distance_of,
+    epipolar_image,
+    lens_grid,
+    lens_mosaic,
+    pick_views,
+    view,
+    view_mosaic,
+    white_image,
+)
+from mitsuba_plenoptic.views.lens_grid import bin_grid
+
+
+def rays_of_pixels(camera, grid):
+    """Pupil point and lens centre of every pixel by the textbook's formulas, axis by axis; the nearest lens."""
+    b, z = camera.mla_distance, camera.detector_distance
+    centres = grid.centres()
+    result = []
+    for axis in (0, 1):
+        pixel = np.arange(camera.crop_size[axis]) + camera.crop_offset[axis] + 0.5
+        p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
+        line = centres[0, :, 0] if axis == 0 else centres[:, 0, 1]
+        lens = (line + camera.crop_offset[axis] - camera.resolution[axis] / 2) * camera.pixel_size * b / (b + z)
+        c = lens[np.abs(p[:, None] * b / (b + z) - lens).argmin(1)]
+        result.append((c + b / z * (c - p), c))
+    return result
+
+
+class TestLensGrid:
+    def test_rows_turn_about_the_first_centre_and_shift(self):
+        grid = LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)
+        expected = [[[3, 4], [3, 14]], [[-5, 9], [-5, 19]], [[-13, 4], [-13, 14]]]
+        np.testing.assert_allclose(grid.centres(), expected, atol=1e-12)
+
+    def test_nearest_distance(self):
+        assert LensGrid((10, 8), (0, 0), (3, 3)).nearest_distance == 8
+        hexagonal = LensGrid((10, math.sqrt(75)), (0, 0), (3, 3), shifted_rows=0)
+        assert hexagonal.nearest_distance == pytest.approx(10)
+        upright = LensGrid((math.sqrt(300), 5), (0, 0), (3, 3), shifted_rows=0)
+        assert upright.nearest_distance == pytest.approx(10)
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            ((0, 1), (0, 0), (2, 2)),
+            ((1, 1), (math.nan, 0), (2, 2)),
+            ((1, 1), (0, 0), (0, 2)),
+            ((1, 1), (0, 0), (2, 2), 0.0, 2),
+        ],
+    )
+    def test_refused(self, arguments):
+        with pytest.raises(InputError):
+            LensGrid(*arguments)
+
+
+class TestWhiteImage:
+    def test_mean_is_the_closed_form(self):
+        # All 16 x 16 micro-images lie within the detector; on average they take a little more room than a lens.
+        room = (PAPER.micro_image_pitch / PAPER.mla_pitch) ** 2
+        assert white_image(PAPER).mean() == pytest.approx(design.white_mean(PAPER) * room, rel=5e-4)
+
+    def test_area_of_one_micro_image(self):
+        single = white_image(PAPER, LensGrid((32, 32), (256.3, 255.8), (1, 1)))
+        radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
+        assert single.sum() == pytest.approx(math.pi * radius**2, rel=5e-4)
+        y, x = np.indices(single.shape) + 0.5
+        assert (single * x).sum() / single.sum() == pytest.approx(256.3, abs=1e-3)
+        assert (single * y).sum() / single.sum() == pytest.approx(255.8, abs=1e-3)
+        assert single.max() == 1
+        assert single[255, 256 + 12] == 0
+
+    @pytest.mark.parametrize(
+        "detector_distance", [0.512, pytest.param(0.6, marks=pytest.mark.slow)], ids=["in focus", "defocused lenses"]
+    )
+    def test_against_a_rendered_one(self, detector_distance):
+        camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), detector_distance=detector_distance)
+        small = {"detector_width": "0.512", "resolution": "256", "detector_distance": str(detector_distance)}
+        scene = load_scene("white", parameters=small)
+        # Defocused lenses light each other's pixels, which makes their rays noisy.
+        rendered = render_capture(scene, spp=512 if detector_distance == 0.512 else 1024)
+        assert rendered.camera == camera
+        # Light of lenses beyond the detector reaches its border only in the rendered one.
+        inner = (slice(32, -32), slice(32, -32))
+        difference = (white_image(camera) - rendered.image)[inner]
+        assert abs(difference.mean()) < 1e-3
+        assert np.sqrt(np.mean(difference**2)) < 0.012
+
+
+class TestDecode:
+    @all_cameras
+    def test_white_is_one_wherever_the_pupil_is_seen(self, camera):
+        lf = decode(white_image(camera), camera=camera)
+        seen = lf.weight.values > 0
+        assert 0.5 < seen.mean() < 0.9
+        np.testing.assert_allclose(lf.values[seen], 1, atol=1e-5)
+        assert not lf.values[~seen].any()
+        assert lf.shape[2:] == bin_grid(camera).shape
+        middle = lf.sizes["u"] // 2
+        np.testing.assert_allclose(lf.weight[middle, middle, 2:-2, 2:-2], 1, atol=1e-3)
+
+    @square_cameras
+    def test_shape_and_coordinates(self, camera):
+        lf = decode(white_image(camera), camera=camera)
+        assert lf.dims == ("v", "u", "t", "s")
+        assert lf.sizes["v"] == lf.sizes["u"]
+        assert lf.sizes["u"] % 2 == 1
+        assert lf.shape[2:] == lens_grid(camera).shape
+        for name in lf.dims:
+            assert (np.diff(lf[name]) < 0).all()
+        # The pupil is covered to within a step and no sample lies half a step beyond it.
+        step = -np.diff(lf.u)[0]
+        assert step == pytest.approx(camera.pixel_size * camera.mla_distance / camera.detector_distance)
+        assert camera.aperture_radius - step < lf.u.values[0]
+        assert lf.u.values[0] < camera.aperture_radius + step / 2
+        assert -np.diff(lf.s)[0] == pytest.approx(camera.bin_size(camera.focus_distance))
+        assert camera_of(lf) == camera
+
+    @square_cameras
+    def test_samples_come_from_the_right_rays(self, camera):
+        # A capture whose value is a linear function of the ray: of pupil point and lens, in x and in y.
+        (Px, cx), (Py, cy) = rays_of_pixels(camera, lens_grid(camera))
+        lf = decode((40 + 2 * Px + 30 * cx + (3 * Py - 20 * cy)[:, None]) * white_image(camera), camera=camera)
+        g0, b = camera.focus_distance, camera.mla_distance
+        expected = 40 + 2 * lf.u - 30 * lf.s * b / g0 + 3 * lf.v + 20 * lf.t * b / g0
+        open_ = lf.weight.values > 0.999
+        assert open_.mean() > 0.4
+        np.testing.assert_allclose(lf.values[open_], expected.transpose(*lf.dims).values[open_], atol=2e-3)
+
+    def test_light_is_kept(self):
+        # Light in the middle of the detector only, so that no sample is left out.
+        image = np.zeros(PAPER.shape, dtype=np.float32)
+        image[100:400, 100:400] = (
+            np.random.default_rng(0).random((300, 300)) * (white_image(PAPER) == 1)[100:400, 100:400]
+        )
+        lf = decode(image, camera=PAPER)
+        assert (lf * lf.weight).sum().item() == pytest.approx(image.sum(), rel=1e-4)
+
+    def test_a_given_white_image_is_divided_by(self):
+        vignette = 1.02 - np.linspace(-0.5, 0.5, 512, dtype=np.float32) ** 2
+        white = white_image(PAPER) * vignette
+        lf = decode(0.7 * white, camera=PAPER, white=Capture(white, PAPER))
+        np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.7, atol=1e-4)
+
+    def test_colour(self):
+        image = white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]
+        lf = decode(image, camera=PAPER)
+        assert lf.dims == ("v", "u", "t", "s", "c")
+        assert lf.c.values.tolist() == ["R", "G", "B"]
+        assert lf.sel(c="G").values[11, 11] == pytest.approx(0.5)
+
+    @pytest.mark.parametrize(
+        "grid",
+        [
+            LensGrid((20.3, 20.3), (9.2, 5.1), (24, 26), math.radians(2)),
+            LensGrid((20.3, 20.3 * math.sqrt(0.75)), (12.2, 8.1), (27, 24), 0.0, 1),
+            LensGrid((19.1, 21.4), (9.2, 5.1), (22, 26), 0.0),
+        ],
+        ids=["turned", "hexagonal", "rectangular"],
+    )
+    def test_other_lattices_are_resampled_to_upright_squares(self, grid):
+        # The value of a pixel: linear in its lens's place on the detector and in its place within the micro-image.
+        centres = grid.centres().reshape(-1, 2)
+        y, x = np.indices((480, 500)) + 0.5
+        cx, cy = centres[cKDTree(centres).query(np.stack([x, y], axis=-1))[1]].transpose(2, 0, 1)
+        image = 100 + 0.1 * cx - 0.2 * cy + (x - cx) - 0.5 * (y - cy)
+        lf = decode(image, white=np.ones_like(image), grid=grid)
+        assert "camera" not in lf.attrs
+        # Far from the border all lenses are there.
+        inner = lf.where(lf.weight > 0)[:, :, 4:-4, 4:-4]
+        # Only samples nearer to their own lens than to any other.
+        assert 0.65 < float((lf.weight > 0)[..., 8, 8].mean()) < 0.85
+        slopes = [float(inner.differentiate(name).mean()) for name in ("v", "u", "t", "s")]
+        pitch = grid.pitch
+        assert slopes == pytest.approx([-0.5, 1.0, -0.2 * pitch, 0.1 * pitch], abs=0.01)
+        assert float(inner.differentiate("s").std()) < 0.05
+        middle = float(inner.interp(t=0, s=0, v=0, u=0))
+        low, high = centres.min(0), centres.max(0)
+        assert middle == pytest.approx(100 + 0.1 * (low + high)[0] / 2 - 0.2 * (low + high)[1] / 2, abs=0.2)
+
+    def test_a_grid_of_the_camera_is_resampled_to_its_bins(self):
+        turned = LensGrid((32.137, 32.137), (10.0, 5.0), (16, 16), math.radians(0.3))
+        white = white_image(PAPER, turned)
+        lf = decode(0.4 * white, camera=PAPER, grid=turned)
+        assert lf.shape[2:] == (16, 16)
+        np.testing.assert_allclose(lf.values[lf.weight.values > 0], 0.4, atol=1e-4)
+        assert (lf.weight.values[11, 11, 2:-2, 2:-2] > 0.99).all()
+
+    def test_focus_at_infinity_gives_slopes(self):
+        camera = PAPER.replace(mla_distance=80.0)
+        lf = decode(white_image(camera), camera=camera)
+        assert lf.s.attrs["units"] == "1"
+        assert np.isfinite(lf.s).all()
+        assert -np.diff(lf.s)[0] == pytest.approx(0.064 / 80)
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            ({}, "camera = None"),
+            ({"grid": LensGrid((32, 32), (16, 16), (16, 16))}, "white = None"),
+            ({"camera": PAPER, "white": np.ones((3, 3))}, r"white of shape \(3, 3\)"),
+            ({"camera": PlenopticCamera(resolution=(256, 512))}, "the camera records"),
+        ],
+    )
+    def test_refused(self, arguments, words):
+        with pytest.raises(InputError, match=words):
+            decode(np.ones((512, 512)), **arguments)
+
+
+class TestDisparity:
+    def test_formula_and_its_inverse(self):
+        lf = decode(white_image(PAPER), camera=PAPER)
+        assert disparity(lf, 240) == pytest.approx(0, abs=1e-12)
+        # s(210) = 1 + 120/210 - 120/80 = 0.0714; one view is 0.46875 mm, one lens 0.064 mm.
+        assert disparity(lf, 210) == pytest.approx(-0.0714286 * 0.46875 / 0.064, rel=1e-5)
+        for g in (190.0, 240.0, 3000.0):
+            assert distance_of(lf, disparity(lf, g)) == pytest.approx(g)
+        assert distance_of(lf, 100.0) == np.inf
+
+    def test_range_of_unambiguous_depth(self):
+        lf = decode(white_image(PAPER), camera=PAPER)
+        near, far = depth_range(lf)
+        assert (disparity(lf, near), disparity(lf, far)) == pytest.approx((-1, 1))
+
+    def test_without_a_camera_or_a_real_image(self):
+        lf = decode(np.ones((512, 512)), white=np.ones((512, 512)), grid=lens_grid(PAPER))
+        with pytest.raises(InputError, match="no camera"):
+            disparity(lf, 240)
+        with pytest.raises(InputError, match="focal length"):
+            disparity(decode(white_image(PAPER), camera=PAPER), 70)
+
+
+class TestViews:
+    @pytest.fixture
+    def lf(self):
+        values = np.random.default_rng(0).random((5, 5, 4, 6), dtype=np.float32)
+        lf = decode(white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6]
+        return lf.copy(data=values)
+
+    def test_nearest_view(self, lf):
+        assert np.array_equal(view(lf).values, lf.values[2, 2])
+        assert np.array_equal(view(lf, u=1.1 * lf.u[0], v=0.5).values, lf.values[1, 0])
+
+    @pytest.mark.parametrize("place", [{"u": 10}, {"v": -10}])
+    def test_a_view_beyond_the_pupil_is_refused(self, lf, place):
+        (name, value), step = *place.items(), float(lf.u[0] - lf.u[1])
+        low, high = float(lf[name][-1]) - step / 2, float(lf[name][0]) + step / 2
+        with pytest.raises(InputError, match=f"{name} = {value}: the light field goes from {low:.4g} to {high:.4g}"):
+            view(lf, **place)
+        assert np.array_equal(view(lf, **{name: high}), view(lf, **{name: float(lf[name][0])}))
+
+    @pytest.mark.parametrize("axis, field, pupil", [("horizontal", "t", "v"), ("vertical", "s", "u")])
+    def test_a_line_beyond_the_field_is_refused(self, lf, axis, field, pupil):
+        for name, places in (("at", field), ("through", pupil)):
+            beyond = 2 * float(lf[places][0])
+            with pytest.raises(InputError, match=f"{name} = {beyond:g}: the light field goes from"):
+                epipolar_image(lf, axis, **{name: beyond})
+
+    def test_of_a_single_view_there_is_nothing_to_choose(self, lf):
+        assert view(pick_views(lf, 1), u=1).shape == (4, 6)
+
+    def test_picked_views_divide_the_pupil(self, lf):
+        assert np.array_equal(pick_views(lf, 1).values[0, 0], lf.values[2, 2])
+        assert np.array_equal(pick_views(lf, 2).values[1, 0], lf.values[3, 1])
+        assert np.array_equal(pick_views(lf, 5).values, lf.values)
+
+    def test_mosaics(self, lf):
+        for j, i, row, column in ((0, 0, 0, 0), (1, 3, 2, 5), (4, 2, 3, 1)):
+            assert view_mosaic(lf)[j * 4 + row, i * 6 + column] == lf.values[j, i, row, column]
+            assert lens_mosaic(lf)[row * 5 + j, column * 5 + i] == lf.values[j, i, row, column]
+
+    def test_epipolar_images(self, lf):
+        flat = epipolar_image(lf, at=float(lf.t[1]), through=float(lf.v[3]))
+        assert flat.dims == ("u", "s")
+        assert np.array_equal(flat.values, lf.values[3, :, 1, :])
+        steep = epipolar_image(lf, "vertical", at=float(lf.s[5]), through=float(lf.u[0]))
+        assert steep.dims == ("v", "t")
+        assert np.array_equal(steep.values, lf.values[:, 0, :, 5])
+
+    @pytest.mark.parametrize(
+        "thing", [np.ones((3, 3, 3, 3)), xr.DataArray(np.ones((2, 2, 2, 2)), dims=("v", "u", "t", "s"))]
+    )
+    def test_other_things_are_refused(self, thing):
+        with pytest.raises(InputError, match="light field"):
+            view(thing)
+
+
+class TestScenes:
+    """What real scenes show in the views."""
+
+    @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (205.0, 240.0)), 290.0])
+    def test_parallax_follows_the_formula(self, distance, camera_dict):
+        # A small disc off the axis; its place in every fully lit view, by its centroid.
+        place = mi.ScalarTransform4f().translate([-0.1 * distance / 120, 0.17 * distance / 120, distance])
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "path", "max_depth": 1},
+                "sensor": camera_dict(resolution=640, detector_width=1.28),
+                "disc": {
+                    "type": "disk",
+                    "to_world": place.scale(0.16).rotate([0, 1, 0], 180),
+                    "bsdf": {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.0}},
+                    "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
+                },
+            }
+        )
+        capture = render_capture(scene, spp=128, seed=1)
+        lf = decode(capture)
+        lit = lf.weight.min(("t", "s")) > 0.999
+        assert int(lit.sum()) > 200
+        # In lenses from the axis: u = -X b/g = 0.1 mm to the right and 0.17 mm up, plus P s(g).
+        s = capture.camera.defocus(distance)
+        right = -lf.s * 120 / 240 / 0.064
+        down = -lf.t * 120 / 240 / 0.064
+        light = lf.sum(("t", "s"))
+        x = ((lf * right).sum(("t", "s")) / light - (0.1 + lf.u * s) / 0.064).where(lit)
+        y = ((lf * down).sum(("t", "s")) / light - (-0.17 + lf.v * s) / 0.064).where(lit)
+        for error in (x, y):
+            assert float(np.sqrt((error**2).mean())) < 0.05
+            assert float(abs(error).max()) < 0.2
+            # The slope is far better than any single view: no scale error.
+            for axis in ("u", "v"):
+                slope = error.polyfit(axis, 1).polyfit_coefficients.sel(degree=1).mean()
+                assert abs(float(slope)) * 0.46875 < 0.003
+
+    def test_centre_view_is_a_perspective_image(self):
+        scene = load_scene("letters", parameters=letters(32))
+        lf = decode(render_capture(scene, spp=64))
+        expected = pinhole_picture(scene, 32, 32, 2.048, spp=256)[..., 0]
+        centre = view(lf).values
+        assert np.corrcoef(centre.ravel(), expected.ravel())[0, 1] >= 0.99
+        # Not mirrored, turned or moved.
+        for other in (centre[::-1], centre[:, ::-1], centre.T, np.roll(centre, 1, 0), np.roll(centre, 1, 1)):
+            assert np.corrcoef(other.ravel(), expected.ravel())[0, 1] < 0.95

@@ -1,0 +1,308 @@
+"""Refocusing and depth from light fields, against direct sums, the ray reconstruction and known scenes."""
+
+from __future__ import annotations
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import xarray as xr
+from scene_cases import letters, pinhole_picture
+
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    expose,
+    load_scene,
+    reconstruct,
+    render_capture,
+)
+from mitsuba_plenoptic.design import best_distances
+from mitsuba_plenoptic.views import (
+    FourierRefocuser,
+    LensGrid,
+    decode,
+    depth_map,
+    disparity,
+    focal_stack,
+    refocus,
+    shift_and_add,
+    white_image,
+)
+from mitsuba_plenoptic.views.agreement import view_disagreement
+from mitsuba_plenoptic.views.coordinates import view_steps
+from mitsuba_plenoptic.views.lens_agreement import LensComparison
+from mitsuba_plenoptic.views.lens_images import micro_images_of
+
+# Fewer pixels a lens than the paper's, to be quick: 11 views.
+CAMERA = PlenopticCamera(detector_width=2.56, resolution=(640, 640))
+
+
+@pytest.fixture(scope="module")
+def blank():
+    return decode(white_image(CAMERA), camera=CAMERA)
+
+
+def texture(seed=0, waves=60):
+    """Give a smooth random function of two coordinates in lenses, without detail finer than 8 lenses."""
+    generator = np.random.default_rng(seed)
+    kx, ky = generator.uniform(-0.12, 0.12, (2, waves)) * 2 * np.pi
+    phase, height = generator.uniform(0, 2 * np.pi, waves), generator.normal(size=waves)
+
+    def value(x, y):
+        total = sum(h * np.cos(a * x + b * y + p) for a, b, p, h in zip(kx, ky, phase, height, strict=True))
+        return 0.5 + total / (4 * np.sqrt(waves))
+
+    return value
+
+
+def flat_scene(lf, distance, function):
+    """Fill a light field with a flat textured scene at one distance: the value at lens - step x disparity."""
+    slope = disparity(lf, distance)
+    t, s = (np.arange(lf.sizes[name], dtype=float) for name in ("t", "s"))
+    v, u = (view_steps(lf, name) for name in ("v", "u"))
+    x = s - slope * u[:, None]
+    y = t - slope * v[:, None]
+    values = function(x[None, :, None, :], y[:, None, :, None]).astype(np.float32)
+    return lf.copy(data=np.where(lf.weight.values > 0, values, 0))
+
+
+@pytest.fixture(scope="module")
+def colours(blank):
+    """Three textures at 215 mm, and the light field whose channels they are."""
+    channels = [flat_scene(blank, 215.0, texture(seed)) for seed in range(3)]
+    lf = xr.concat(channels, dim="c").transpose("v", "u", "t", "s", "c")
+    return channels, lf.assign_coords(c=["R", "G", "B"])
+
+
+class TestShiftAndAdd:
+    def test_is_the_mean_of_moved_views(self, blank):
+        lf = blank.copy(data=np.random.default_rng(0).random(blank.shape, dtype=np.float32))
+        slope = 0.37
+        ours = shift_and_add(lf, slope).values
+        # Read out at one bin, with the textbook's bilinear formula.
+        row, column = 17, 22
+        total = weight = 0.0
+        for j, dv in enumerate(view_steps(lf, "v")):
+            for i, du in enumerate(view_steps(lf, "u")):
+                y, x = row + slope * dv, column + slope * du
+                y0, x0 = math.floor(y), math.floor(x)
+                for yy, wy in ((y0, 1 - (y - y0)), (y0 + 1, y - y0)):
+                    for xx, wx in ((x0, 1 - (x - x0)), (x0 + 1, x - x0)):
+                        share = wy * wx * blank.weight.values[j, i, yy, xx]
+                        total += share * lf.values[j, i, yy, xx]
+                        weight += share
+        assert ours[row, column] == pytest.approx(total / weight, rel=1e-5)
+
+    def test_a_scene_is_sharp_at_its_own_distance_only(self, blank):
+        function = texture()
+        lf = flat_scene(blank, 215.0, function)
+        sharp = refocus(lf, 215.0)
+        expected = function(np.arange(40.0), np.arange(40.0)[:, None])
+        np.testing.assert_allclose(sharp.values, expected, atol=0.03)
+        assert float(sharp.distance) == 215
+        assert sharp.values.std() > 2 * refocus(lf, 270.0).values.std()
+
+    def test_borders_do_not_darken(self, blank):
+        lf = blank.copy(data=np.where(blank.weight.values > 0, np.float32(0.6), 0))
+        for g in (205, 240, 300):
+            np.testing.assert_allclose(refocus(lf, g).values, 0.6, atol=1e-5)
+
+    @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (210.0, 240.0)), 280.0])
+    def test_equals_the_ray_reconstruction(self, distance):
+        capture = render_capture(load_scene("letters", parameters=letters(64)), spp=2)
+        ours = refocus(decode(capture), distance).values
+        theirs = reconstruct(capture, distance, footprint="lens").image
+        error = np.mean((ours - theirs) ** 2)
+        assert 10 * math.log10(theirs.max() ** 2 / error) > 45
+
+    def test_colour_is_refocused_channel_by_channel(self, colours):
+        colours, lf = colours
+        for method in ("shift", "fourier"):
+            stack = focal_stack(lf, [215, 260], method=method)
+            assert stack.dims == ("distance", "t", "s", "c")
+            for channel in range(3):
+                alone = focal_stack(colours[channel], [215, 260], method=method)
+                np.testing.assert_allclose(stack.values[..., channel], alone.values, atol=1e-5)
+
+    def test_refused(self, blank):
+        with pytest.raises(InputError, match="distances"):
+            focal_stack(blank, [])
+        lens = LensGrid((32, 32), (16, 16), (20, 20))
+        unknown = decode(np.ones((640, 640)), white=np.ones((640, 640)), grid=lens)
+        with pytest.raises(InputError, match="no camera"):
+            refocus(unknown, 240)
+        # In lenses per view it can be refocused all the same.
+        np.testing.assert_allclose(shift_and_add(unknown, 0.2).values, 1, atol=1e-5)
+
+
+class TestFourierSlice:
+    def test_is_the_mean_of_views_moved_by_exact_phases(self, blank):
+        lf = flat_scene(blank, 225.0, texture(3))
+        slope, margin = 0.43, 8
+        size = 40 + 2 * margin
+        frequency = np.fft.fftfreq(size)
+        weight = blank.weight.values.mean(axis=(2, 3))
+        padded = np.pad(lf.values, ((0, 0), (0, 0), (margin, margin), (margin, margin)), mode="edge")
+        total = np.zeros((size, size), dtype=complex)
+        for j, dv in enumerate(view_steps(lf, "v")):
+            for i, du in enumerate(view_steps(lf, "u")):
+                phase = np.exp(2j * np.pi * slope * (dv * frequency[:, None] + du * frequency))
+                total += weight[j, i] * np.fft.fft2(padded[j, i]) * phase
+        expected = np.fft.ifft2(total).real[margin:-margin, margin:-margin] / weight.sum()
+        ours = FourierRefocuser(lf, 0.6).refocus(slope).values
+        # The borders are continued as far as views move, here and there.
+        inner = (slice(8, -8), slice(8, -8))
+        assert np.abs(ours - expected)[inner].max() < 2e-3
+        assert expected[inner].std() > 0.05
+
+    @pytest.mark.parametrize("distance", [205.0, 240.0, 280.0])
+    def test_agrees_with_shift_and_add_on_smooth_scenes(self, blank, distance):
+        lf = flat_scene(blank, 225.0, texture())
+        difference = refocus(lf, distance, method="fourier") - refocus(lf, distance)
+        assert float(np.abs(difference[6:-6, 6:-6]).max()) < 0.02
+
+    def test_an_even_number_of_views(self, blank):
+        # With a camera the middle of the pupil stays where it is; without one it lies between the middle views.
+        lf = flat_scene(blank, 215.0, texture()).isel(u=slice(1, None), v=slice(0, -1))
+        sharp = refocus(lf, 215.0, method="fourier").values
+        np.testing.assert_allclose(sharp[6:-6, 6:-6], refocus(lf, 215.0).values[6:-6, 6:-6], atol=0.035)
+        plain = lf.copy()
+        del plain.attrs["camera"]
+        plain = plain.assign_coords({name: np.arange(10) - 4.5 for name in ("u", "v")})
+        slope = disparity(lf, 215.0)
+        ours = FourierRefocuser(plain, 1).refocus(slope).values[6:-6, 6:-6]
+        np.testing.assert_allclose(ours, shift_and_add(plain, slope).values[6:-6, 6:-6], atol=0.035)
+
+    def test_too_large_a_disparity_is_refused(self, blank):
+        with pytest.raises(InputError, match=r"disparity = 0\.7"):
+            FourierRefocuser(blank, 0.5).refocus(0.7)
+
+
+class TestDepth:
+    def test_two_planes(self, blank):
+        # The left half at 212 mm in front of the right half at 265 mm, by their place in the middle view.
+        near, far = flat_scene(blank, 212.0, texture(1)), flat_scene(blank, 265.0, texture(2))
+        slope = disparity(blank, 212.0)
+        edge = 20 + slope * view_steps(blank, "u")
+        in_front = np.arange(40)[None, :] < edge[:, None]
+        lf = blank.copy(data=np.where(in_front[None, :, None, :], near.values, far.values))
+        found = depth_map(lf, 195, 310, planes=48)
+        left, right = found.isel(s=slice(2, 16)), found.isel(s=slice(23, 38))
+        assert float(abs(left.depth - 212).median()) < 0.5
+        assert float(abs(right.depth - 265).median()) < 1
+        assert float(left.confidence.median()) > 0.8
+        assert float(right.confidence.median()) > 0.8
+        # Next to the edge the background is not mistaken for the object.
+        assert float(found.isel(s=slice(22, 24)).depth.median()) > 240
+        sharp = np.where(
+            np.arange(40) < 20,
+            texture(1)(np.arange(40.0), np.arange(40.0)[:, None]),
+            texture(2)(np.arange(40.0), np.arange(40.0)[:, None]),
+        )
+        assert np.median(np.abs(found.image.values - sharp)) < 0.02
+        known = np.isfinite(found.depth.values)
+        assert known.mean() > 0.6
+        assert np.all(found.confidence.values[known] >= 0.5)
+        np.testing.assert_allclose(
+            found.disparity.values[known], [disparity(lf, g) for g in found.depth.values[known]], atol=1e-9
+        )
+
+    def test_no_texture_no_confidence(self, blank):
+        noise = np.random.default_rng(0).normal(0, 0.01, blank.shape)
+        lf = blank.copy(data=np.where(blank.weight.values > 0, 0.5 + noise, 0).astype(np.float32))
+        found = depth_map(lf, planes=32)
+        assert float((found.confidence < 0.5).mean()) > 0.98
+        assert float(found.confidence.where(np.isfinite(found.depth)).min()) >= 0.5 or bool(np.isnan(found.depth).all())
+        assert found.attrs["near"] == pytest.approx(188.5, abs=0.1)
+
+    def test_noise_does_not_move_the_depth(self, blank):
+        lf = flat_scene(blank, 228.0, texture(4))
+        lf = lf + np.random.default_rng(0).normal(0, 0.03, lf.shape).astype(np.float32)
+        lf.attrs = blank.attrs
+        found = depth_map(lf, 200, 300, planes=32)
+        sure = found.confidence > 0.5
+        assert float(sure.mean()) > 0.5
+        assert float(found.depth.where(sure).median()) == pytest.approx(228, abs=0.5)
+
+    def test_colour(self, colours):
+        found = depth_map(colours[1], 200, 300, planes=24)
+        assert found.image.dims == ("t", "s", "c")
+        assert float(found.depth.median()) == pytest.approx(215, abs=0.7)
+
+    def test_focused_cameras_compare_micro_images(self):
+        # Stripes finer than the lenses, which alias from lens to lens: the value of a sample at its exact place.
+        camera = PlenopticCamera.preset("paper").replace(
+            detector_width=1.536, resolution=(768, 768), mla_focal_length=0.66, aperture_radius=4.9
+        )
+        lf = decode(white_image(camera), camera=camera)
+        function = texture(waves=40)
+        # Where its lenses are in focus, samples near the rims of micro-images show their exact places.
+        sharp = best_distances(camera)[0]
+        lf = flat_scene(lf, sharp, lambda x, y: function(6 * x, 6 * y))
+        found = depth_map(lf, 220, 236, planes=40)
+        inner = found.isel(s=slice(3, -3), t=slice(3, -3))
+        assert float(np.isfinite(inner.depth).mean()) > 0.9
+        assert float(abs(inner.depth - sharp).max()) < 0.5
+        # The views themselves agree about nothing.
+        by_views = [float(np.median(view_disagreement(lf, disparity(lf, g))[0])) for g in (sharp, 222.0)]
+        lenses = LensComparison(micro_images_of(lf))
+        by_lenses = [float(np.nanmedian(lenses.disagreement(disparity(lf, g))[0])) for g in (sharp, 222.0)]
+        assert by_lenses[0] < 0.1 * by_lenses[1]
+        assert by_views[0] > 0.3 * by_views[1]
+        with pytest.raises(InputError, match="nothing in common"):
+            depth_map(lf, 239, 241)
+
+    @pytest.mark.parametrize("distance", [pytest.param(200.0, marks=pytest.mark.slow), 300.0])
+    def test_the_default_search_reaches_as_far_as_views_show_depth(self, blank, distance):
+        # Views move by 1.4 lenses and more.
+        found = depth_map(flat_scene(blank, distance, texture(5)), planes=96).isel(s=slice(12, -12), t=slice(12, -12))
+        assert float(np.isfinite(found.depth).mean()) > 0.9
+        assert float(abs(found.depth / distance - 1).max()) < 0.01
+
+    @pytest.mark.parametrize(("near", "far"), [(200, 260), (285, 330)])
+    def test_a_card_beyond_the_search_is_unknown(self, blank, near, far):
+        lf = flat_scene(blank, 273.0, texture(6))
+        found = depth_map(lf, near, far, planes=24).isel(s=slice(3, -3), t=slice(3, -3))
+        assert float(np.isfinite(found.depth).mean()) < 0.05
+        assert float((found.confidence == 0).mean()) > 0.9
+
+    @pytest.mark.parametrize("period", [1.3, pytest.param(2.0, marks=pytest.mark.slow)])
+    def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period):
+        # Lenses average over their width.
+        height = 0.45 * np.sinc(1 / period)
+        lf = flat_scene(blank, 246.0, lambda x, y: 0.5 + height * np.sin(2 * np.pi * x / period + 0.7) + 0 * y)
+        found = depth_map(lf, 205, 290)
+        wrong = ~(np.abs(found.depth.values / 246 - 1) < 0.01)
+        assert np.count_nonzero(wrong & (found.confidence.values > 0.9)) < 5
+        assert float((found.confidence.values[wrong] > 0.5).mean()) < 0.1
+
+    def test_an_even_field_with_few_photons_has_no_depth(self):
+        white = Capture(0.5 * white_image(CAMERA), CAMERA)
+        found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
+        assert float(np.isfinite(found.depth).mean()) < 0.02
+        assert float(found.confidence.max()) < 0.9
+
+    @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
+    def test_refused(self, blank, near, words):
+        with pytest.raises(InputError, match=words):
+            depth_map(blank, near, 200)
+
+
+@pytest.mark.slow
+def test_depth_of_the_still_life():
+    scene = load_scene("still_life")
+    capture = render_capture(scene, spp=16)
+    integrator = mi.load_dict({"type": "aov", "aovs": "place:position"})
+    z = pinhole_picture(scene, 640, 640, 8.192, integrator=integrator, spp=1)[..., -1]
+    truth = np.median(z.reshape(128, 5, 128, 5).swapaxes(1, 2).reshape(128, 128, 25), axis=2)
+    found = depth_map(decode(capture), 195, 310)
+    # A depth whose neighbours disagree is unknown, whatever its own confidence.
+    sure = (found.confidence.values > 0.5) & np.isfinite(found.depth.values)
+    error = np.abs(found.depth.values - truth) / (truth.max() - truth.min())
+    assert sure.mean() > 0.3
+    assert np.median(error[sure]) < 0.01
+    assert np.percentile(error[sure], 90) < 0.03

@@ -1,0 +1,140 @@
+"""Which plane is chosen from how views disagree, and how sure that is: ratios of variances written down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
+
+from mitsuba_plenoptic.views.plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement, indications
+
+PLANES, SHAPE, TRUE = 41, (9, 11), 17.3
+INVERSE = np.linspace(1 / 200, 1 / 300, PLANES)
+SAMPLES = 6000.0
+
+
+def found(deviation, contrast=0.3, inverse=INVERSE):
+    """Views whose deviation on each plane, as a fraction of the one to be explained, is given; all bins alike."""
+    ratio = np.tile(np.square(deviation)[:, None, None], (1, *SHAPE))
+    return Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(SHAPE, contrast), inverse)
+
+
+def valley(least):
+    """Deviations that rise from the true plane to either side."""
+    return least + (1 - least) * (1 - np.exp(-np.abs(np.arange(PLANES) - TRUE) / 2))
+
+
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_the_plane_of_least_disagreement_is_chosen(samples):
+    chosen = choose(found(valley(0.05)), samples, 0.01)
+    assert np.abs(chosen.plane - TRUE).max() < 0.5
+    assert chosen.probability.min() > 0.85
+
+
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_what_no_plane_explains_is_less_sure(samples):
+    # The same relative minimum, of views that are apart on every plane.
+    explained, unexplained = (choose(found(valley(0.2), c), samples, 0.01).probability for c in (0.3, 1.2))
+    # Wrong at least three times as often, however sure the first is.
+    assert np.all(1 - unexplained > 3 * (1 - explained))
+
+
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_nothing_is_known_where_planes_do_not_differ(samples):
+    assert choose(found(np.full(PLANES, 0.9)), samples, 0.01).probability.max() < 0.2
+    dark = np.zeros((PLANES, *SHAPE))
+    nothing = disagreement(np.ones_like(dark), dark, dark + SAMPLES, np.zeros(SHAPE), INVERSE)
+    assert choose(nothing, samples, 0.01).probability.max() < 0.2
+
+
+@pytest.mark.parametrize(("samples", "independent"), [(VIEWS, 6000.0), (LENSES, 100.0), (LENSES, 1500.0)])
+def test_noise_alone_is_not_significant(samples, independent):
+    # Ratios about 1 with the variance that the number of samples says, averaged over the bins of a window.
+    noise = gaussian_filter(np.random.default_rng(0).normal(size=(PLANES, 60, 60)), (0, 1, 1), mode="wrap")
+    ratio = 1 + noise / noise.std() / np.sqrt(independent)
+    ones = np.ones_like(ratio)
+    flat = Disagreement(ratio, independent * ones, 0.03 * ones[0], INVERSE)
+    assert (choose(flat, samples, 0.01).probability >= 0.5).mean() < 0.01
+    # The same noise over a valley that is eight times as deep as the deviation of an average, two of which are chance.
+    depth = 8 / np.sqrt(5 * independent)
+    ratio = ratio - depth * np.exp(-(((np.arange(PLANES) - TRUE) / 2) ** 2))[:, None, None]
+    weak = indications(Disagreement(ratio, independent * ones, 0.03 * ones[0], INVERSE), samples, 0.01)[1][3]
+    assert np.exp(np.median(weak)) == pytest.approx(6, abs=1.5)
+
+
+@pytest.mark.parametrize(("samples", "times"), [(VIEWS, 3), (LENSES, 2)])
+def test_a_valley_as_deep_elsewhere_makes_unsure(samples, times):
+    def rivals(depth):
+        aside, other = (np.abs(np.arange(PLANES) - plane) for plane in (TRUE, 31))
+        return found(1 - 0.9 * np.exp(-((aside / 1.5) ** 2)) - depth * np.exp(-((other / 1.5) ** 2)))
+
+    ambiguous, clear = (choose(rivals(depth), samples, 0.01).probability for depth in (0.88, 0.1))
+    # Wrong at least so many times as often.
+    assert np.all(1 - ambiguous > times * (1 - clear))
+
+
+@pytest.mark.parametrize("samples", [VIEWS, LENSES])
+def test_a_plane_with_which_few_neighbours_agree_is_improbable(samples):
+    # Each bin has one deep valley, on one of five planes at random, as of repeated texture.
+    shape = (40, 40)
+    best = np.random.default_rng(0).choice([5, 12, 19, 26, 33], shape)
+    deviation = 1 - 0.95 * np.exp(-(((np.arange(PLANES)[:, None, None] - best) / 1.5) ** 2))
+    ratio = np.square(deviation)
+    scattered = Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(shape, 0.3), INVERSE)
+    chosen, agreeing = choose(scattered, samples, 0.01), indications(scattered, samples, 0.01)[2]
+    # A bin's own weight in its window is 1 / 57; the others choose its plane in a fifth of the cases.
+    assert 0.18 < agreeing.mean() < 0.26
+    # Were two of the neighbours asked at random, this is how often at least one of them would agree.
+    assert np.all(chosen.probability <= 1 - (1 - agreeing) ** 2 + 1e-12)
+    assert (chosen.probability < 0.5).mean() > 0.8
+    assert np.array_equal(chosen.agreed, agreeing >= 0.5)
+    assert chosen.probability.max() < 0.9
+
+
+def test_neighbours_beyond_an_edge_are_a_minority():
+    # Half of the field shows one plane, half another, twelve planes apart.
+    best = np.where(np.arange(40) < 20, 14.0, 26.0)
+    ratio = np.square(1 - 0.95 * np.exp(-(((np.arange(PLANES)[:, None, None] - best) / 1.5) ** 2)))
+    ratio = np.tile(ratio, (1, 20, 1))
+    edge = Disagreement(ratio, np.full(ratio.shape, SAMPLES), np.full(ratio.shape[1:], 0.3), INVERSE)
+    agreeing = indications(edge, VIEWS, 0.01)[2]
+    assert agreeing.min() > 0.5
+    # Of a Gaussian window of 3 bins about the last bin before the edge, half a bin more than half is before it.
+    assert agreeing[10, 19] == pytest.approx(ndtr(0.5 / 3), abs=0.02)
+    probability = choose(edge, VIEWS, 0.01).probability
+    assert probability.min() >= 0.5
+    # A bin beside an edge may have the edge for all of its evidence.
+    assert probability[:, 19:21].max() < 0.9 < probability[:, :10].min()
+
+
+@pytest.mark.parametrize(("true", "known"), [(3.0, False), (12.0, True), (188.0, True), (197.0, False)])
+def test_what_is_within_the_tolerance_of_an_end_is_unknown(true, known):
+    # Planes are 0.17 to 0.25 % apart.
+    inverse = np.linspace(1 / 200, 1 / 300, 201)
+    deviation = 1 - 0.95 * np.exp(-(((np.arange(201) - true) / 1.5) ** 2))
+    probability = choose(found(deviation, inverse=inverse), VIEWS, 0.01).probability
+    assert np.all(probability > 0.9 if known else probability == 0)
+
+
+@pytest.mark.parametrize("true", [-2.0, 0.3, PLANES - 1.2, PLANES + 3.0])
+def test_what_is_best_at_an_end_is_unknown(true):
+    deviation = 0.05 + 0.02 * np.abs(np.arange(PLANES) - true)
+    assert choose(found(deviation), VIEWS, 0.01).probability.max() == 0
+    # The same before a gap in which nothing can be compared.
+    gap = np.concatenate([deviation, np.full(5, np.nan), deviation[::-1]])
+    ends = choose(found(gap, inverse=np.linspace(1 / 200, 1 / 400, len(gap))), VIEWS, 0.01)
+    assert ends.probability.max() == 0
+
+
+@pytest.mark.parametrize("rise", [0.1, 0.03])
+def test_a_valley_before_planes_that_cannot_be_compared_is_closed_by_less(rise):
+    # Down to plane 14, then up by a fraction of the depth to plane 17; beyond that, a gap or planes like the last.
+    planes = np.arange(PLANES)
+    logarithm = np.where(planes < 14, -3 + 0.3 * (14 - planes), np.minimum(-3 + rise * (planes - 14), -3 + 3 * rise))
+    logarithm = np.minimum(np.where(planes > 24, 0, logarithm), 0)
+    logarithm[17:25] = np.nan
+    before_gap = choose(found(np.exp(logarithm)), VIEWS, 0.01).probability
+    at_the_end = choose(found(np.exp(logarithm[:17]), inverse=INVERSE[:17]), VIEWS, 0.01).probability
+    assert np.all(before_gap > 0.5 if rise == 0.1 else before_gap == 0)
+    assert np.all(at_the_end == 0)
