@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic render``, ``expose`` and ``demosaic``: captures of scenes, and what a real detector records."""
+"""``mitsuba-plenoptic render`` and ``expose``: captures of scenes, and what a real detector records."""
 
 from __future__ import annotations
 

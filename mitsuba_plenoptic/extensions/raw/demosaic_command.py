@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -21,8 +20,6 @@ from ...cli.inputs import (
     require_linear,
 )
 from ...errors import refuse_if
-
-_log = logging.getLogger(__name__)
 
 
 def demosaic(
