@@ -221,9 +221,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     group = command_group(called) if called else typer.main.get_command(_outline())
     with _remarks():
         try:
+            # Progress begins before the options are read, thus before --quiet is.
+            silent = not called or not words or not {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            quick = not called or not words or not {"-h", "--help"}.isdisjoint(words)
-            with at_shell(_OPTIONS), contextlib.nullcontext() if quick else _plain_lines(words[0]):
+            with at_shell(_OPTIONS), contextlib.nullcontext() if silent else _plain_lines(words[0]):
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == _STOPPED:
