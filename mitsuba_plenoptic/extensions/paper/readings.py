@@ -6,7 +6,7 @@ from typing import Any
 
 from ...errors import InputError
 from ...refocus import reconstruct
-from ...refocus.partitions import blocks, coloured, refocused, sublattice
+from .partitions import blocks, coloured, refocused, sublattice
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
 from ...report.stage_store import StageStore
