@@ -51,8 +51,7 @@ from .methods import (
     used_by,
     work_of,
 )
-from .radiance import is_known
-from .ray import white_pixels
+from .radiance import is_known, white_pixels
 from .results import Reconstruction
 
 

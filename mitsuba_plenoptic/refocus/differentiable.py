@@ -20,13 +20,13 @@ from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields
-from .lens_tiles import fine_bins
+from .lens_by_lens import fine_bins
 from .methods import FOOTPRINTS
 from .passages import BinSums
 from .planning import plan, require_feasible
-from .radiance import LensSpread, divisors, is_reached, lens_scale
-from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
-from .wave_methods import signed_parts, white_light
+from .radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
+from .ray_sums import pupil_radius, ray_sums, ray_sums_vjp
+from .wave_methods import signed_parts
 
 
 class RayRefocus:
@@ -197,7 +197,7 @@ class CoherentRefocus:
         (self._step,) = grids.to_objects
         (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
-        white = white_light(camera, wavelength, distance, oversample, True)
+        white = white_sums(camera, distance, camera.lit_radius, "lens", oversample, wavelength)
         divisor, reached = divisors(white, rays, distance, computed=True)
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
 

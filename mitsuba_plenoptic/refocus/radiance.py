@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar, cast
@@ -43,12 +44,29 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
-from ..errors import refuse_if
+from ..errors import MOST_PIXELS, refuse_if
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import check_memory
 from ..optics import rays
 from ..optics.waves import in_millimetres, soft_edge
+from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
-from ..runtime.limits import require_memory
+from ..runtime.limits import require_memory, single_threaded_blas
+from ..views.white_image import PupilFraction, white_image
+from .conjugates import RealConjugates, ThinConjugates
+from .lens_by_lens import (
+    LensSet,
+    LensTile,
+    fine_bins,
+    object_patches,
+    on_bins,
+    passing_power,
+    pupil_fields,
+    tile_lenses,
+)
 from .methods import Progress, Task, portion
+from .ray_sums import ray_sums
+from .splatting import traced_white
 
 _PLANE = 8
 """Width of the plane in which the pupil is spread, in radii of the pupil."""
@@ -358,3 +376,212 @@ def over_lenses(
 ) -> np.ndarray:
     """Spread fine bins over lenses; the rounding of the transform below zero is not light."""
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)
+
+
+_THROUGHPUT_LENSES = 25
+
+_HEIGHTS = 17
+"""Lenses behind a real main lens of which the throughput is found."""
+
+_WHOLE = 0.2
+"""Light of such a lens over that of the brightest, at least."""
+
+_RAY_BINS = 36
+"""Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
+
+_MOST_RAY_BINS = 2**26
+
+
+@once_a_camera
+def white_pixels(camera: PlenopticCamera) -> np.ndarray:
+    """Return the camera's white image."""
+    return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)
+
+
+@once_a_camera
+def white_sums(
+    camera: PlenopticCamera,
+    distance: float,
+    radius: float,
+    footprint: str,
+    oversample: int,
+    wavelength: float | None = None,
+    relay: bool = True,
+) -> np.ndarray:
+    """Return the light of a scene of uniform radiance 1 in each bin, in pixel values times pixels: a method's divisor.
+
+    By rays it is `ray_sums` of the camera's white capture. By waves no two lenses interfere, as interference cancels in
+    the mean over the bins: it is the light of rays, less what the pupil does not let back of a micro-image.
+
+    Parameters
+    ----------
+    camera, distance, radius, footprint, oversample
+        As in `ray_sums`.
+    wavelength : float, optional
+        In nanometres; None: by rays.
+    relay : bool
+        Whether the microlenses of a wave act a second time, see `reconstruct`.
+
+    Returns
+    -------
+    (rows, columns) float64 array
+    """
+    if wavelength is None:
+        white = white_pixels(camera)[..., None]
+        return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
+    is_focused = focus_type(camera) != "unfocused"
+    if camera.lens_data.traced_surfaces:
+        positions, throughput = _traced_throughput(camera, wavelength, distance, relay)
+        x, y = (
+            (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
+            for count in camera.bin_count
+        )
+        share: Any = np.interp(np.hypot(x, y[:, None]), positions, throughput)
+    elif camera.lenses_are_bins and is_focused:
+        return _lens_patches(camera, wavelength, distance, relay, oversample)
+    else:
+        share = _throughput(camera, wavelength, relay)
+    if camera.lens_data.traced_surfaces or camera.lenses_like_bins or is_focused:
+        return white_sums(camera, distance, radius, footprint, oversample) * share
+    return _spread_rays(camera, distance, oversample, fine_bins(OpticalSystem(camera, wavelength), oversample)) * share
+
+
+@once_a_camera
+def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+    """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
+
+    A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone. Light of waves
+    comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses: pixels are split
+    into parts whose images are no wider than a lens.
+    """
+    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
+    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
+    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    _, image = rays.follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
+    most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
+    parts = max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
+    split = camera.replace(
+        resolution=tuple(parts * size for size in camera.resolution),
+        crop_offset=tuple(parts * size for size in camera.crop_offset),
+        crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
+    )
+    white = (white_pixels(camera) / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
+    counted = ray_sums(white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
+
+
+@once_a_camera
+@single_threaded_blas()  # the bits are the same with any thread count
+def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> float:
+    """Return the fraction of a white micro-image's power that comes back through the main lens.
+
+    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera. Of an aligned lattice the
+    micro-image is a disc. Of others it is that of a lens of every type, and only pixels whose own ray passes the main
+    lens count.
+    """
+    around = _around_axis(camera, 2 if camera.lenses_are_bins else 3)
+    tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), backend().arrays
+    check_memory(tile.memory, "wave reconstruction of a white micro-image")
+    lenses = LensSet(tile)
+    inside = soft_edge((camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch)
+    back = sent = 0.0
+    i, j = around.lattice.cell(0.0, 0.0)
+    # Among the lenses next to the axis there is one of every type.
+    for step in range(len(camera.mla_focal_lengths)):
+        image, seen = _micro_image(around, (i + step, j))
+        if camera.lenses_are_bins:
+            image = soft_edge((camera.aperture_radius - seen) / camera.pupil_step)
+            sent += float(image.sum()) * camera.pixel_size**2
+        else:
+            sent += float(image[seen <= camera.lit_radius].sum()) * camera.pixel_size**2
+        batch = lenses.batch(np.array([lenses.find(i + step, j)]))
+        (field,) = pupil_fields(arrays.asarray(np.sqrt(image).astype(np.float32)), tile, batch, relay=relay)
+        back += float((abs(field) ** 2 * arrays.asarray(inside)).sum()) * tile.pupil_pitch**2
+    refuse_if(
+        not min(back, sent) > 0,
+        f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
+        f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
+        "no white can be computed for waves",
+    )
+    return back / sent
+
+
+@once_a_camera
+@single_threaded_blas()
+def _traced_throughput(
+    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `_throughput` does of some lenses behind a real main lens, by their distance from the axis.
+
+    Micro-images that the lens cuts have more edge for their area, and lose more.
+    """
+    conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
+    tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of white micro-images")
+    white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
+    lit = lenses.lit(white)
+    order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
+    chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
+    amplitude = libraries.arrays.asarray(np.sqrt(white))
+    found = []
+    for number in chosen:
+        batch = lenses.batch(lit[number : number + 1])
+        fields = pupil_fields(amplitude, tile, batch, relay=relay)
+        own = np.logical_and.reduce(np.broadcast_arrays(*(factor != 0 for factor in batch.source)))
+        sent = float((white[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
+        passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
+        if sent > 0:
+            found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
+    positions, shares, light = np.array(found).T
+    # Lenses whose micro-images are recorded in small part only say little.
+    whole = light > _WHOLE * light.max()
+    return positions[whole], shares[whole]
+
+
+@single_threaded_blas()
+def _lens_patches(
+    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool, oversample: int
+) -> np.ndarray:
+    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
+
+    For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
+    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
+    pupil. So some bins get more light than others. All lenses are taken for the one next to the axis.
+    """
+    around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), backend()
+    lenses = LensSet(LensTile(around, wavelength, count, oversample))
+    batch = lenses.batch(np.array([lenses.find(0, 0)]))
+    amplitude = libraries.arrays.asarray(np.sqrt(_micro_image(around, (0, 0))[0]).astype(np.float32))
+    fields = pupil_fields(amplitude, lenses.tile, batch, relay=relay)
+    thin = ThinConjugates(OpticalSystem(around, wavelength))
+    patch = libraries.to_host(object_patches(fields, lenses.tile, batch, distance, thin)[0]).astype(np.float64)
+    everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
+    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
+    comb[row * oversample, column * oversample] = 1
+    return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
+
+
+def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the micro-image of white behind one lens, and how far from the axis its centre's pixels see the pupil."""
+    b, z = camera.mla_distance, camera.reduced_distance
+    centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
+    Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
+    lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0
+    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), np.hypot(Px, Py[:, None])
+
+
+def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
+    """Return the camera with a crop of `lenses` lenses on each side of the axis; the detector grows if needed."""
+    around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
+    refuse_if(
+        around > MOST_PIXELS // 2,
+        f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves",
+    )
+    columns, rows = (max(size, 2 * around) for size in camera.resolution)
+    return camera.replace(
+        resolution=(columns, rows),
+        detector_width=columns * camera.pixel_size,
+        crop_offset=(columns // 2 - around, rows // 2 - around),
+        crop_size=(2 * around, 2 * around),
+    )

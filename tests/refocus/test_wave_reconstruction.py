@@ -17,7 +17,7 @@ from mitsuba_plenoptic.refocus import full_fields, planning
 from mitsuba_plenoptic.refocus.full_fields import BackwardFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.planning import plan
-from mitsuba_plenoptic.refocus.ray import white_sums
+from mitsuba_plenoptic.refocus.radiance import white_sums
 from mitsuba_plenoptic.views.white_image import white_image
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
