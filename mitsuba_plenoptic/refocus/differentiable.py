@@ -19,14 +19,13 @@ from ..prescription.lens_data import image_distance
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
-from .full_fields import BackwardFields
 from .lens_by_lens import fine_bins
 from .methods import FOOTPRINTS
 from .passages import BinSums
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
 from .ray_sums import pupil_radius, ray_sums, ray_sums_vjp
-from .wave_methods import signed_parts
+from .wave_methods import BackwardFields, signed_parts
 
 
 class RayRefocus:

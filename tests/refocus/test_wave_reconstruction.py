@@ -13,11 +13,11 @@ from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct,
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.points.point_spread import point_spread_function
-from mitsuba_plenoptic.refocus import full_fields, planning
-from mitsuba_plenoptic.refocus.full_fields import BackwardFields, lit_window, reconstruct_subsets
+from mitsuba_plenoptic.refocus import planning, wave_methods
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.planning import plan
 from mitsuba_plenoptic.refocus.radiance import white_sums
+from mitsuba_plenoptic.refocus.wave_methods import BackwardFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.views.white_image import white_image
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
@@ -306,8 +306,8 @@ def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
     image = lit_inside(SMALL, 200, 440)
     whole = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert len(plan(SMALL, WAVELENGTH, [112.5], lit_window(image, SMALL)).strips) == 1
-    monkeypatch.setattr(full_fields, "plan", lambda *given: planning._plan(*given, 3))
-    monkeypatch.setattr(full_fields, "require_feasible", lambda made: None)
+    monkeypatch.setattr(wave_methods, "plan", lambda *given: planning._plan(*given, 3))
+    monkeypatch.setattr(wave_methods, "require_feasible", lambda made: None)
     parts = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
 
