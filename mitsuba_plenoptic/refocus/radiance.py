@@ -475,9 +475,8 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine
 def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> float:
     """Return the fraction of a white micro-image's power that comes back through the main lens.
 
-    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera. Of an aligned lattice the
-    micro-image is a disc. Of others it is that of a lens of every type, and only pixels whose own ray passes the main
-    lens count.
+    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera. Pixels count whose own ray
+    passes the main lens.
     """
     around = _around_axis(camera, 2 if camera.lenses_are_bins else 3)
     tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), backend().arrays
@@ -489,11 +488,7 @@ def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> floa
     # Among the lenses next to the axis there is one of every type.
     for step in range(len(camera.mla_focal_lengths)):
         image, seen = _micro_image(around, (i + step, j))
-        if camera.lenses_are_bins:
-            image = soft_edge((camera.aperture_radius - seen) / camera.pupil_step)
-            sent += float(image.sum()) * camera.pixel_size**2
-        else:
-            sent += float(image[seen <= camera.lit_radius].sum()) * camera.pixel_size**2
+        sent += float(image[seen <= camera.lit_radius].sum()) * camera.pixel_size**2
         batch = lenses.batch(np.array([lenses.find(i + step, j)]))
         (field,) = pupil_fields(arrays.asarray(np.sqrt(image).astype(np.float32)), tile, batch, relay=relay)
         back += float((abs(field) ** 2 * arrays.asarray(inside)).sum()) * tile.pupil_pitch**2
@@ -563,12 +558,18 @@ def _lens_patches(
 
 
 def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the micro-image of white behind one lens, and how far from the axis its centre's pixels see the pupil."""
+    """Return one lens's micro-image of white, and how far from the axis its pixels see the pupil through the centre.
+
+    Of an unfocused camera with an aligned lattice the micro-image is a disc.
+    """
     b, z = camera.mla_distance, camera.reduced_distance
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
+    seen = np.hypot(Px, Py[:, None])
+    if camera.lenses_are_bins and focus_type(camera) == "unfocused":
+        return soft_edge((camera.aperture_radius - seen) / camera.pupil_step), seen
     lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0
-    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), np.hypot(Px, Py[:, None])
+    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), seen
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
