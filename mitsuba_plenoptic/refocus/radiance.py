@@ -44,7 +44,8 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
-from ..errors import MOST_PIXELS, refuse_if
+from ..errors import MOST_PIXELS, refuse_if, short_repr
+from ..io.captures import Capture
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
 from ..optics import rays
@@ -52,7 +53,7 @@ from ..optics.waves import in_millimetres, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
 from ..runtime.limits import require_memory, single_threaded_blas
-from ..views.white_image import PupilFraction, white_image
+from ..views.white_image import PupilFraction, recorded_white, scaled_white, white_image
 from .conjugates import RealConjugates, ThinConjugates
 from .lens_by_lens import (
     LensSet,
@@ -260,6 +261,33 @@ _LEAST_REACHED = 0.01
 
 _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
+
+
+def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -> np.ndarray:
+    """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture that it is to divide.
+
+    A white wave capture that lost another part of the light at the edges of its micro-images is refused. The camera of
+    white is that of the capture, or that with which the capture was `recorded`.
+    """
+    image = np.atleast_3d(capture.image)
+    cameras = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
+    pixels = recorded_white(white, image.shape, cameras)
+    if isinstance(white, Capture):
+        refuse_if(
+            white.model == "wave" and capture.model != "wave",
+            "white: it was captured by waves, and the capture by rays, which lose no light at edges",
+        )
+        theirs, ours = (
+            None if one.wavelength is None else np.broadcast_to(one.wavelength, image.shape[2])
+            for one in (white, capture)
+        )
+        refuse_if(
+            theirs is not None and ours is not None and not np.array_equal(theirs, ours),
+            f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
+            "it must be of the same wavelengths",
+        )
+    scaled = scaled_white(pixels, white_pixels(capture.camera), capture.camera)
+    return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
 
 def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
