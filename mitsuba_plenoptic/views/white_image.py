@@ -195,7 +195,7 @@ def recorded_white(
     Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras, `lens_model` aside, and
     an image of other pixels than `shape`, (rows, columns[, channels]), or of other channels than one or as many.
     """
-    image = np.atleast_3d(white.image if isinstance(white, Capture) else as_array("white", white))
+    given = white.image if isinstance(white, Capture) else as_array("white", white)
     if isinstance(white, Capture):
         require_demosaiced(white)
         saturated, pixels = recording_of(white).get("saturated_pixels", 0), math.prod(white.camera.shape)
@@ -211,10 +211,10 @@ def recorded_white(
                 f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
                 f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
             )
-    require_pixels("white", image)
-    if image.ndim != 3 or image.shape[:2] != shape[:2] or image.shape[2] not in (1, *shape[2:]):
-        raise InputError(f"white of shape {np.shape(image)}: it must have the pixels of the capture, {shape[:2]}")
-    return image
+    require_pixels("white", given)
+    if given.shape[:2] != shape[:2] or given.ndim not in (2, 3) or given.shape[2:] not in ((), (1,), shape[2:]):
+        raise InputError(f"white of shape {given.shape}: it must have the pixels of the capture, {shape[:2]}")
+    return np.atleast_3d(given)
 
 
 def scaled_white(
