@@ -32,6 +32,7 @@ from ..runtime.batches import BatchMap
 from ..runtime.limits import GIB, memory_asked
 from ..runtime.progress import Forecast, in_words
 from .deconvolution.variation import MOST as _MOST
+from .displacement import is_known
 from .methods import (
     FOOTPRINTS,
     METHODS,
@@ -48,7 +49,7 @@ from .methods import (
     used_by,
     work_of,
 )
-from .radiance import as_reference, is_known
+from .radiance import as_reference
 from .results import Reconstruction
 
 _log = logging.getLogger(__name__)
@@ -174,7 +175,7 @@ def reconstruct(
         stay in units of the capture (see `mitsuba_plenoptic.views.white_image.scaled_white`). It is refocused by the
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
-        `mitsuba_plenoptic.refocus.radiance`). This takes the time of one refocusing for the white and of two
+        `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two
         more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
         at their edges, then read less than the radiance (0.85 for the paper's camera), except with
         ``incoherent``, whose computed white has lost the same light.
