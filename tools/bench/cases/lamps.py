@@ -124,7 +124,7 @@ def sky() -> tuple[Any, float]:
 
 
 def light_of_stars(scene: Any, light: float, spp: int, seeds: int, noise: bool) -> tuple[float, float, float]:
-    """Return the mean over seeds of a capture's light over its stars' light, its standard error, and the least pixel."""
+    """Return the mean of captures' light over their stars' light, its standard error, and the least pixel."""
     images = [
         # Counts of samples share no seeds.
         render_capture(scene, model="wave", spp=spp, seed=10_000 * spp + seed, noise=noise).image
