@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal
 from ..errors import InputError
-from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
 
@@ -144,7 +143,7 @@ class Kind(NamedTuple):
 
 @dataclass(frozen=True)
 class LensKinds:
-    """The kinds of a camera's microlenses, which are the same for all wavelengths, and the positions of the lenses."""
+    """The kinds of a camera's microlenses, which are the same for all wavelengths."""
 
     camera: PlenopticCamera
 
@@ -191,21 +190,6 @@ class LensKinds:
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())
 
-    def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
-        """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""
-        x, y = self.camera.lattice.centre(i, j)
-        right, up = chief_ray_shift(self.camera, x, y)
-        x, y = x + right, y + up
-        if self.camera.mla_jitter[0]:
-            right, up, _ = irregularities(self.camera, i, j)
-            x, y = x + right, y + up
-        return (x, y), self.height(x, y)
-
-    def height(self, x: Any, y: Any) -> Any:
-        """Return the distance of a tilted array at a position towards the main lens, relative to the axis."""
-        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
-        return x * across + y * up if across or up else 0.0
-
     def number(self, i: Any, j: Any, height: Any) -> Any:
         """Return the indices of the kinds of lenses."""
         camera = self.camera
@@ -232,7 +216,8 @@ class LensKinds:
     def _heights(self) -> NDArray[np.float64]:
         """Heights of a tilted array."""
         camera = self.camera
-        most = abs(self.height(camera.detector_width / 2, 0.0)) + abs(self.height(0.0, camera.detector_height / 2))
+        across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
+        most = across * camera.detector_width / 2 + up * camera.detector_height / 2
         n = camera.mla_medium
         return _steps(most, _STEP / self._phase * n * (camera.reduced_distance - most / n) ** 2)
 

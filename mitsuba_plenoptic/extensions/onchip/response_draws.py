@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lenses.main_lens import Pair
-from ...light.optical_system import RayPupil
 from ...light.signed_draws import chances_of
+from ...light.walk import Walk
 from ...runtime.backend import drjit_array
 from .plane_waves import NEAR, lens_centre
 from .response_tables import PhotodiodeResponses, TableWindow
@@ -76,7 +76,7 @@ class Tables:
         slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
         chief = [-system.lens.slope_to(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
-        inner = RayPupil(system).inner(tuple(pupil), centre)
+        inner = Walk.of(system.camera, system.lens).inner(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
         zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
         near: list[Any] = []
