@@ -24,6 +24,7 @@ from ..camera.entry import one_if_equal
 from ..errors import InputError
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
+from .random_numbers import hashed
 
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
@@ -98,24 +99,11 @@ def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
 
 def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
     """Return values uniformly distributed between 0 and 1, both excluded."""
-    bits = _mix(_mix(_mix(i ^ _mix_int(seed)) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
+    start = int(hashed(np.array([seed], np.uint32))[0])
+    bits = hashed(hashed(hashed(i ^ start) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
     if dr.is_array_v(bits):
         return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
     return (bits.astype(np.float64) + 0.5) * 2.0**-23
-
-
-def _mix(word: Any) -> Any:
-    """Return a word each bit of which depends on all given bits (Wellons 2018, "Prospecting for hash functions")."""
-    word = word ^ (word >> 16)
-    word = word * type(word)(0x7FEB352D) if dr.is_array_v(word) else word * np.uint32(0x7FEB352D)
-    word = word ^ (word >> 15)
-    word = word * type(word)(0x846CA68B) if dr.is_array_v(word) else word * np.uint32(0x846CA68B)
-    return word ^ (word >> 16)
-
-
-def _mix_int(word: int) -> int:
-    """Return `_mix` of one integer."""
-    return int(_mix(np.array([word], np.uint32))[0])
 
 
 _STEP = 0.4

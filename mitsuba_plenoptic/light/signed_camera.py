@@ -39,9 +39,10 @@ from .control_variate import known_means
 from .lens_kinds import LensKinds
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
+from .random_numbers import chances_of
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Drawn, Lot, chances_of
+from .signed_draws import Drawn, Lot
 from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)

@@ -26,11 +26,9 @@ from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box
 from .lens_kinds import MOST_DEVIATIONS, LensKinds
 from .phase_space import PhaseSpace, TableNodes
+from .random_numbers import chances_of, even_steps
 from .signed_colours import Lanes
 from .walk import Walk
-
-_STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
-"""Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""
 
 _AIRY, _AIRY_REACH = 1024, 200.0
 """Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
@@ -291,7 +289,7 @@ class Draws:
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         chance = chances_of(pixel, seed ^ (sample << 4))
-        for axis, step in enumerate(_STEPS):
+        for axis, step in enumerate(even_steps(4)):
             value = index * step + mi.sample_tea_float32(pixel, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
         within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
@@ -344,14 +342,6 @@ class Draws:
         wavelength = in_millimetres(self._longest.wavelength)
         unit = wavelength * camera.pupil_distance / (2 * math.pi * camera.pupil_radius)
         return drjit_array(mi.Float, radius * unit)
-
-
-def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
-    """Return four random numbers, of 16 bits each."""
-    words = mi.sample_tea_32(lane, key)
-    low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
-    high = [mi.Float(word >> 16) * 2.0**-16 for word in words]
-    return low[0], low[1], high[0], high[1]
 
 
 def tent(value: Any) -> Any:

@@ -37,9 +37,10 @@ from .control_variate import known_means
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .pixel_kernels import PixelKernels
+from .random_numbers import chances_of
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels, chances_of
+from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels
 from .walk import Walk, walks_of
 
 _BLOCK_BYTES = 2**29

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
+from ..light.random_numbers import even_steps, hashed
 from ..light.walk import Passage, Walk, follow_back, on_plane
 from ..optics import rays
 from ..runtime.backend import array_module, drjit_array
@@ -229,9 +230,6 @@ _LANES = 2**22
 _WHITE_RAYS = 32
 """Rays of a pixel through each lens that can light it."""
 
-_STEPS = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
-"""Reciprocal powers of the root of x^5 = x + 1: an even sequence in four dimensions (Roberts, 2018)."""
-
 
 def traced_places(
     camera: PlenopticCamera, distance: float
@@ -260,17 +258,17 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
     out over the pixels of a bin.
     """
-    types, walk, p = array_module(), Walk.of(camera), camera.pixel_size
+    types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
     for rows, px, py in _pixels(camera, types):
         _, (i, j) = walk.chief_cell((px, py))
         number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
-        shifts = [types.Float64(_scrambled(types, number, axis)) for axis in range(4)]
+        shifts = [types.Float64(hashed(number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
         total = types.Float64(0)
         for ray in range(_WHITE_RAYS):
             s, t, u, v = (
-                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, _STEPS, strict=True)
+                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
             )
             s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
             position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
@@ -295,11 +293,3 @@ def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, A
         px = dr.gather(types.Float64, x, column)
         py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
         yield slice(first, last), px, py
-
-
-def _scrambled(types: Any, number: Any, axis: int) -> Any:
-    """Hash consecutive integers to evenly scattered values from 0 to 1 (Wellons, 2018)."""
-    x = types.UInt32(number) * 4 + axis
-    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
-        x = (x ^ (x >> shift)) * types.UInt32(factor)
-    return types.Float64(x ^ (x >> 16)) * (1 / 2**32)

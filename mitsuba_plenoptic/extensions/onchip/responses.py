@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...lenses.main_lens import Pair
+from ...light.control_variate import means_of
 from ...light.noise import Mended
 from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite
@@ -266,10 +267,7 @@ class ResponseSum:
             ]
             for parts in ([rays.counts], rays.sums)
         )
-        means = [
-            [dr.select(number > 0, light / number, 0) for light, number in zip(each, counts[0], strict=True)]
-            for each in sums
-        ]
+        means = [means_of(each, counts[0]) for each in sums]
         dr.eval(means, counts)
         near = self._near_sums(grid, rays, means, at)
         far = self._far_sums(grid, rays, means, seed)
@@ -285,7 +283,7 @@ class ResponseSum:
         return result
 
     def _near_sums(
-        self, grid: LensCells, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
+        self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]
     ) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         tables, size = self._tables, self._across**2
@@ -308,7 +306,7 @@ class ResponseSum:
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
-    def _far_sums(self, grid: LensCells, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+    def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables, size, margin = self._tables, self._across**2, self._tables.margin
         around = grid.within(margin)
