@@ -24,7 +24,7 @@ from .common import LensNumbers, builds
 from .exit_pupil import ExitPupil
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
-from .main_lens import Entrance
+from .main_lens import Entrance, RoundMap
 from .pupil_fit import Pupils, covered, fit_pupil, trace
 
 _FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
@@ -33,18 +33,6 @@ _FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
 _MAP_WIDER, _BISECTIONS, _TRIED = 1.1, 24, 65
 """Extent of the map over that of the pupil and of the detector's corner; bisections that find an edge; rays across the
 pupil that find its centre."""
-
-
-@dataclass(frozen=True, eq=False)
-class RoundMap:
-    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
-
-    # Distance of the last field from the axis, on the array; the first is 0.
-    field: float
-    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
-    half: float
-    # Corresponding point of each node, (fields, rows, columns, 2).
-    points: NDArray[np.float32]
 
 
 def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:

@@ -282,9 +282,7 @@ class ResponseSum:
         dr.eval(result)
         return result
 
-    def _near_sums(
-        self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]
-    ) -> list[Any]:
+    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         tables, size = self._tables, self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
