@@ -25,10 +25,8 @@ DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
 
-_OPTIONS = ("response", "iterations", "accelerate", "photons", "volume", "variation")
 
-
-@method("deconvolved", options=_OPTIONS, waves=True, as_it_is=True, long=True, white=False)
+@method("deconvolved", waves=True, as_it_is=True, long=True, white=False)
 def refocus(task: Task, **options: Any) -> list[Found]:
     """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
 
