@@ -10,7 +10,6 @@ import functools
 import inspect
 import operator
 import textwrap
-import types
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_type_hints
@@ -29,45 +28,29 @@ _Call = TypeVar("_Call", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Option:
-    """What is known of an option beside its name.
+    """What is known of an option beside its name."""
 
-    Attributes
-    ----------
-    methods : tuple of str
-        The methods that use it.
-    text : str
-        What it is, for the help and the docstring alike.
-    default : Any
-        What methods get where it is not given.
-    shown : str
-        The default in words, where its value does not say it.
-    check : callable, optional
-        From name, value and capture to the value that methods get. Default: one of the choices, a flag, or a count.
-    choices : tuple of str
-        The words that it may be.
-    metavar : str
-        What the help shows for its value, where neither choices nor a number do.
-    waves : bool
-        Whether the help lists it among the options of waves, instead of those for experts.
-    details : str
-        What the docstring adds.
-    types : tuple of types
-        The types of its values; of the field's annotation.
-    """
-
+    # Names of the methods that use it.
     methods: tuple[str, ...]
+    # What it is, for the help and the docstring alike.
     text: str
+    # What the docstring adds.
+    details: str = ""
+    # What methods get where it is not given, and that in words where the value does not say it.
     default: Any = None
     shown: str = ""
+    # From name, value and capture to what methods get. Default: one of the choices, a flag, or a count.
     check: Callable[[str, Any, Any], Any] | None = None
     choices: tuple[str, ...] = ()
+    # What the help shows for the value, where it is neither a choice nor a number.
     metavar: str = ""
+    # Whether the help lists it among the options of waves, instead of those for experts.
     waves: bool = False
-    details: str = ""
+    # The types of its values, which its annotation states.
     types: tuple[type, ...] = ()
 
     def checked(self, name: str, value: Any, capture: Any) -> Any:
-        """Return the value that methods get: the default where none is given."""
+        """Return what methods get for a value; the default where none is given."""
         if value is None:
             return self.default
         if self.check:
@@ -78,12 +61,12 @@ class Option:
 
     @property
     def label(self) -> str:
-        """The methods that use it, as the texts begin."""
+        """The text, after the methods that use the option."""
         return f"For {' and '.join(self.methods)}: {self.text}"
 
     @property
     def shown_default(self) -> str:
-        """The default as help and docstring show it."""
+        """The default in words."""
         return self.shown or str(self.default)
 
 
@@ -95,10 +78,11 @@ def _require_interleave(name: str, value: Any, capture: Any) -> int | str:
     try:
         return require_count(name, value, maximum=lenses)
     except InputError:
-        raise InputError(
-            f"{name} = {short_repr(value)}: it must be 'auto' or a whole number from 1 to {lenses}, the lenses along "
-            "an axis"
-        ) from None
+        rule = f"it must be 'auto' or a whole number from 1 to {lenses}, the lenses along an axis"
+        raise InputError(f"{name} = {short_repr(value)}: {rule}") from None
+
+
+_PARTIAL, _DECONVOLVED = ("partial",), ("deconvolved",)
 
 
 class MethodOptions(TypedDict, total=False):
@@ -107,14 +91,13 @@ class MethodOptions(TypedDict, total=False):
     interleave: Annotated[
         int | str | None,
         Option(
-            ("partial",),
+            _PARTIAL,
             "every K-th lens along both axes shares a wave; auto lets no two lenses interfere.",
+            "2 makes four waves, 1 is ``coherent``. The last bits of ``auto`` depend on the thread count of the BLAS.",
             default=2,
             check=_require_interleave,
             metavar="K|auto",
             waves=True,
-            details="2 makes four waves, 1 is ``coherent``. The last bits of ``auto`` depend on the thread count of "
-            "the BLAS.",
         ),
     ]
     footprint: Annotated[
@@ -131,106 +114,97 @@ class MethodOptions(TypedDict, total=False):
         Option(
             ("coherent", "partial"),
             "whether the microlenses act again on the way back, as they should.",
+            "Without, which is the literal reading of the paper, planes out of focus stay blurred: see "
+            "`mitsuba_plenoptic.refocus.wave_methods`.",
             default=True,
             waves=True,
-            details="Without, which is the literal reading of the paper, planes out of focus stay blurred: see "
-            "`mitsuba_plenoptic.refocus.wave_methods`.",
         ),
     ]
     response: Annotated[
         str | None,
         Option(
-            ("deconvolved",),
+            _DECONVOLVED,
             "how light goes through the camera.",
+            "With a `wavelength` it is ``wave``.",
             shown="as the capture was made",
             choices=RESPONSES,
-            details="With a `wavelength` it is ``wave``.",
         ),
     ]
     iterations: Annotated[
         int | None,
         Option(
-            ("deconvolved",),
+            _DECONVOLVED,
             "steps.",
+            "Where the noise is known, from `photons` or from metadata of `expose`, there are at most 100.",
             shown="until only noise is left, where a capture states its exposure; else 30",
-            details="With a known noise, from `photons` or from metadata of `expose`, there are at most 100.",
         ),
     ]
     accelerate: Annotated[
         bool | None,
         Option(
-            ("deconvolved",),
+            _DECONVOLVED,
             "whether each step starts from an extrapolated point.",
+            "One step then does the work of several.",
             default=True,
-            details="One step then does the work of several.",
         ),
     ]
     photons: Annotated[
         float | None,
         Option(
-            ("deconvolved",),
+            _DECONVOLVED,
             "photons that a pixel of value 1 has counted.",
+            "Photon noise is then the only noise.",
             shown="those that 'expose' recorded",
             check=lambda name, value, _: require_number(name, value, positive=True),
-            details="Photon noise is then the only noise.",
         ),
     ]
     volume: Annotated[
         bool | None,
-        Option(
-            ("deconvolved",),
-            "all distances together explain the capture, not each alone.",
-            default=False,
-        ),
+        Option(_DECONVOLVED, "all distances together explain the capture, not each alone.", default=False),
     ]
     variation: Annotated[
         float | None,
         Option(
-            ("deconvolved",),
+            _DECONVOLVED,
             "weight of the total variation, which makes planes even between sharp borders.",
+            "At most 0.25; 0.002 to 0.02 suit, the more the noisier the capture. What is fainter than the noise "
+            "becomes flat, and slopes become steps.",
             default=0.0,
             shown="0",
             check=lambda name, value, _: require_number(name, value, minimum=0, maximum=MOST_VARIATION),
-            details="At most 0.25; 0.002 to 0.02 suit, the more the noisier the capture. What is fainter than the "
-            "noise becomes flat, and slopes become steps.",
         ),
     ]
 
 
-def _records() -> dict[str, Option]:
-    """Return the records of `MethodOptions` by name, with the types of their annotations."""
-    hints = get_type_hints(MethodOptions, include_extras=True)
-    fields = {name: get_args(hint) for name, hint in hints.items()}
-    return {
-        name: replace(option, types=tuple(one for one in get_args(kind) if one is not types.NoneType))
-        for name, (kind, option) in fields.items()
-    }
+_FIELDS = {name: get_args(hint) for name, hint in get_type_hints(MethodOptions, include_extras=True).items()}
 
-
-OPTIONS = _records()
+OPTIONS = {name: replace(option, types=get_args(kind)[:-1]) for name, (kind, option) in _FIELDS.items()}
 """The options of single methods, by name, in the order in which messages name them."""
 
 
-def with_parameters(function: _Call, parameters: list[inspect.Parameter]) -> _Call:
-    """Give a function that takes ``**options`` a signature that names them."""
+def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
+    """Give a function that takes ``**options`` a signature that names them; `parameters` has their annotations."""
     signature = inspect.signature(function, eval_str=True)
     own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    every = [
+        *own,
+        *(inspect.Parameter(name, keyword, default=None, annotation=kind) for name, kind in parameters.items()),
+    ]
     named: Any = function
-    named.__signature__ = signature.replace(parameters=[*own, *parameters])
-    named.__annotations__ = {one.name: one.annotation for one in (*own, *parameters)}
+    named.__signature__ = signature.replace(parameters=every)
+    named.__annotations__ = {one.name: one.annotation for one in every}
     return function
 
 
 def with_options(function: _Call) -> _Call:
     """Give `reconstruct` the options of single methods, in its signature and in its docstring."""
-    parameters, text = [], ""
+    text = ""
     for name, option in OPTIONS.items():
-        kind: Any = functools.reduce(operator.or_, (*option.types, None))
-        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind))
         words = " or ".join([repr(word) for word in option.choices] or [one.__name__ for one in option.types])
-        text += f"{name} : {words}, optional\n"
         described = " ".join(filter(None, (option.label, option.details, f"Default: {option.shown_default}.")))
-        text += textwrap.indent(textwrap.fill(described, 110), "    ") + "\n"
+        text += f"{name} : {words}, optional\n{textwrap.indent(textwrap.fill(described, 110), '    ')}\n"
     head, _, tail = (function.__doc__ or "").partition("    **options\n")
     function.__doc__ = head + textwrap.indent(text, "    ") + tail.partition("\n")[2]
-    return with_parameters(function, parameters)
+    kinds = {name: functools.reduce(operator.or_, (*option.types, None)) for name, option in OPTIONS.items()}
+    return with_parameters(function, kinds)

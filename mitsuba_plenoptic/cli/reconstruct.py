@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -46,17 +45,21 @@ if TYPE_CHECKING:
 
 def _with_method_options(command: Callable[..., None]) -> Callable[..., None]:
     """Give the command an option for each that single methods use."""
-    parameters = []
+    made: dict[str, Any] = {}
     for name, option in OPTIONS.items():
-        flags = (f"--{name}/--no-{name}" if option.default else f"--{name}",) if bool in option.types else ()
-        shown = name if flags and option.default else False if flags else option.shown_default
-        metavar = "|".join(option.choices) or option.metavar or (None if flags else "N")
-        panel = WAVES if option.waves else EXPERT
-        made = typer.Option(*flags, metavar=metavar, show_default=shown, help=option.label, rich_help_panel=panel)
+        flag = bool in option.types
         kind: Any = str | None if str in option.types else option.types[0] | None
-        annotation = Annotated[kind, made]
-        parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation))
-    return with_parameters(command, parameters)
+        made[name] = Annotated[
+            kind,
+            typer.Option(
+                *([f"--{name}/--no-{name}" if option.default else f"--{name}"] if flag else []),
+                metavar="|".join(option.choices) or option.metavar or (None if flag else "N"),
+                show_default=name if flag and option.default else not flag and option.shown_default,
+                help=option.label,
+                rich_help_panel=WAVES if option.waves else EXPERT,
+            ),
+        ]
+    return with_parameters(command, made)
 
 
 @_with_method_options

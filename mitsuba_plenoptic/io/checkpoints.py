@@ -60,10 +60,11 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def locked(path: Path, refusal: str) -> Iterator[None]:
-    """Hold a lock file, made with its folder and removed, or refuse in one line if another process holds it.
+    """Hold a lock file, made and removed with a folder that stays empty, or refuse if another process holds the lock.
 
     The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
     """
+    new = not path.parent.exists()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("w")
@@ -84,6 +85,9 @@ def locked(path: Path, refusal: str) -> Iterator[None]:
             yield
         finally:
             path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                if new:
+                    path.parent.rmdir()
 
 
 def lock_of(path: Path) -> Path:
@@ -155,23 +159,7 @@ class Checkpoint:
         return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
-        """Say what a run is whose state is no sum, and return the arrays that an earlier process has saved of it.
-
-        Parameters
-        ----------
-        **facts
-            As for `begin`.
-
-        Returns
-        -------
-        dict of float32 and float64 arrays by name, or None
-            None if nothing is saved.
-
-        Raises
-        ------
-        InputError
-            As for `begin`.
-        """
+        """Say as `begin` what a run is whose state is no sum; return the arrays saved of it, None if none are."""
         return self._begin(facts, _named_arrays, {})
 
     def _begin(
@@ -228,18 +216,7 @@ class Checkpoint:
         self._save(lambda path: _write(path, self.run, snapshot))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
-        """Write the arrays that `begin_arrays` is to return, if it is time to; as `save` does.
-
-        Parameters
-        ----------
-        arrays : callable
-            Gathers them: float32 and float64, by name.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            After `stop`.
-        """
+        """Write the float32 and float64 arrays that `begin_arrays` is to return, if it is time to; as `save` does."""
         self._save(lambda path: _write_archive(path, self.run, {}, dict(arrays())))
 
     def _save(self, write: Callable[[Path], None]) -> None:

@@ -15,7 +15,7 @@ def test_an_option_that_is_added_in_one_place_is_found_in_all(python):
     import contextlib, importlib.util, inspect, io, sys
     spec = importlib.util.find_spec("mitsuba_plenoptic.refocus_options")
     text = open(spec.origin).read()
-    end = text.index("def _records")
+    end = text.index("_FIELDS = ")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     exec(compile(text[:end].rstrip() + {field!r} + text[end:], spec.origin, "exec"), vars(module))
@@ -51,7 +51,8 @@ def test_an_option_that_is_added_in_one_place_is_found_in_all(python):
     (read,) = parse_run({{"steps": [step]}}, commands)
     assert "--sharpness=2" in read.command_line(commands["reconstruct"])
     """
-    python(code)
+    done = python(code)
+    assert done.returncode == 0, done.stderr
 
 
 def test_every_record_has_a_method_that_takes_it_and_a_type():

@@ -207,6 +207,16 @@ def test_a_store_keeps_facts_from_one_run_to_the_next(tmp_path):
         assert facts == {"answer": 42} and len(made) == runs
 
 
+def test_a_stage_that_another_process_makes_is_refused(tmp_path):
+    def make(_):
+        with pytest.raises(InputError, match=r"facts\.json: another process is making this stage; wait until it has"):
+            Stages(tmp_path).facts("facts", {}, lambda _: {})
+        return {"answer": 42}
+
+    assert Stages(tmp_path).facts("facts", {}, make) == {"answer": 42}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["facts.json", "stages.json"]
+
+
 def test_photographs_are_aligned_with_each_other(tiny):
     scene = load_scene("letters", parameters=tiny.parameters)
     camera = scene.sensors()[0].camera
