@@ -31,7 +31,7 @@ from .radiance import captures, once_a_camera, to_radiance
 from .splatting import Splat, traced_white
 
 
-@method("ray", options=("footprint",), waves=False)
+@method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
 

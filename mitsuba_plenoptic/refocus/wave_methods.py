@@ -279,13 +279,13 @@ _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-@method("coherent", options=("relay",), waves=True)
+@method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "relay"), waves=True)
+@method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
