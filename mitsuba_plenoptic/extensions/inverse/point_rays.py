@@ -183,7 +183,7 @@ def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Bundles:
-    """The rays of a few points."""
+    """Rays from a few points through an even grid of the pupil to the detector."""
 
     camera: PlenopticCamera
     lens: MainLens
@@ -242,7 +242,7 @@ class _Bundles:
         )
 
     def _lenses(self, position: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
-        """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
+        """Return the lenses that rays hit, and the fraction of each ray's light that passes each lens."""
         lattice, plain = self._lattice, self.camera.lattice
         cell = lattice.cell(*position)
         u, v = lattice.to_frame(position[0] - lattice.offset[0], position[1] - lattice.offset[1])
@@ -268,7 +268,7 @@ class _Bundles:
     def _detector_position(
         self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any
     ) -> tuple[tuple[Any, Any], Any]:
-        """Return where rays through lenses hit the detector, and how much closer there than by the reduced distance."""
+        """Return the positions at which rays meet the detector, and the factor by which a medium shrinks their spacing."""
         camera, lattice = self.camera, self._lattice
         lengths = [self._number(length) for length in camera.reduced_focal_lengths]
         f2 = lengths[0]
