@@ -93,7 +93,7 @@ class ExitPupil:
         self.bundle = shift.T, (slopes / np.sqrt(1 + (slopes**2).sum(0)))[:, is_open].T
 
     def _trace(self) -> tuple[NDArray, NDArray, NDArray, NDArray, list[NDArray], NDArray]:
-        """Trace rays through the entrance pupil.
+        """Return traced rays through the entrance pupil: positions, paths, amplitudes and edges.
 
         Returns
         -------

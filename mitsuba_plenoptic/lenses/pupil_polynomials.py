@@ -88,7 +88,7 @@ def fit(
     inverse_distance: NDArray[np.float64],
     values: NDArray[np.float64],
 ) -> list[Polynomial]:
-    """Fit polynomials by least squares.
+    """Return polynomials fitted to values by least squares.
 
     Parameters
     ----------

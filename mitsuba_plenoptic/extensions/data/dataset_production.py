@@ -46,7 +46,7 @@ Maker = Callable[[Recipe, int], Sample]
 
 @dataclass(frozen=True)
 class SampleTask:
-    """Renders one sample and writes it to a file of its own, in this process or in another."""
+    """Task that renders one sample and writes the sample's file, in this process or another."""
 
     recipe: Recipe
     index: int
@@ -56,7 +56,7 @@ class SampleTask:
 
     @property
     def samples(self) -> int:
-        """Of fields: above these a sample travels alone."""
+        """Nominal number of fields, so large that a sample is a batch by itself."""
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
@@ -163,7 +163,7 @@ def _produce(
 
 
 def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bool:
-    """Return whether a shard has the checksum that an earlier run wrote, if one did."""
+    """Return whether a shard has the checksum that an earlier run recorded, or none was recorded."""
     path = layout.shard(number)
     expected = recorded.get(path.relative_to(layout.folder).as_posix())
     if expected is None or not path.exists() or checksum(path) == expected:
@@ -191,7 +191,7 @@ def _try_scenes(recipe: Recipe) -> None:
 
 
 def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
-    """Remove what processes that were killed left behind, and samples that are in shards already."""
+    """Remove files of killed processes, and files of samples that shards already contain."""
     for path in (layout.sample(0).parent, layout.shard(0).parent):
         for leftover in path.glob(".*"):
             shutil.rmtree(leftover, ignore_errors=True)
@@ -204,7 +204,7 @@ def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
 
 
 def _pack(layout: Layout, number: int, there: set[int]) -> None:
-    """Put the samples of a shard into its file, with those that are in it."""
+    """Write the samples of a shard into one file, next to the samples that the file already has."""
     path = layout.shard(number)
 
     def samples() -> Iterator[Sample]:
@@ -283,7 +283,7 @@ Software: {software}; source of mitsuba_plenoptic {version}.
 
 
 def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
-    """Write the data card as Markdown."""
+    """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
     for name, array in sorted(made[0].arrays.items()):
         base = name.removeprefix("views_")

@@ -268,7 +268,7 @@ class _Bundles:
     def _detector_position(
         self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any
     ) -> tuple[tuple[Any, Any], Any]:
-        """Return the positions at which rays meet the detector, and the factor by which a medium shrinks their spacing."""
+        """Return the positions at which rays meet the detector, and the factor by which a medium shrinks squares."""
         camera, lattice = self.camera, self._lattice
         lengths = [self._number(length) for length in camera.reduced_focal_lengths]
         f2 = lengths[0]

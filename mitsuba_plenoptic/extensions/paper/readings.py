@@ -13,7 +13,7 @@ from ...report.stage_store import StageStore
 
 
 def measure_readings(experiment: Experiment, store: StageStore, near: str, far: str) -> list[dict[str, Any]]:
-    """Measure the nearest and the farthest shape, by ids, each refocused to where the other one is.
+    """Return measurements of the nearest and the farthest shape, each refocused to the distance of the other.
 
     Each row has the interference with four subsets, the quarters of the array or the best sublattice; the count of
     subsets in which no images of lit lenses overlap; the interference without the second microlens phase (`literal`);
