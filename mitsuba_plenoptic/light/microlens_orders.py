@@ -82,7 +82,7 @@ class ArrayParameter(NamedTuple):
 
 
 class ArrayFactor(ABC):
-    """A factor of the transmission: a function of one coordinate of the array, or of both, as a sum of orders.
+    """Factor of the transmission in one coordinate of the array, or in both, as a sum of orders.
 
     `axes` lists its coordinates (0: x, 1: y), and `periods` the periods along them.
     """
@@ -125,7 +125,7 @@ class ArrayFactor(ABC):
         return values[0]
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
-        """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end."""
+        """Return one period of a sum of orders as 64-bit words, the first samples repeated at the end."""
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
@@ -293,7 +293,7 @@ class MicrolensArray:
         return self._factors[key]
 
     def open_fraction(self, cosine: float, x: Any, y: Any) -> Any:
-        """Return 1 inside apertures and 0 between them, without steeper directions, at positions in millimetres.
+        """Return 1 inside apertures and 0 between them at positions in mm, without steeper directions.
 
         The integral of its product with a function that is limited to these directions, such as an intensity, is exact.
         """
@@ -309,7 +309,7 @@ class MicrolensArray:
 
 @functools.lru_cache(maxsize=4)
 def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
-    """Return the microlenses of a camera; the last few are remembered.
+    """Return the microlenses of a camera, from a cache of the last few.
 
     The tables of arrays that are not separable take longer than a point spread. Many operators of one camera are made
     one after another, and batches of another process mostly need the array of the previous one.
@@ -356,7 +356,7 @@ class VaryingArrayFactor:
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
-    """Return the sample below a position, of `count` in a period, and the position's distance from it in samples."""
+    """Return the sample before a position, with `count` samples in a period, and the distance from it in samples."""
     types = array_types(place)
     scaled = place * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)

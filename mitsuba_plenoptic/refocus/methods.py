@@ -136,7 +136,7 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
-    """Return options with None, as if not given, for those that a method has no use for, of which one warning tells."""
+    """Return options, with None for those that a method has no use for; one warning names these."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
@@ -185,7 +185,7 @@ RESPONSES = ("wave", "ray")
 
 
 def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
-    """Return the capture with its camera, or with another that is given."""
+    """Return the capture with its camera, or with a camera given instead."""
     if isinstance(capture, Capture):
         require_demosaiced(capture)
         if camera is None:
@@ -238,7 +238,7 @@ def require_interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
 
 
 def require_response(response: Any, capture: Capture, wavelength: Any) -> str:
-    """Return the model of the light: if not given, the wave model if there is a wavelength, else the capture's own."""
+    """Return the model of light: as given, else waves if there is a wavelength, else the capture's model."""
     if response is None:
         return capture.model if wavelength is None else "wave"
     if require_choice("response", response, RESPONSES) == "ray" and wavelength is not None:
@@ -247,7 +247,7 @@ def require_response(response: Any, capture: Capture, wavelength: Any) -> str:
 
 
 def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
-    """Return the wavelength of each channel; scalar waves go through lenses that are wider."""
+    """Return the wavelength of each channel; refuse lenses too narrow for scalar waves."""
     given: Any = capture.wavelength if wavelength is None else wavelength
     if given is None:
         raise InputError(

@@ -58,7 +58,7 @@ class Linear(Protocol):
     """From the radiance of bins to pixels, and the transpose."""
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the pixels of some bins."""
+        """Return the pixels that bins light."""
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
         """Return for each bin the pixels weighted by its light."""
@@ -66,7 +66,7 @@ class Linear(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlaneEstimates:
-    """The result of an iteration."""
+    """Planes that an iteration has found, with facts about it."""
 
     values: Values
     seen: Values
@@ -79,12 +79,12 @@ class Penalty(Protocol):
     """A demand on the radiance of bins besides that it explains the image."""
 
     def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
-        """Return its derivatives by the bins; those that are not inside do not count."""
+        """Return the derivatives of the penalty by the bins, 0 for bins that are not inside."""
 
 
 @dataclass
 class State:
-    """The state of an iteration: all data on which its next steps depend."""
+    """State of an iteration: all data on which its next steps depend."""
 
     found: Values
     last: Values
@@ -169,7 +169,7 @@ class RichardsonLucyStep:
         return [np.where(mask, level, np.float32(0)) for mask in self.inside]
 
     def ratio(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the image over what it should be."""
+        """Return the recorded image over the model's image."""
         return np.asarray(self.given / (np.maximum(model, 0) + self.shift))
 
     def scaled(self, point: Values, back: Values) -> Values:
@@ -199,7 +199,7 @@ def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """One channel of one plane."""
+    """Result for one channel of one plane."""
 
     image: NDArray[np.float32]
     iterations: int
@@ -208,7 +208,7 @@ class Solved:
 
 
 class SolverCheckpoint:
-    """The results of earlier processes in a checkpoint, and those that this one adds."""
+    """Results of earlier processes in a checkpoint, and results that this process adds."""
 
     def __init__(self, checkpoint: Checkpoint | None, facts: dict[str, Any]) -> None:
         self._checkpoint = checkpoint
@@ -242,7 +242,7 @@ class SolverCheckpoint:
 
 
 def _arrays(state: State) -> dict[str, NDArray[Any]]:
-    """Name the arrays of a state."""
+    """Return the arrays of a state by name."""
     counts = np.array([state.done, state.momentum], np.float64)
     found: dict[str, NDArray[Any]] = {"misfits": np.array(state.misfits), "counts": counts}
     named = {"found": state.found, "last": state.last}
@@ -250,7 +250,7 @@ def _arrays(state: State) -> dict[str, NDArray[Any]]:
 
 
 def _state(arrays: dict[str, NDArray[Any]]) -> State:
-    """Take a state from its arrays."""
+    """Return the state that named arrays describe."""
     planes = sum(name.startswith("found.") for name in arrays)
     found, last = ([arrays[f"{name}.{plane}"] for plane in range(planes)] for name in ("found", "last"))
     done, momentum = arrays["counts"].astype(int).tolist()
