@@ -16,7 +16,7 @@ from ..lenses.main_lens import Pair
 
 
 def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return, for each value of the radiance, the means over the rays of even and over those of odd indices.
+    """Return, for each value of the radiance, its means over rays of even indices and of odd indices.
 
     Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
     """
