@@ -31,13 +31,13 @@ from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
 from ..optics import guards
 from ..prescription.lens_data import image_distance
+from ..refocus_options import FOOTPRINTS
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
 from .deconvolution.solver import RichardsonLucyStep, Values
 from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
 from .lens_by_lens import fine_bins
-from .methods import FOOTPRINTS
 from .passages import BinSums
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
@@ -89,7 +89,7 @@ class RayRefocus:
         return self._factor.shape
 
     def forward(self, capture: Any) -> np.ndarray:
-        """Refocus a capture.
+        """Return the refocused capture.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class RayRefocus:
         return made[..., 0] if np.ndim(capture) == 2 else made
 
     def adjoint(self, bins: Any) -> np.ndarray:
-        """Apply the transpose of `forward`.
+        """Return the transpose of `forward`, applied to bins.
 
         Parameters
         ----------
@@ -132,16 +132,16 @@ class RayRefocus:
 
 
 class _RefocusOp(dr.CustomOp):
-    """One use of a refocus by Dr.Jit."""
+    """One use of a refocus as an operation of Dr.Jit."""
 
     def eval(self, capture: Any, refocus: RayRefocus | CoherentRefocus) -> Any:
-        """Refocus."""
+        """Return the refocused capture."""
         image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
         self._kind = type(capture)
         return drjit_array(self._kind, image)
 
     def forward(self) -> None:
-        """Refocus the change of the capture."""
+        """Set the change of the image from the change of the capture."""
         self.set_grad_out(drjit_array(self._kind, self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
@@ -149,7 +149,7 @@ class _RefocusOp(dr.CustomOp):
         self.set_grad_in("capture", drjit_array(self._kind, self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
-        """Return what Dr.Jit calls it."""
+        """Return the name of the operation for Dr.Jit."""
         return "refocusing"
 
 
@@ -270,7 +270,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def forward(self, capture: Any) -> NDArray[np.float32]:
-        """Refocus a capture.
+        """Return the refocused capture.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def derivative(self, capture: Any, change: Any) -> NDArray[np.float32]:
-        """Differentiate `forward` at a capture, in the direction of a change of it.
+        """Return the derivative of `forward` at a capture, in the direction of a change of the capture.
 
         Parameters
         ----------
@@ -302,7 +302,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Apply the transpose of `derivative`: propagate a gradient from the image to the capture.
+        """Return the gradient by the capture from a gradient by the image, the transpose of `derivative`.
 
         Parameters
         ----------
@@ -319,7 +319,7 @@ class CoherentRefocus:
         return self.at(capture).vjp(image_gradient)
 
     def at(self, capture: Any) -> RefocusedImage:
-        """Refocus a capture, and keep what its derivatives need."""
+        """Return the refocused capture with the data for its derivatives."""
         return RefocusedImage(self, capture, lambda image: _CoherentChannel(self, image))
 
     def __call__(self, capture: Any) -> Any:
@@ -350,7 +350,7 @@ class _CoherentChannel:
 
 
 class _BinnedPower:
-    """The power in bins that a capture of no negative pixels gives, and its derivatives there.
+    """Power in bins from a capture without negative pixels, with its derivatives at this capture.
 
     With the field u at the directions of the object plane, and its change du, a bin changes by the sum of 2 Re(u* du)
     over it. Where a pixel is zero the square root has no derivative, and 0 is taken.
@@ -382,7 +382,7 @@ class _BinnedPower:
         return found, passed
 
     def jvp(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the bins with that of the capture."""
+        """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
         power: Any = sum(2 * (field.conj() * other).real for field, other in zip(self._at, moved, strict=True))
         bins = backend().to_host(self._sums.jvp(power))
@@ -398,7 +398,7 @@ class _BinnedPower:
 
 
 class DeconvolvedRefocus:
-    """Deconvolve captures of one camera at one distance by a given count of steps, with derivatives by the pixels.
+    """Deconvolution of captures of one camera and distance by a fixed number of steps, with derivatives by pixels.
 
     The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The response of the
     camera is computed once. The image is no linear function of the capture.
@@ -451,7 +451,7 @@ class DeconvolvedRefocus:
 
     @one_at_a_time
     def forward(self, capture: Any) -> NDArray[np.float32]:
-        """Deconvolve a capture.
+        """Return the deconvolved capture.
 
         Parameters
         ----------
@@ -471,7 +471,7 @@ class DeconvolvedRefocus:
         return self.at(capture).image
 
     def at(self, capture: Any) -> RefocusedImage:
-        """Deconvolve a capture, and keep what its derivatives need."""
+        """Return the deconvolved capture with the data for its derivatives."""
         pixels = as_channels(capture, self.camera.shape, "capture")
         numbers = 4.0 * (pixels.size + 2 * pixels.shape[2] * math.prod(self.response.shapes[0]))
         what = f"derivatives of {self.iterations} steps in {pixels.shape[2]} channels"
@@ -481,7 +481,7 @@ class DeconvolvedRefocus:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """A step that has been made: from these bins, with this image of theirs and this adjoint of the ratio."""
+    """A finished step: its bins, the image of these bins, and the adjoint of the ratio."""
 
     point: NDArray[np.float32]
     model: NDArray[np.float32]

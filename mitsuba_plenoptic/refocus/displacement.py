@@ -30,6 +30,7 @@ from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import in_millimetres, soft_edge
 from ..runtime.limits import require_memory
@@ -41,7 +42,7 @@ _LEAST_SAMPLES = 512
 
 
 class PupilCentroid:
-    """The centroid in the pupil of the light that a pixel receives, given the diffraction of its microlens."""
+    """Centroid in the pupil of the light of a pixel, given the diffraction by its microlens."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         window = _PLANE * camera.aperture_radius
@@ -99,7 +100,7 @@ def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]
 
     Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
     """
-    at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
+    at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
     farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
     return _SLOPE / farthest, farthest, of_pupil
@@ -127,7 +128,7 @@ def rising(
             p = px, py[rows, None]
             cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
             ends = [
-                np.broadcast_arrays(*rays.follow_back(q, c, c, distance, camera))
+                np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
                 for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
             ]
             P = np.broadcast_arrays(ends[0][0], ends[1][0])
@@ -156,7 +157,7 @@ def displacements(
 def brought_back(
     image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
 ) -> NDArray[np.float64]:
-    """Draw an image back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
+    """Return an image drawn back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
     known = np.isfinite(image)
     values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
     rows, columns = image.shape[:2]

@@ -26,6 +26,7 @@ from ..errors import MOST_PIXELS, refuse_if, short_repr
 from ..io.captures import Capture
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import soft_edge
 from ..runtime.backend import backend
@@ -57,7 +58,7 @@ _results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] 
 
 
 def once_a_camera(function: _F) -> _F:
-    """Remember what a function returns of a camera for as long as the camera lives."""
+    """Cache a function's result for a camera as long as the camera lives; a decorator."""
 
     @functools.wraps(function)
     def known(camera: PlenopticCamera, *given: Any) -> Any:
@@ -105,7 +106,7 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -
 
 
 def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
-    """Yield what a method has to sum over bins, (rows, columns, channels), with the distances and the progress of it.
+    """Yield the images that a method sums over bins, (rows, columns, channels), with their distances and progress.
 
     That is the capture and, where there is one, the white capture; where displacements are known, too, for every
     distance two that are made of it.
@@ -124,7 +125,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 def to_radiance(
     task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Divide the sums of a capture over bins by those of white; NaN where no light can come from.
+    """Return sums of a capture over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
     ----------
@@ -157,14 +158,14 @@ def to_radiance(
 
 
 def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.ndarray:
-    """Divide the bins that are reached; the others are NaN."""
+    """Return the reached bins divided by the divisor, NaN elsewhere."""
     image = np.full(total.shape, np.nan, np.float32)
     np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
     return image
 
 
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return by what the sums over bins of a plane are divided, and which bins are."""
+    """Return the divisors of a plane's sums over bins, and a mask of the bins that are divided."""
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
@@ -176,7 +177,7 @@ def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: 
 
 
 def is_reached(rays: np.ndarray) -> np.ndarray:
-    """Return which bins get enough of the rays of white, (rows, columns), to be divided by what they get."""
+    """Return a mask (rows, columns) of bins with enough rays of white for a division."""
     return np.asarray((rays >= _LEAST_REACHED * rays.max()) & (rays > 0))
 
 
@@ -205,7 +206,7 @@ class LensSpread:
         return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
     def vjp(self, bins: np.ndarray) -> np.ndarray:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to bins."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
         whole = convolve(fine, self._aperture[::-1, ::-1])
         rows, columns = (k - 1 - (k - 1) // 2 for k in self._aperture.shape)
@@ -215,7 +216,7 @@ class LensSpread:
 def over_lenses(
     power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
 ) -> np.ndarray:
-    """Spread fine bins over lenses; the rounding of the transform below zero is not light."""
+    """Return fine bins spread over lenses, without negative rounding errors of the transform."""
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)
 
 
@@ -235,7 +236,7 @@ _MOST_RAY_BINS = 2**26
 
 @once_a_camera
 def white_pixels(camera: PlenopticCamera) -> np.ndarray:
-    """Return the camera's white image."""
+    """Return the white image of the camera."""
     return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)
 
 
@@ -298,7 +299,7 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
     bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
     fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
-    _, image = rays.follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
+    _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
     parts = max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
     split = camera.replace(

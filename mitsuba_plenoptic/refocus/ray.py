@@ -9,7 +9,7 @@ from .radiance import captures, to_radiance, white_sums
 from .ray_sums import pupil_radius, ray_sums
 
 
-@method("ray", options=("footprint",), waves=False)
+@method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
 

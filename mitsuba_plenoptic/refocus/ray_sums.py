@@ -21,6 +21,7 @@ from scipy.sparse import csr_matrix
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
+from ..light.walk import follow_back
 from ..optics import rays
 from ..runtime.backend import array_module, drjit_array
 from ..runtime.limits import require_memory
@@ -66,7 +67,7 @@ def ray_sums(
 def aligned_axes(
     camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> tuple[AxisBins, AxisBins] | None:
-    """Return where the pixels of each axis go, if pixels and bins are arranged alike; None where they are not."""
+    """Return the bins of the pixels along each axis, None where pixels and bins are not arranged alike."""
     if not camera.lens_data.is_thin or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         return None
     x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
@@ -82,7 +83,7 @@ def _axis(
     chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
-    pupil, position = rays.follow_back(p, c, c, distance, camera)
+    pupil, position = follow_back(p, c, c, distance, camera)
     centre = position * (oversample / camera.mla_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, radius)
@@ -96,7 +97,7 @@ def _axis(
 def ray_sums_vjp(
     bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> np.ndarray:
-    """Apply the transpose of `ray_sums`."""
+    """Return the transpose of `ray_sums`, applied to bins."""
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
     if axes is not None:
         return _bin_image_vjp(bins, *axes, radius)
@@ -104,7 +105,7 @@ def ray_sums_vjp(
 
 
 def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
-    """Apply the transpose of `bin_image`."""
+    """Return the transpose of `bin_image`, applied to bins."""
     given = np.asarray(bins, np.float64)
     pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
     pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)

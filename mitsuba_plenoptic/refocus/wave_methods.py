@@ -96,20 +96,20 @@ _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-@method("coherent", options=("relay",), waves=True)
+@method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "relay"), waves=True)
+@method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
 def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Refocus every channel.
+    """Return the refocused images, channel by channel.
 
     The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
     waves lose of a micro-image at the edge of the pupil.
@@ -137,7 +137,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
 
 
 def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Return the pixels that are not negative and, where there are others, the magnitudes of these, with their signs.
+    """Return the non-negative pixels with the sign 1 and, if any, magnitudes of negative ones with the sign -1.
 
     Amplitudes are square roots. Pixels below zero, which `expose` makes of dark ones, are refocused apart, and what
     they give is subtracted: so noise of mean zero leaves no light on average.
@@ -407,7 +407,7 @@ class BackwardFields:
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
 
     def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
-        """Take the light of a strip to the MLA, that of all lenses or of a subset.
+        """Return the field on the MLA from a strip of the detector, from all lenses or from a subset.
 
         Light that strays to a cell from another lens's pixels is deflected by a micro-image and misses the main lens.
         So the light of all lenses may propagate to the MLA at once, and a subset is the light that passes its lenses.
@@ -422,7 +422,7 @@ class BackwardFields:
         return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
 
     def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
-        """Repeat pixels sample by sample."""
+        """Yield pixels repeated at each sample, in blocks of rows."""
         arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
         together = max(1, self._workspace.block // n)
         for rows in self._workspace.runs(len(amplitude), together):
@@ -451,7 +451,7 @@ class BackwardFields:
 
 
 class _Pupil:
-    """The samples of a round pupil, line by line along y, with those at its edge, which pass in part."""
+    """Samples of a round pupil, line by line along y, with fractions for samples on the edge."""
 
     def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
         arrays = backend().arrays
@@ -513,7 +513,7 @@ def converging(
     interleave: int = 1,
     subset: tuple[int, int] | None = None,
 ) -> ThinElement:
-    """Return what lets light on the detector converge to the centres of all lenses, or of those of a subset only."""
+    """Return the element that makes light on the detector converge to the centres of all lenses, or of a subset."""
     b, z = camera.mla_distance, camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
@@ -534,7 +534,7 @@ def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, flo
 
 
 def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
-    """Darken what belongs to lenses, by their indices, that are not of the subset."""
+    """Return light with the contributions of lenses outside the subset set to 0."""
     period = dr.opaque(type(index[0]), interleave)
     mine = [
         i - period * dr.floor((i + 0.5) / period) == dr.opaque(type(i), remainder)
