@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,10 +22,14 @@ from ..lattice import Lattice
 from ..lenses.common import chief_points, main_lens
 from ..lenses.main_lens import MainLens, Pair, Traced
 from ..optics import rays
-from ..runtime.backend import drjit_array
+from ..runtime.backend import array_module, drjit_array
+from ..runtime.fft import rows_and_columns
 from .figure_error import FigureError
 from .lens_kinds import chief_ray_shift, irregularities
 from .optical_system import OpticalSystem
+
+_LANES = 2**22
+"""Rays that are followed at once."""
 
 
 class Passage(NamedTuple):
@@ -222,3 +226,17 @@ def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera
     P = rays.pupil_point(m, t, camera.mla_distance)
     slope = rays.main_lens_slope(t, P, camera.focal_length)
     return P, -camera.mla_distance * rays.object_direction(P, slope, distance)
+
+
+def detector_rows(camera: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield some recorded rows at a time, with x and y of their pixels' centres in millimetres, as Dr.Jit arrays."""
+    types = array_module()
+    rows, columns = camera.shape
+    x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
+    together = max(1, _LANES // columns)
+    for first in range(0, rows, together):
+        last = min(rows, first + together)
+        row, column = rows_and_columns(types, last - first, columns)
+        px = dr.gather(types.Float64, x, column)
+        py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
+        yield slice(first, last), px, py

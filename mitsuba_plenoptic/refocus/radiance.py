@@ -47,7 +47,6 @@ from .lens_by_lens import (
 )
 from .methods import Progress, Task, portion
 from .ray_sums import ray_sums
-from .splatting import traced_white
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""
@@ -234,10 +233,7 @@ _RAY_BINS = 36
 _MOST_RAY_BINS = 2**26
 
 
-@once_a_camera
-def white_pixels(camera: PlenopticCamera) -> np.ndarray:
-    """Return the white image of the camera."""
-    return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)
+white_pixels = once_a_camera(white_image)
 
 
 @once_a_camera

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -21,12 +20,10 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
-from ..light.random_numbers import even_steps, hashed
-from ..light.walk import Passage, Walk, follow_back, on_plane
+from ..design import lens_footprint, pixel_footprint
+from ..light.walk import Passage, Walk, detector_rows, follow_back, on_plane
 from ..optics import rays
-from ..runtime.backend import array_module, drjit_array
-from ..runtime.fft import rows_and_columns
+from ..runtime.backend import array_module
 from ..runtime.limits import require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
@@ -224,13 +221,6 @@ def _places(
         yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2
 
 
-_LANES = 2**22
-"""Rays that are followed at once."""
-
-_WHITE_RAYS = 32
-"""Rays of a pixel through each lens that can light it."""
-
-
 def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
@@ -240,7 +230,7 @@ def traced_places(
     the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
     """
     types, walk, half = array_module(), Walk.of(camera), camera.pixel_size / 2
-    for rows, px, py in _pixels(camera, types):
+    for rows, px, py in detector_rows(camera):
         centre, f2 = walk.lens_at(*walk.chief_cell((px, py))[1])
         lit = types.Bool(False)
         x, y = types.Float64(0), types.Float64(0)
@@ -250,46 +240,3 @@ def traced_places(
             x, y = on_plane(traced, distance, camera.mla_distance)
         dr.eval(x, y, lit)
         yield rows, x.numpy(), y.numpy(), lit.numpy()
-
-
-def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
-    """Return the capture by the ray model of a scene of uniform radiance 1, for a camera with a real main lens.
-
-    Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
-    out over the pixels of a bin.
-    """
-    types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
-    image = np.empty(camera.shape, np.float32)
-    around = crosstalk_neighbours(camera).tolist()
-    for rows, px, py in _pixels(camera, types):
-        _, (i, j) = walk.chief_cell((px, py))
-        number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
-        shifts = [types.Float64(hashed(number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
-        total = types.Float64(0)
-        for ray in range(_WHITE_RAYS):
-            s, t, u, v = (
-                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
-            )
-            s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
-            position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
-            dx, dy = camera.lattice.aperture_point(u, v)
-            for across, down in around:
-                (cx, cy), f2 = walk.lens_at(i + across, j + down)
-                _, _, is_open = walk.trace(position, Passage((cx + dx, cy + dy), (cx, cy), f2))
-                total += dr.select(is_open, 1.0, 0.0)
-            dr.eval(total)
-        image[rows] = (total / _WHITE_RAYS).numpy().reshape(-1, camera.crop_size[0])
-    return image
-
-
-def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, Any]]:
-    """Yield some rows at a time, with x and y of their pixels' centres."""
-    rows, columns = camera.shape
-    x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
-    together = max(1, _LANES // columns)
-    for first in range(0, rows, together):
-        last = min(rows, first + together)
-        row, column = rows_and_columns(types, last - first, columns)
-        px = dr.gather(types.Float64, x, column)
-        py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
-        yield slice(first, last), px, py

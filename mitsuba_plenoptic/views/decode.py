@@ -156,6 +156,7 @@ def _reference(camera: PlenopticCamera | None, white: np.ndarray | None, grid: L
         if white is None:
             raise InputError("white = None: without a camera the pupil is known from a white image only")
         return white
+    camera.require_thin("captures are decoded")
     computed = white_image(camera, grid)
     return computed[..., None] if white is None else scaled_white(white, computed, camera)
 

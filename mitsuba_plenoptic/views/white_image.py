@@ -7,14 +7,20 @@ import math
 import warnings
 from collections.abc import Sequence
 
+import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, are_alike
+from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr
 from ..io.captures import Capture, as_array, recording_of, require_pixels
 from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
+from ..light.random_numbers import even_steps, hashed
+from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
+from ..runtime.backend import array_module
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
 from .lens_grid import LensGrid, lens_numbers, lens_types, micro_image_centres
@@ -115,14 +121,18 @@ _CENTRAL, _SAME_RADIANCE = 0.25, 0.05
 
 _RESPONSE_RAYS = 4096
 
+# Rays of a pixel through each lens that can light it, behind a real main lens.
+_RAYS = 32
+
 _log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
     """Compute what a camera records of a scene of uniform radiance 1.
 
-    The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
-    array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
+    Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
+    Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
+    pupil. Behind a real main lens rays are traced from the pixels.
 
     Parameters
     ----------
@@ -141,8 +151,10 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     InputError
         If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
     """
-    camera.require_thin("white images are computed")
     camera = regular_array(camera)
+    if grid is None and not camera.lens_data.is_thin:
+        return _traced(camera)
+    camera.require_thin("white images of a grid are computed")
     fractions = _Fractions(camera)
     half = fractions.half
     rows, columns = camera.shape
@@ -317,6 +329,36 @@ def _mean_response(camera: PlenopticCamera) -> float:
         angle = np.degrees(np.arctan(across / camera.detector_distance))
         response *= np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])
     return float(response.mean())
+
+
+def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return the white image of a camera with a real main lens, by rays from its pixels.
+
+    Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
+    out over the pixels of a bin.
+    """
+    types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
+    image = np.empty(camera.shape, np.float32)
+    around = crosstalk_neighbours(camera).tolist()
+    for rows, px, py in detector_rows(camera):
+        _, (i, j) = walk.chief_cell((px, py))
+        number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
+        shifts = [types.Float64(hashed(number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
+        total = types.Float64(0)
+        for ray in range(_RAYS):
+            s, t, u, v = (
+                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
+            )
+            s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
+            position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
+            dx, dy = camera.lattice.aperture_point(u, v)
+            for across, down in around:
+                (cx, cy), f2 = walk.lens_at(i + across, j + down)
+                _, _, is_open = walk.trace(position, Passage((cx + dx, cy + dy), (cx, cy), f2))
+                total += dr.select(is_open, 1.0, 0.0)
+            dr.eval(total)
+        image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
+    return image
 
 
 class _Fractions:

@@ -17,6 +17,7 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.prescription import bundled_prescription
+from mitsuba_plenoptic.views import white_image
 
 
 @pytest.fixture(autouse=True)
@@ -166,6 +167,17 @@ def test_numbers_change_through_traverse():
     assert np.array(mi.render(scene, spp=64)).mean() == pytest.approx(quarter, rel=0.03)
 
 
+@pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_aperture": "circle"}])
+def test_the_white_image_is_what_mitsuba_renders_of_a_white_scene(changes):
+    camera = PlenopticCamera(
+        main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256, **changes
+    )
+    rendered, white = render_capture(white_scene(camera), spp=256).image, white_image(camera)
+    assert white.mean(dtype=np.float64) == pytest.approx(rendered.mean(dtype=np.float64), rel=5e-3)
+    # Both sample the pixels at the rims of micro-images, 256 and 32 times.
+    assert np.sqrt(((white - rendered) ** 2).mean()) < 0.05
+
+
 def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
     camera = PlenopticCamera(
         main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256
@@ -173,5 +185,5 @@ def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
     capture = render_capture(white_scene(camera), spp=4)
     write_capture(tmp_path / "raw.exr", capture)
     assert read_capture(tmp_path / "raw.exr").camera == camera
-    with pytest.raises(InputError, match="main_lens = Plano-convex singlet: white images are computed for thin main"):
+    with pytest.raises(InputError, match="main_lens = Plano-convex singlet: captures are decoded for thin main"):
         decode(capture)

@@ -9,8 +9,8 @@ from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, reco
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.refocus.conjugates import RealConjugates
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
-from mitsuba_plenoptic.refocus.splatting import traced_white
 from mitsuba_plenoptic.refocus.wave_methods import reconstruct_subsets
+from mitsuba_plenoptic.views import white_image
 from tools.bench.cases import field_of_view, lens_models
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}
@@ -103,7 +103,7 @@ def test_white_is_one_where_the_lens_cuts_beams():
     wide = {"focal_length": 16, "aperture_radius": 1.55, "focus_distance": np.inf, "mla_focal_length": 0.3}
     camera = PlenopticCamera(main_lens="cooke_triplet", crop_offset=(3584, 384), crop_size=(256, 256), **wide)
     image = reconstruct(
-        traced_white(camera), np.inf, camera=camera, method="partial", interleave="auto", wavelength=WAVELENGTH
+        white_image(camera), np.inf, camera=camera, method="partial", interleave="auto", wavelength=WAVELENGTH
     ).image
     assert np.count_nonzero(np.isfinite(image)) >= 30
     assert np.nanmedian(image) == pytest.approx(1, abs=0.04)
