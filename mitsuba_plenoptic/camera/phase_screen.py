@@ -25,8 +25,8 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io.files import read_json_value
 from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, read_samples
+from ..runtime.files import read_json_value
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 """Unit of the samples."""

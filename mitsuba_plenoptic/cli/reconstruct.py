@@ -219,10 +219,10 @@ def reconstruct(
     """
     from .. import refocus as reconstruction
     from ..io.checkpoints import SUFFIX, Checkpoint
-    from ..io.files import require_apart, require_different, require_writable
     from ..refocus.methods import used_by
     from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
+    from ..runtime.files import require_apart, require_different, require_writable
     from ..runtime.limits import GIB
 
     chosen = reconstruction.METHODS[method]
@@ -312,9 +312,9 @@ def sheet(
 
       mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
     """
-    from ..io.files import require_apart, require_writable
     from ..refocus import read_reconstruction
     from ..report.images import Brightness
+    from ..runtime.files import require_apart, require_writable
 
     require_apart(require_writable(output, ".pdf", ".png"), *results)
     read = [read_reconstruction(path) for path in results]

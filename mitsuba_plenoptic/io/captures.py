@@ -37,10 +37,10 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..runtime.files import atomic_output, require_file, require_writable
 from ..runtime.limits import require_memory
 from ..runtime.notebook import Displayed, report_module
 from .exr import read_exr, write_exr
-from .files import atomic_output, require_file, require_writable
 from .versions import camera_of_waves, is_of_1_0, stamped
 
 MODELS = ("ray", "wave")

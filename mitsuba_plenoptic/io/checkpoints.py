@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from ..errors import InputError, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
+from ..runtime.files import atomic_output, remove_leftovers
 from ..runtime.jobs import Snapshot
 from ..runtime.limits import require_memory, software
-from .files import atomic_output, remove_leftovers
 from .versions import KEY, VERSION, stamped
 
 FORMAT = 2

@@ -14,8 +14,8 @@ import numpy as np
 import OpenEXR
 
 from ..errors import InputError, advice, refuse_if, refusing
+from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
-from .files import atomic_output, native_output_dropped, require_file
 from .versions import stamped
 
 ATTRIBUTE = "mitsuba_plenoptic"

@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image
 
 from ..errors import refusing
+from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
-from .files import atomic_output, native_output_dropped, require_file
 
 TIFF = (".tif", ".tiff")
 

@@ -16,8 +16,8 @@ import mitsuba as mi
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, did_you_mean, refuse_if, refusing, short_repr, suggest_keywords
 from ..io.exr import read_parts
-from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
+from ..runtime.files import require_file, require_size
 from ..runtime.limits import require_memory
 from ..scene_files import scene_path
 from .scene_unit import require_unit, scale_nodes, warn_of_metres

@@ -13,11 +13,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_wavelength, short_repr
-from ..io.files import read_json_value
 from ..lattice import Lattice
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import SINGLE
+from ..runtime.files import read_json_value
 
 _MM_PER_NM = 1e-6
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import InputError, naming, refuse_if, short_repr
-from ..io.files import require_size
+from ..runtime.files import require_size
 from . import Glass, Prescription
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from ..errors import NO_RECORD, InputError, refusing
-from ..io.files import read_yaml, require_file, write_text
+from ..runtime.files import read_yaml, require_file, write_text
 from . import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ..errors import refuse_if
 from ..io.exr import image_channels, write_exr_parts
-from ..io.files import require_writable
 from ..io.truth_files import COORDINATES
 from ..refocus import Reconstruction, write_reconstruction
+from ..runtime.files import require_writable
 from ..views.viewpoints import view_mosaic
 from .animations import require_animation, write_animation
 from .images import ANIMATED, Drawing, enlarge, enlargement, write_png

@@ -23,8 +23,8 @@ from ..errors import InputError
 from ..io.captures import Capture, read_capture, write_capture
 from ..io.checkpoints import SUFFIX, Checkpoint, Existing
 from ..io.exr import read_exr, write_exr
-from ..io.files import FilesUsed, read_text, require_size, write_text
 from ..light.scene import LARGEST_SCENE
+from ..runtime.files import FilesUsed, read_text, require_size, write_text
 from ..runtime.limits import software as versions
 from ..scene_files import scene_path
 

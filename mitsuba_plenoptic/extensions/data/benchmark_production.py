@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...io.files import write_text
 from ...report.images import enlarge, shrink, write_png
 from ...runtime.batches import BatchMap
+from ...runtime.files import write_text
 from ...runtime.jobs import Progress
 from .contents import (
     CAPTURES,

@@ -38,11 +38,11 @@ def run(
 
       mitsuba-plenoptic run run.yaml
     """
-    from ...io.files import files_used, read_yaml
     from ...io.versions import VERSION, is_of_1_0
 
     # Brings libraries that take a while to load.
     from ...report.stage_store import StepLog
+    from ...runtime.files import files_used, read_yaml
 
     commands = step_commands()
     parameters = parameters_of(commands)
