@@ -26,12 +26,11 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..extension import missing
+from ..extension import Displayed, missing
 from ..lattice import LATTICES
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
-from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry

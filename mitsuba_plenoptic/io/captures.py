@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from .. import served
 from ..camera import PlenopticCamera, are_alike, require_camera
 from ..errors import (
     NO_ARRAY,
@@ -37,9 +38,9 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..extension import Displayed
 from ..runtime.files import atomic_output, require_file, require_writable
 from ..runtime.limits import require_memory
-from ..runtime.notebook import Displayed, report_module
 from .exr import read_exr, write_exr
 from .versions import camera_of_waves, is_of_1_0, stamped
 
@@ -148,7 +149,7 @@ class Capture(Displayed):
         Viewer
             ``save(path)`` writes the page.
         """
-        return report_module("viewer").view(self, *others, title=title)
+        return served.attribute("view")(self, *others, title=title)
 
     @property
     def relative_noise(self) -> float | None:

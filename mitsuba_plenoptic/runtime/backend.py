@@ -187,7 +187,8 @@ def array_module() -> Any:
 # One for the process: Dr.Jit loads one LLVM.
 @functools.cache
 def _usable_llvm() -> Any:
-    llvm.require()
+    reason = llvm.problem()
+    refuse_if(reason, str(reason))
     return dr.llvm
 
 
@@ -219,7 +220,7 @@ def set_variant(variant: str | None) -> None:
     variant = variant or mi.variant() or DEFAULT_VARIANT
     require_choice("variant", variant, mi.variants())
     if variant.startswith("llvm"):
-        llvm.require()
+        _usable_llvm()
     refuse_if(
         variant.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA),
         f"variant = {variant!r}: no usable CUDA device was found; use an llvm_ad_* variant",
