@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from .. import served
 from ..camera import PlenopticCamera, are_alike, require_camera
 from ..errors import (
     NO_ARRAY,
@@ -41,6 +40,7 @@ from ..errors import (
 from ..extension import Displayed
 from ..runtime.files import atomic_output, require_file, require_writable
 from ..runtime.limits import require_memory
+from ..served import attribute
 from .exr import read_exr, write_exr
 from .versions import camera_of_waves, is_of_1_0, stamped
 
@@ -149,7 +149,7 @@ class Capture(Displayed):
         Viewer
             ``save(path)`` writes the page.
         """
-        return served.attribute("view")(self, *others, title=title)
+        return attribute("view")(self, *others, title=title)
 
     @property
     def relative_noise(self) -> float | None:
