@@ -10,6 +10,7 @@ import json
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -36,7 +37,6 @@ from .entry import Captures, record
 from .geometry import CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
-from .scene_file import describe, write_xml
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
@@ -406,11 +406,48 @@ class PlenopticCamera(CameraGeometry, Displayed):
             The sensor, whose film records luminance in single precision. When it is loaded, `from_sensor` returns this
             camera.
         """
-        return describe(self.to_dict(), to_world)
+        values = self.to_dict()
+        columns, rows = values.pop("resolution")
+        (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
+        sensor: dict[str, Any] = {"type": "plenoptic"}
+        for name, value in values.items():
+            # Lenses and glasses are JSON, several values have commas between them.
+            if isinstance(value, dict):
+                sensor[name] = json.dumps(value)
+            elif value != ():
+                sensor[name] = ", ".join(map(repr, value)) if isinstance(value, tuple) else value
+        if to_world is not None:
+            sensor["to_world"] = to_world
+        sensor["film"] = {
+            "type": "hdrfilm",
+            "width": columns,
+            "height": rows,
+            "crop_offset_x": left,
+            "crop_offset_y": top,
+            "crop_width": width,
+            "crop_height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "luminance",
+            "component_format": "float32",
+        }
+        return sensor
 
     def to_xml(self) -> str:
         """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file."""
-        return write_xml(self.to_sensor())
+
+        def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
+            made = ElementTree.Element(tag, {"type": values["type"], **attributes})
+            for name, value in values.items():
+                if isinstance(value, dict):
+                    made.append(element(name, value))
+                elif name != "type":
+                    kind = {int: "integer", float: "float", str: "string"}[type(value)]
+                    ElementTree.SubElement(made, kind, name=name, value=str(value))
+            return made
+
+        tree = element("sensor", self.to_sensor(), id="camera")
+        ElementTree.indent(tree, "    ")
+        return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
     def __repr__(self) -> str:
         values = self.to_dict()
@@ -483,6 +520,15 @@ def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
     if not isinstance(value, PlenopticCamera):
         raise InputError(f"{name} = {short_repr(value)}: it must be a PlenopticCamera")
     return value
+
+
+def film_numbers(film: Any) -> dict[str, Any]:
+    """Return the parameters of a camera that its film states: resolution and crop, in pixels."""
+    return {
+        "resolution": tuple(film.size()),
+        "crop_offset": tuple(film.crop_offset()),
+        "crop_size": tuple(film.crop_size()),
+    }
 
 
 def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:

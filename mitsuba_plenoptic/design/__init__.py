@@ -1,7 +1,7 @@
 """Quantities that follow from a camera's parameters: functions of a `PlenopticCamera`.
 
-`focus` has the planes in focus and the resolution at each distance; `micro_images` the size of micro-images, with and
-without diffraction, and the lenses that light a pixel; `aberration` that of thin main lenses that are parabolic phases;
+`focus` has the planes in focus, the spot of a microlens and the resolution at each distance; `micro_images` the size of
+micro-images and the lenses that light a pixel; `aberration` that of thin main lenses that are parabolic phases;
 `deconvolution` the resolution that can be reached by inverting the camera's response; `microscope` quantities of
 cameras with objectives.
 
@@ -14,6 +14,7 @@ from .focus import (
     EffectiveResolution,
     best_distances,
     depth_ranges,
+    direction_count,
     effective_resolution,
     field_of_view,
     field_width,
@@ -24,19 +25,18 @@ from .focus import (
     mla_object_distances,
     pixel_footprint,
     refocus_range,
+    spot_radius,
     suitable_oversample,
     virtual_depth,
 )
 from .micro_images import (
     crosstalk_lenses,
     crosstalk_neighbours,
-    direction_count,
     image_f_number,
     main_fresnel_number,
     micro_image_distance,
     mla_f_number,
     mla_fresnel_number,
-    spot_radius,
     white_mean,
 )
 from .microscope import depth_of_field, lens_aperture, lenses_across_stop, native_field, objective_limit, parallax

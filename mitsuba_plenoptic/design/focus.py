@@ -25,9 +25,9 @@ import math
 from dataclasses import dataclass
 
 from ..camera import PlenopticCamera
-from ..errors import require_number
+from ..errors import require_number, require_wavelength
+from ..optics.waves import in_millimetres
 from ..prescription.lens_data import conjugate_distance, image_distance
-from .micro_images import direction_count, spot_radius
 
 # -- what the microlenses are focused on -------------------------------------------------------------
 
@@ -229,6 +229,28 @@ def effective_resolution(
         samples_per_lens=camera.mla_pitch / detail,
         ratio=camera.pixel_size / detail,
     )
+
+
+def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Radius of a microlens's focal spot, from its centre to the first zero.
+
+    :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
+    of diameter d; for a hexagon that of the disc of its area.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    return in_millimetres(require_wavelength(wavelength)) * camera.reduced_distance / camera.lattice.diffraction_width
+
+
+def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
+    """Return the directions resolved across a micro-image: its diameter over a pixel or the spot, if that is larger."""
+    spot = 0.0 if wavelength is None else spot_radius(camera, wavelength)
+    return camera.micro_image_diameter / max(camera.pixel_size, spot)
 
 
 # -- at which distances ------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The size of a camera's micro-images, with and without diffraction, and the lenses that light a pixel."""
+"""The size of a camera's micro-images, its Fresnel numbers, and the lenses that light a pixel."""
 
 from __future__ import annotations
 
@@ -42,29 +42,7 @@ def micro_image_distance(camera: PlenopticCamera) -> float:
     return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.mla_pitch
 
 
-# -- diffraction -------------------------------------------------------------------------------------
-
-
-def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Radius of a microlens's focal spot, from its centre to the first zero.
-
-    :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
-    of diameter d; for a hexagon that of the disc of its area.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
-    wavelength : float
-        Wavelength in nanometres.
-    """
-    return in_millimetres(require_wavelength(wavelength)) * camera.reduced_distance / camera.lattice.diffraction_width
-
-
-def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
-    """Return the directions resolved across a micro-image: its diameter over a pixel or the spot, if that is larger."""
-    spot = 0.0 if wavelength is None else spot_radius(camera, wavelength)
-    return camera.micro_image_diameter / max(camera.pixel_size, spot)
+# -- Fresnel numbers -------------------------------------------------------------------------------------
 
 
 def mla_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:

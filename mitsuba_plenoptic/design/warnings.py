@@ -9,8 +9,16 @@ from ..camera import PlenopticCamera
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE
 from .aberration import parabolic_aberration
-from .focus import best_distances, best_images, focus_type, lenses_across, mla_object_distances
-from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
+from .focus import (
+    best_distances,
+    best_images,
+    direction_count,
+    focus_type,
+    lenses_across,
+    mla_object_distances,
+    spot_radius,
+)
+from .micro_images import crosstalk_lenses, micro_image_distance, mla_fresnel_number
 from .microscope import microscope_findings
 from .remedies import (
     Changes,

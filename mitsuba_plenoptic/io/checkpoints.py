@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
-from ..runtime.batches import PartialSum
+from ..runtime.batches import PartialSum, Snapshot
 from ..runtime.files import atomic_output, remove_leftovers
-from ..runtime.jobs import Snapshot
 from ..runtime.limits import require_memory, software
 from .versions import KEY, VERSION, stamped
 

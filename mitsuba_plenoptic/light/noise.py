@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from ..runtime.jobs import SumTask
+from ..runtime.batches import SumTask
 
 PARTS = 16
 """Count of independent passes from which the noise of a pixel is estimated."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.vector import Values
 from ..io.checkpoints import digest
-from ..runtime.jobs import Job, SumTask
+from ..runtime.batches import Job, SumTask
 from .control_variate import halves
 from .cost import Cost
 from .noise import PARTS, Mended, keep_spread, with_spread

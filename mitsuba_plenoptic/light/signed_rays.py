@@ -68,7 +68,7 @@ class Brought(NamedTuple):
 
 
 class SignedRaySum:
-    """A signed-ray capture, computed by blocks of the detector; a `runtime.jobs.LongSum`."""
+    """A signed-ray capture, computed by blocks of the detector; a `runtime.batches.LongSum`."""
 
     arrays: Any = np
     _sets = 1

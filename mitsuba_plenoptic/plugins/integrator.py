@@ -29,7 +29,7 @@ from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
 from ..points.scene_points import PointsCapture, require_matte
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
 
 

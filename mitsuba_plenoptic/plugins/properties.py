@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, film_numbers
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
 from ..camera.phase_screen import known_screen
@@ -105,15 +105,6 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
         "bounds its micro-images for rays; use CaptureOperator with method full_field",
     )
     return camera
-
-
-def film_numbers(film: Any) -> dict[str, Any]:
-    """Return the camera parameters that the film determines."""
-    return {
-        "resolution": tuple(film.size()),
-        "crop_offset": tuple(film.crop_offset()),
-        "crop_size": tuple(film.crop_size()),
-    }
 
 
 def _read_one(props: Any, name: str) -> Any:

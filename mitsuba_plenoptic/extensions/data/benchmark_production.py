@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ...report.images import enlarge, shrink, write_png
-from ...runtime.batches import BatchMap
+from ...runtime.batches import BatchMap, Progress
 from ...runtime.files import write_text
-from ...runtime.jobs import Progress
 from .contents import (
     CAPTURES,
     DISTANCES,

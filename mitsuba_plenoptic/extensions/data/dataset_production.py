@@ -17,9 +17,8 @@ import yaml
 from ...errors import naming
 from ...report.images import shrink, write_png
 from ...runtime.backend import set_variant
-from ...runtime.batches import BatchMap
+from ...runtime.batches import BatchMap, Progress
 from ...runtime.files import remove_leftovers, write_text
-from ...runtime.jobs import Progress
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (

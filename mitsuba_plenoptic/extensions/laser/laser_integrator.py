@@ -21,7 +21,7 @@ from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain, require_r
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
-from ...runtime.jobs import Job
+from ...runtime.batches import Job
 from .lit_points import LaserScene, LitPoints, named_lasers, without
 from .modes import mode_count
 from .realisations import coherent_capture

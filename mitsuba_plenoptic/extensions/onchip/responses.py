@@ -111,7 +111,7 @@ class LensRows:
 
 
 class ResponseSum:
-    """A capture by the responses of photodiodes, computed by rows of lenses; a `runtime.jobs.LongSum`."""
+    """A capture by the responses of photodiodes, computed by rows of lenses; a `runtime.batches.LongSum`."""
 
     arrays: Any = np
 
