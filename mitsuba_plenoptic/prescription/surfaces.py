@@ -348,7 +348,8 @@ class Prescription(LensData):
 
     def _crossing(self) -> tuple[int, int, float, str] | None:
         """Return the first refracting surfaces that cross where light may pass both: indices, distance, and words."""
-        indices = [index for index, surface in enumerate(self.surfaces) if surface.glass != self._before(index)]
+        glasses = [None, *(surface.glass for surface in self.surfaces)]
+        indices = [index for index, (before, after) in enumerate(itertools.pairwise(glasses)) if before != after]
         for first, second in itertools.pairwise(indices):
             front, back = self.surfaces[first], self.surfaces[second]
             thickness = sum(surface.thickness for surface in self.surfaces[first:second])
@@ -357,10 +358,6 @@ class Prescription(LensData):
                 text = f"main_lens: surfaces {first + 1} and {second + 1} cross {position:.4g} mm from the axis"
                 return first, second, position, text
         return None
-
-    def _before(self, index: int) -> Glass | None:
-        """Return the glass before a surface."""
-        return self.surfaces[index - 1].glass if index else None
 
 
 # Checks, pupils and distances of cameras of one prescription ask for it again and again; a result is a few floats.
