@@ -40,23 +40,14 @@ from .parameters import PARAMETERS
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Check a camera's arguments, given by name, and fill in defaults; return all values by attribute."""
+    """Return all values of a camera by attribute, from arguments by name; refuse bad and contradictory arguments."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
         missing = value is None and entry.default is None
         values[entry.attribute] = None if missing else entry.check(name, value)
-    _complete_lens(values)
-    _complete_microlenses(values)
-    _check_array(values)
-    if values["detector_distance"] is None:
-        values["detector_distance"] = values["mla_focal_lengths"][0]
-    _complete_window(values)
-    return values
 
-
-def _complete_lens(values: dict[str, Any]) -> None:
-    """Fill in the main lens's parameters and the array's distance from it; refuse values that contradict the lens."""
+    # The main lens, and the distance of the array from it.
     data, focus = values["main_lens"] or THIN, values["focus_distance"]
     for name, number in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
         if values[name] is None:
@@ -75,19 +66,13 @@ def _complete_lens(values: dict[str, Any]) -> None:
     # It is what follows from the others, whatever digits it was given with.
     values["focus_distance"] = data.focus_distance(values["focal_length"], values["mla_distance"])
 
-
-def _complete_microlenses(values: dict[str, Any]) -> None:
-    """Fill in the focal length of the microlenses; refuse one that contradicts their shape."""
+    # The microlenses.
     if values["mla_shape"] is not None:
         own = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
         values["mla_focal_lengths"] = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
         refuse_if(values["mla_glass"] is not None, "mla_glass: an mla_shape brings its own material; leave it out")
     elif values["mla_focal_lengths"] is None:
         values["mla_focal_lengths"] = (0.512,)
-
-
-def _check_array(values: dict[str, Any]) -> None:
-    """Refuse focal lengths for which the lattice has no lens types, and arrays too irregular for their pitches."""
     types, focal_lengths = LATTICES[values["mla_lattice"]].lens_types, values["mla_focal_lengths"]
     if len(focal_lengths) not in (1, types):
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
@@ -100,10 +85,10 @@ def _check_array(values: dict[str, Any]) -> None:
     bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
     for value, most in zip(values["mla_jitter"], bounds, strict=True):
         require_number("mla_jitter", value, maximum=most)
+    if values["detector_distance"] is None:
+        values["detector_distance"] = values["mla_focal_lengths"][0]
 
-
-def _complete_window(values: dict[str, Any]) -> None:
-    """Fill in the size of the crop window, by default the rest of the detector; refuse a window outside of it."""
+    # The crop window, by default the part of the detector beyond its offset.
     resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
     if size is None:
         rest = tuple(count - first for count, first in zip(resolution, offset, strict=True))
@@ -112,6 +97,7 @@ def _complete_window(values: dict[str, Any]) -> None:
         any(first + recorded > count for count, first, recorded in zip(resolution, offset, size, strict=True)),
         f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}",
     )
+    return values
 
 
 def require_whole(camera: CameraGeometry) -> None:
