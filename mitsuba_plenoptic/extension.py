@@ -176,9 +176,4 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 def missing(kind: str, name: str) -> str:
     """Return the line that a shipped extension is missing, which adds `name`; an empty text for other names."""
     owner = SHIPPED[kind].get(name)
-    return f"{name}: extension {owner} is not installed" if owner and not _is_installed(owner) else ""
-
-
-def _is_installed(name: str) -> bool:
-    """Return whether a shipped extension is there."""
-    return f"{GROUP}.{name}" in installed()
+    return f"{name}: extension {owner} is not installed" if owner and f"{GROUP}.{owner}" not in installed() else ""

@@ -219,7 +219,7 @@ def effective_resolution(
         If the distance is not beyond the focal length, or the wavelength is out of range.
     """
     image_distance(camera.focal_length, require_number("distance", distance))
-    spot = pixel_footprint(camera, distance) * _finest(camera, wavelength) / camera.pixel_size
+    spot = pixel_footprint(camera, distance) * finest_detail(camera, wavelength) / camera.pixel_size
     lens = min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_width
     detail = max(spot, lens)
     return EffectiveResolution(
@@ -249,8 +249,12 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
     """Return the directions resolved across a micro-image: its diameter over a pixel or the spot, if that is larger."""
-    spot = 0.0 if wavelength is None else spot_radius(camera, wavelength)
-    return camera.micro_image_diameter / max(camera.pixel_size, spot)
+    return camera.micro_image_diameter / finest_detail(camera, wavelength)
+
+
+def finest_detail(camera: PlenopticCamera, wavelength: float | None) -> float:
+    """Return the finest detail on the detector in millimetres: a pixel, or the spot of diffraction if that is wider."""
+    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, wavelength))
 
 
 # -- at which distances ------------------------------------------------------------------------------
@@ -321,7 +325,10 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
             found.append(refocus_range(camera, wavelength))
             continue
         side = math.copysign(1, a)
-        near, far = sharp_images(camera, a, _covering(camera, side), wavelength)
+        # The cone of a point is a lens pitch wide at |s| = D2 / D1, with s = -a / (b - a).
+        defocus = max(camera.mla_pitches) / camera.aperture_diameter
+        covering = camera.mla_distance * defocus / (1 + side * defocus)
+        near, far = sharp_images(camera, a, covering, wavelength)
         images = sorted(camera.mla_distance - side * distance for distance in (near, far))
         # The nearer the object, the farther its image; none is nearer than the focal length.
         objects = [
@@ -344,7 +351,7 @@ def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength:
 
 def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
     """Return by how much 1/a may differ from a microlens's focus for a blur of a pixel, or of the spot if wider."""
-    return _finest(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
+    return finest_detail(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:
@@ -360,15 +367,3 @@ def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: fl
         Wavelength in nanometres.
     """
     return max(1, math.floor(effective_resolution(camera, distance, wavelength).samples_per_lens + 1e-6))
-
-
-def _finest(camera: PlenopticCamera, wavelength: float | None) -> float:
-    """Finest detail on the detector: a pixel, or the spot of diffraction if that is wider."""
-    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, wavelength))
-
-
-def _covering(camera: PlenopticCamera, side: float) -> float:
-    """Distance of an image from the MLA from which on the cone of a point is a lens pitch wide."""
-    # With |s| = D2 / D1 and s = -a / (b - a).
-    defocus = max(camera.mla_pitches) / camera.aperture_diameter
-    return camera.mla_distance * defocus / (1 + side * defocus)

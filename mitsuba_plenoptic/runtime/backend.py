@@ -272,9 +272,12 @@ def rsqrt(value: Any) -> Any:
     return float(1 / np.sqrt(value)) if isinstance(value, float) else 1 / np.sqrt(value)
 
 
-def quotient(value: Any, divisor: int) -> Any:
-    """Return the whole quotients of Dr.Jit's indices below 2^32, for which processors divide integers one by one."""
-    return mi.UInt32((mi.Float64(value) + 0.5) * dr.opaque(mi.Float64, 1 / divisor))
+def quotient(index: Any, divisor: int, types: Any = mi) -> Any:
+    """Return the whole quotients of Dr.Jit's indices below 2^32, of its modules of types or the active variant's.
+
+    They are products, several times faster than Dr.Jit's division of integers.
+    """
+    return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 
 
 def is_zero(value: Any) -> bool:
