@@ -30,7 +30,7 @@ from .radiance import captures, to_radiance
 from .ray import white_pixels, white_sums
 
 
-@method("incoherent", options=(), waves=True, as_it_is=True)
+@method("incoherent", waves=True, as_it_is=True)
 def refocus(task: Task) -> list[np.ndarray]:
     """Weigh the capture with that of every bin by itself."""
     count = len(task.distances)

@@ -102,7 +102,7 @@ def score_answers(
 
       mitsuba-plenoptic benchmark score bench answers/ray answers/mine -o scores.json
     """
-    from ...report.stage_store import write_json
+    from ...io.checkpoints import write_json
     from ...runtime.files import require_writable
     from .benchmark import Benchmark, score, table
 
