@@ -9,17 +9,19 @@ from ..camera import PlenopticCamera
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE
 from .aberration import parabolic_aberration
-from .focus import (
+from .microscope import microscope_findings
+from .quantities import (
     best_distances,
     best_images,
+    crosstalk_lenses,
     direction_count,
     focus_type,
     lenses_across,
+    micro_image_distance,
+    mla_fresnel_number,
     mla_object_distances,
     spot_radius,
 )
-from .micro_images import crosstalk_lenses, micro_image_distance, mla_fresnel_number
-from .microscope import microscope_findings
 from .remedies import (
     Changes,
     Finding,

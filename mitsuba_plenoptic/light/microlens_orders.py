@@ -81,7 +81,7 @@ class ArrayParameter(NamedTuple):
 
 
 class ArrayFactor(ABC):
-    """A factor of the transmission: a function of one coordinate of the array, or of both, as a sum of orders.
+    """Factor of the transmission in one coordinate of the array, or in both, as a sum of orders.
 
     `axes` lists its coordinates (0: x, 1: y), and `periods` the periods along them.
     """
@@ -297,7 +297,7 @@ class MicrolensArray:
         return self._factors[key]
 
     def open_fraction(self, cosine: float, x: Any, y: Any) -> Any:
-        """Return 1 inside apertures and 0 between them, without steeper directions, at positions in millimetres.
+        """Return 1 inside apertures and 0 between them at positions in mm, without steeper directions.
 
         The integral of its product with a function that is limited to these directions, such as an intensity, is exact.
         """
@@ -313,7 +313,7 @@ class MicrolensArray:
 
 @functools.lru_cache(maxsize=4)
 def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
-    """Return the microlenses of a camera; the last few are remembered.
+    """Return the microlenses of a camera, from a cache of the last few.
 
     The tables of arrays that are not separable take longer than a point spread. Many operators of one camera are made
     one after another, and batches of another process mostly need the array of the previous one.
@@ -360,7 +360,7 @@ class VaryingArrayFactor:
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
-    """Return the sample below a position, of `count` in a period, and the position's distance from it in samples."""
+    """Return the sample before a position, with `count` samples in a period, and the distance from it in samples."""
     types = array_types(place)
     scaled = place * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)

@@ -23,7 +23,7 @@ from ..runtime.limits import largest_fitting, require_memory
 from .cost import Cost
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
-from .scene_unit import warn_of_metres
+from .scene_light import warn_of_metres
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
@@ -159,7 +159,7 @@ def render_capture(
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's plenoptic sensor by its index, or the given one; refuse a scene of another variant."""
+    """Return a scene's plenoptic sensor by its index, or a given sensor; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -180,7 +180,7 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
-    """Return whether the model, or that of the scene's integrator if it is None, is the wave model."""
+    """Return whether a capture is by waves: as `model` states, or as the scene's integrator does if it is None."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
 
 
@@ -220,7 +220,7 @@ def require_wave_film(film: Any) -> None:
 
 
 def sample_count(sensor: Any, spp: int | None) -> int:
-    """Return the requested sample count, or that of the sensor's sampler if it is None."""
+    """Return the requested number of samples, or the number of the sensor's sampler if it is None."""
     return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
 
 
@@ -371,7 +371,7 @@ def estimate_capture(
 
 
 def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Time rays of rows of pixels that are evenly spaced on the detector, in the order in which Mitsuba traces them."""
+    """Return rays per second, timed with evenly spaced rows of pixels in the order in which Mitsuba traces them."""
     rows, columns = shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))

@@ -35,8 +35,8 @@ from ..lenses.main_lens import Pair
 from ..optics import rays
 from ..runtime.backend import drjit_array
 from .array_kernels import REACH, displaced
-from .control_variate import known_means
 from .lens_kinds import LensKinds
+from .noise import known_means
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of
@@ -72,7 +72,7 @@ class Held(NamedTuple):
 
 
 def parameters_of(camera: PlenopticCamera) -> Values:
-    """Return the values of all `PARAMETERS`, each as an array of its parts."""
+    """Return the values of all `PARAMETERS`, each as an array of components."""
     return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
 
@@ -105,7 +105,7 @@ class _CameraSum(SignedRaySum):
 
 
 class CameraTangents(_CameraSum):
-    """Directional derivative of a capture along changes of its camera's `PARAMETERS`."""
+    """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
 
     _sets = 4
 
@@ -221,7 +221,7 @@ class CameraAdjoint(_CameraSum):
         return [own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
-        """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
+        """Return the gradient by each component of the parameters, from gradients by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._vjp(lot, felt, total)
