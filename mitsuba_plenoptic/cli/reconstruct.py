@@ -258,7 +258,7 @@ def sheet(
     # Brings Matplotlib, which takes a while to load.
     from ..report.figures import contact_sheet
 
-    contact_sheet(read, Brightness(exposure, percentile).white([one.image for one in read])).save(output)
+    contact_sheet(read, Brightness(exposure, percentile).peak([one.image for one in read])).save(output)
     methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images, {len(methods)} methods at {len(distances)} distances")
 
@@ -299,7 +299,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
         # Brings libraries that take a second to load.
         from ..report.volumes import write_volume_overview
 
-        write_volume_overview(overview, made, drawing.brightness.white([made.values]))
+        write_volume_overview(overview, made, drawing.brightness.peak([made.values]))
         typer.echo(f"{overview}: overview")
 
 
