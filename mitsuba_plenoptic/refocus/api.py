@@ -41,6 +41,7 @@ from .methods import (
     portion,
     require_distances,
     require_image_memory,
+    require_option,
     require_response,
     require_upright,
     require_wavelengths,
@@ -242,7 +243,7 @@ def reconstruct(
         batch_map=batch_map,
     )
     white, wavelength = used["white"], used["wavelength"]
-    settings = {name: OPTIONS[name].checked(name, used[name], capture) for name in chosen.options}
+    settings = {name: require_option(name, used[name], camera) for name in chosen.options}
     if "response" in settings:
         settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)
