@@ -303,7 +303,7 @@ def reconstruct(
 
 
 def _by_wavelength(task: Task) -> list[Task]:
-    """Return the work on each channel with the camera of its wavelength; all at once where that is the same."""
+    """Return one task per channel with the camera of its wavelength, or one for all channels if these are equal."""
     if task.camera.glass is None and task.camera.mla_glass is None:
         return [task]
     works = work_of(task.wavelengths)
@@ -329,7 +329,7 @@ def _recorded(capture: Capture, channels: int) -> list[float] | None:
 
 
 def _side_by_side(parts: list[Any]) -> list[Found]:
-    """Return what was found at each distance, with the channels of all parts."""
+    """Return the results at each distance with the channels of all parts side by side."""
     found = [[made if isinstance(made, Found) else Found(made) for made in part] for part in parts]
     if len(found) == 1:
         return found[0]

@@ -122,7 +122,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 
 
 def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return all inputs on which the result depends, by which a checkpoint recognises the same run."""
+    """Return all inputs that determine the result, by which a checkpoint recognises the same run."""
     return {
         "capture": digest(task.image),
         "camera": task.camera.to_dict(),

@@ -138,7 +138,7 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
-    """Return options with None, as if not given, for those that a method has no use for, of which one warning tells."""
+    """Return options, with None for those that a method has no use for; one warning names these."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
@@ -184,7 +184,7 @@ def method(
 
 
 def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
-    """Return the capture with its camera, or with another that is given."""
+    """Return the capture with its camera, or with a camera given instead."""
     if isinstance(capture, Capture):
         require_demosaiced(capture)
         if camera is None:
@@ -243,7 +243,7 @@ def require_response(response: str | None, capture: Capture, wavelength: Any) ->
 
 
 def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
-    """Return the wavelength of each channel; scalar waves go through lenses that are wider."""
+    """Return the wavelength of each channel; refuse lenses too narrow for scalar waves."""
     given: Any = capture.wavelength if wavelength is None else wavelength
     if given is None:
         raise InputError(

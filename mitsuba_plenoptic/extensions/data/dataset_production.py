@@ -47,7 +47,7 @@ Maker = Callable[[Recipe, int], Sample]
 
 @dataclass(frozen=True)
 class SampleTask:
-    """Renders one sample and writes it to a file of its own, in this process or in another."""
+    """Task that renders one sample and writes the sample's file, in this process or another."""
 
     recipe: Recipe
     index: int
@@ -57,7 +57,7 @@ class SampleTask:
 
     @property
     def samples(self) -> int:
-        """Of fields: above these a sample travels alone."""
+        """Nominal number of fields, so large that a sample is a batch by itself."""
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
@@ -284,7 +284,7 @@ Software: {software}; source of mitsuba_plenoptic {version}.
 
 
 def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
-    """Write the data card as Markdown."""
+    """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
     for name, array in sorted(made[0].arrays.items()):
         base = name.removeprefix("views_")

@@ -55,11 +55,11 @@ class DataFolder:
         return -(-self.count // self.samples_per_shard)
 
     def shard(self, number: int) -> Path:
-        """Return the file of a shard."""
+        """Return the path of a shard."""
         return self.folder / "shards" / f"shard-{number:05d}.h5"
 
     def members(self, number: int) -> range:
-        """Return the samples of a shard."""
+        """Return the range of indices of a shard's samples."""
         first = number * self.samples_per_shard
         return range(first, min(first + self.samples_per_shard, self.count))
 
@@ -69,7 +69,7 @@ class DataFolder:
 
 
 def facts_of(recipe: Recipe) -> dict[str, Any]:
-    """Return what the bits of a data set depend on, in plain JSON values."""
+    """Return everything that determines the bits of a data set, as plain JSON values."""
     scenes = {
         f"scene {index + 1}": scene_fingerprint(source.scene, {})
         for index, source in enumerate(recipe.scenes)
@@ -171,7 +171,7 @@ def write_samples(path: Path, samples: Iterable[Sample]) -> None:
 
 
 def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
-    """Return JSON of any length: attributes of HDF5 end at 64 KiB."""
+    """Return a text as an array of bytes, since attributes of HDF5 hold at most 64 KiB."""
     return np.frombuffer(json.dumps(values, sort_keys=True).encode(), np.uint8)
 
 
@@ -218,7 +218,7 @@ def read_sample(
 
 
 def whole_samples(path: Path) -> set[int]:
-    """Return the indices of the undamaged samples in a file, if there is one, and name the damaged ones in the log."""
+    """Return the indices of undamaged samples in a file, if the file exists, and log the damaged ones."""
     if not path.exists():
         return set()
     found = set()
@@ -247,7 +247,7 @@ def _remark(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 class DataSet:
-    """A data set in its folder: ``dataset[17]`` is a `Sample`.
+    """A data set in a folder; ``dataset[17]`` is a `Sample`.
 
     Samples are read when they are asked for. It may be pickled and used in forked processes; each opens the files anew.
 
@@ -282,7 +282,7 @@ class DataSet:
         return self._layout.count
 
     def __getitem__(self, index: int) -> Sample:
-        """Read a sample by its index."""
+        """Return the sample with an index."""
         if index >= len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)
@@ -297,7 +297,7 @@ class DataSet:
         return {**self.__dict__, "_files": {}}
 
     def damaged(self) -> list[str]:
-        """Compare all files with their checksums, and return the names of those that differ or are missing.
+        """Return the names of files that are missing or differ from their checksums.
 
         Raises
         ------

@@ -81,7 +81,7 @@ _LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "m
 
 
 def _is_by_waves(context: Any) -> bool:
-    """Return whether a step, as it is parsed, is by waves, or one whose recipe may be."""
+    """Return whether a parsed step computes by waves, or has a recipe that may."""
     name = context.info_name
     chosen = context.params[_LIGHT[name]] if name in _LIGHT else "wave" if name == "dataset" else "ray"
     if chosen is None:
@@ -121,7 +121,7 @@ def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
 
 
 def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all that a step depends on but the files that it reads; of a scene the files that it names, too."""
+    """Return everything that a step depends on except the files it reads; for scenes, the files they name as well."""
     # Brings libraries that take a while to load.
     from ...report.stage_store import scene_fingerprint
 

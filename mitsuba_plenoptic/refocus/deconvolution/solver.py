@@ -57,7 +57,7 @@ class Linear(Protocol):
     """From the radiance of bins to pixels, and the transpose."""
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the pixels of some bins."""
+        """Return the pixels that bins light."""
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
         """Return for each bin the pixels weighted by its light."""
@@ -65,7 +65,7 @@ class Linear(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlaneEstimates:
-    """The result of an iteration."""
+    """Planes that an iteration has found, with facts about it."""
 
     values: Values
     seen: Values
@@ -78,12 +78,12 @@ class Penalty(Protocol):
     """A demand on the radiance of bins besides that it explains the image."""
 
     def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
-        """Return its derivatives by the bins; those that are not inside do not count."""
+        """Return the derivatives of the penalty by the bins, 0 for bins that are not inside."""
 
 
 @dataclass
 class State:
-    """The state of an iteration: all data on which its next steps depend."""
+    """State of an iteration: all data on which its next steps depend."""
 
     found: Values
     last: Values
@@ -168,7 +168,7 @@ class RichardsonLucyStep:
         return [np.where(mask, level, np.float32(0)) for mask in self.inside]
 
     def ratio(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the image over what it should be."""
+        """Return the recorded image over the model's image."""
         return np.asarray(self.given / (np.maximum(model, 0) + self.shift))
 
     def scaled(self, point: Values, back: Values) -> Values:
@@ -198,7 +198,7 @@ def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """One channel of one plane."""
+    """Result for one channel of one plane."""
 
     image: NDArray[np.float32]
     iterations: int
