@@ -20,7 +20,6 @@ from ..camera import PlenopticCamera
 from ..lattice import Lattice, make_lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
-from .figure_error import FigureError
 from .lens_kinds import irregularities
 
 _HARD_EDGES = 1.4
@@ -34,6 +33,7 @@ _POINTS = 65
 
 _STEEPEST = 0.7
 """Largest direction cosine that is retained for an aperture's diffraction: the limit of scalar thin elements."""
+from .lens_kinds import FigureError
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
