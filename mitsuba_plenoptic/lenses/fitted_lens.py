@@ -71,7 +71,7 @@ _STRETCHED = 257
 
 @dataclass(frozen=True)
 class ImageStretch:
-    """Positions on the array of chief rays from object points, relative to those that reconstruction bins assume."""
+    """Positions on the array of chief rays from object points, over the positions that reconstruction bins assume."""
 
     # Distances of object points from the axis on the scale of the bins, :math:`X b / g`, in the lit field, (n,).
     places: NDArray[np.float64]
@@ -199,7 +199,7 @@ class FittedLens(FinitePupil):
 
     @property
     def reach(self) -> float:
-        """The same as `pupil_radius`."""
+        """Radius of the exit pupil, as `pupil_radius`."""
         return self.pupil_radius
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -216,7 +216,7 @@ class FittedLens(FinitePupil):
         return np.column_stack([field * distance[:, None], depth])
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (..., 2) on the MLA, those outside the illuminated field moved inwards to its edge."""
+        """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
         away = np.hypot(images[..., 0], images[..., 1])[..., None]
         return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
 
@@ -242,7 +242,7 @@ class FittedLens(FinitePupil):
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Distances of images from the axis, and there the largest changes of path and edge as an image moves.
+        """Distances of images from the axis, with the largest changes of path and edge there as an image moves.
 
         The maximum is taken over distances and over radial and tangential motion. Changes are per millimetre: of the
         path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.

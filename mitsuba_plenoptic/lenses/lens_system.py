@@ -90,7 +90,7 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def scale(self) -> Any:
-        """Scale factor of the prescription."""
+        """Scale factor from the prescription to the camera's lens."""
         return self.focal_length / self.numbers.focal_length
 
     @functools.cached_property

@@ -70,7 +70,7 @@ def entrance_place(lens: LensSystem) -> float:
 
 
 def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
-    """Trace rays as `trace_all` does, and drop those that miss a surface or pass one far beyond its edge."""
+    """Return rays traced as by `trace_all`, without rays that miss a surface or pass far beyond the edge of one."""
     rays, valid = trace_all(lens, field, inverse_distance, entrance)
     return rays.take(valid)
 
@@ -78,7 +78,7 @@ def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance:
 def trace_all(
     lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> tuple[PupilRays, NDArray[np.bool_]]:
-    r"""Trace rays, and return a mask of those that neither miss a surface nor pass one far beyond its edge.
+    r"""Return traced rays, and a mask of rays that neither miss a surface nor pass far beyond the edge of one.
 
     The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the inverse distance, E the
     position on the entrance pupil and P that on the exit pupil: the amplitude that a thin lens in the entrance pupil
@@ -170,7 +170,7 @@ class Pupils:
 
     @classmethod
     def of(cls, lens: LensSystem) -> Pupils:
-        """Compute the pupils of a lens."""
+        """Return the pupils of a lens."""
         numbers = lens.numbers
         # The sign of a ray near the axis shows whether the exit pupil is inverted relative to the entrance pupil.
         near = trace(lens, np.zeros(1), np.zeros(1), np.array([[1e-3 * float(lens.aperture_radius)], [0.0]]))
@@ -277,7 +277,7 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
 
 
 def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, inverse distances and positions of rays that check a fit, with those of each point adjacent."""
+    """Return fields, inverse distances and positions of random rays that check a fit, sorted by their points."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
     D = np.repeat(inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(_JUDGES), _JUDGING)

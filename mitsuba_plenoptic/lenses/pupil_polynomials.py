@@ -90,7 +90,7 @@ def fit(
     *,
     alone: bool = False,
 ) -> list[Polynomial]:
-    """Fit polynomials by least squares.
+    """Return polynomials fitted to values by least squares.
 
     Parameters
     ----------

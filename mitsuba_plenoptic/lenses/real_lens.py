@@ -35,7 +35,7 @@ pupil that find its centre."""
 
 
 def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
-    """Return the map of a lens."""
+    """Return the map from the exit pupil of a lens to a round pupil."""
     from scipy.spatial import cKDTree
 
     radius, half, last = float(lens.pupil_radius), _MAP_WIDER * reach, _MAP_WIDER * corner
@@ -105,7 +105,7 @@ _BEYOND = 1.05
 
 @dataclass(frozen=True, eq=False)
 class RealLens(LensSystem):
-    """A lens of several surfaces before a detector that sees a part of its field; it caches its fits for waves."""
+    """A lens of several surfaces before a detector that sees a part of its field, with cached fits for waves."""
 
     # Distance of the detector's corners from the axis in millimetres.
     corner: float = 0.0
@@ -127,12 +127,12 @@ class RealLens(LensSystem):
 
     @property
     def _own(self) -> LensSystem:
-        """The lens at the wavelength of its prescription, for properties that are assumed equal at all wavelengths."""
+        """Lens at the wavelength of its prescription, for properties assumed equal at all wavelengths."""
         return self if self.wavelength is None else replace(self, wavelength=None)
 
     @functools.cached_property
     def entrance(self) -> Entrance:
-        """The scene side of the lens."""
+        """Entrance pupil of the lens."""
         pupils = Pupils.of(self)
         return Entrance(pupils.entrance, max(self.front_bounds[1]), pupils.magnification)
 
@@ -213,7 +213,7 @@ class RealLens(LensSystem):
         return self._fits[key]
 
     def _fit(self, field: float, low: float, high: float) -> FittedLens:
-        """Fit the lens for a range of inverse distances, up to a field or to the edge of its own field."""
+        """Return the lens fitted over a range of inverse distances, up to a field or the edge of the lens's field."""
         tracer, radius, inverse_distance = functools.partial(trace, self), self.aperture_radius, (low, high)
         field = covered(tracer, radius, field, inverse_distance)
         refuse_if(not field > 0, "main_lens: no light of the scene points passes it")
@@ -223,7 +223,7 @@ class RealLens(LensSystem):
 
 
 def _checked(lens: FittedLens) -> FittedLens:
-    """Return a lens after a check of the error of its fitted path."""
+    """Return a lens whose fitted path has passed the check of its error."""
     guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 

@@ -39,7 +39,7 @@ def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, A
 
 
 def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
-    """Return the displacement of lenses towards the axis, to which `mla_cra` aligns them, from regular positions."""
+    """Return the displacement towards the axis by which `mla_cra` aligns lenses, from their regular positions."""
     if not camera.mla_cra:
         return 0.0, 0.0
     z = camera.detector_distance if detector_distance is None else detector_distance
@@ -113,7 +113,7 @@ _COSINES = 32
 
 @dataclass(frozen=True, eq=False)
 class FigureError:
-    r"""The figure error of one array: a random path of a given size and correlation length all over the array.
+    r"""Figure error of one array: a random optical path of a given size and correlation length all over the array.
 
     The path is a sum of cosines of random directions, periods and phases,
 
@@ -139,7 +139,7 @@ class FigureError:
         return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of the path."""
+        """Return the gradient of the path at positions."""
         across: Any = 0.0
         up: Any = 0.0
         for _, sine, u, v in self._waves(x, y):
@@ -164,7 +164,7 @@ class FigureError:
 
 @functools.lru_cache(maxsize=4)
 def _drawn(size: float, length: float, seed: int) -> FigureError:
-    """Draw the error of an array."""
+    """Return a figure error drawn at random."""
     random = np.random.default_rng([seed, _COSINES])
     frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
     return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))
@@ -184,7 +184,7 @@ _MOST = 32
 
 
 class Kind(NamedTuple):
-    """Microlenses that are treated as equal."""
+    """Microlenses that are treated as equal, with one set of kernels."""
 
     # Index of the design focal length of the lens.
     lens_type: int
@@ -211,7 +211,7 @@ class LensKinds:
 
     @cached_property
     def every(self) -> list[Kind]:
-        """All kinds: the combinations of each height, each focal length factor and each lens type."""
+        """All kinds: combinations of heights, focal length factors and lens types."""
         camera = self.camera
         return [
             Kind(kind, f2 * ratio, camera.reduced_distance + height / camera.mla_medium)
@@ -221,7 +221,7 @@ class LensKinds:
         ]
 
     def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
-        r"""Return the mean factor by which a kind's micro-images are larger than those by rays through lens centres.
+        r"""Return the mean enlargement of a kind's micro-images over micro-images by rays through lens centres.
 
         Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
         of a lens of power n/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium of
@@ -259,14 +259,14 @@ class LensKinds:
 
     @cached_property
     def _ratios(self) -> NDArray[np.float64]:
-        """Factors on the focal lengths."""
+        """Factors on the focal lengths, one per step."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
         # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
         return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
 
     @cached_property
     def _heights(self) -> NDArray[np.float64]:
-        """Heights of a tilted array."""
+        """Heights of the lenses of a tilted array, one per step."""
         camera = self.camera
         across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
         most = across * camera.detector_width / 2 + up * camera.detector_height / 2

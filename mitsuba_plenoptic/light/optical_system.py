@@ -20,7 +20,7 @@ from .microlenses import upright
 
 
 def is_paraxial(camera: PlenopticCamera) -> bool:
-    """Return whether a field that belongs to many points moves by slopes in a camera, as the rays of the camera do.
+    """Return whether a field of many points moves by slopes in a camera, as the camera's rays do.
 
     Behind an ideal thin main lens a single point's light converges to its image, by direction cosines as light does. No
     phase does that to the light of all points together, except where light moves by slopes: a parabola.
@@ -48,7 +48,7 @@ class OpticalSystem:
 
     @classmethod
     def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
-        """Bind a camera to the design wavelength of its main lens, for rays without a wavelength."""
+        """Return the optical system at the design wavelength of the main lens, for rays without a wavelength."""
         return cls(camera, getattr(camera.main_lens, "wavelength", LINE_D))
 
     @cached_property

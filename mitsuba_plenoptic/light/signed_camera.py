@@ -71,7 +71,7 @@ class Held(NamedTuple):
 
 
 def parameters_of(camera: PlenopticCamera) -> Values:
-    """Return the values of all `PARAMETERS`, each as an array of its parts."""
+    """Return the values of all `PARAMETERS`, each as an array of components."""
     return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
 
@@ -104,7 +104,7 @@ class _CameraSum(SignedRaySum):
 
 
 class CameraTangents(_CameraSum):
-    """Directional derivative of a capture along changes of its camera's `PARAMETERS`."""
+    """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
 
     _sets = 4
 
@@ -220,7 +220,7 @@ class CameraAdjoint(_CameraSum):
         return [own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
-        """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
+        """Return the gradient by each component of the parameters, from gradients by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._vjp(lot, felt, total)

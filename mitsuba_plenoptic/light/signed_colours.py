@@ -54,7 +54,7 @@ _STRATA, _STEPS = 4096, 2**14
 
 
 class Lanes(NamedTuple):
-    """Wavelengths that are drawn for cells."""
+    """Wavelengths drawn for cells."""
 
     wavelengths: list[Any]
     # Index of the stratum in which each lies, and its position there from 0 to 1.
@@ -132,7 +132,7 @@ class Node:
 
 
 def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return the weighted sum of values."""
+    """Return the weighted sum of the values."""
     return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
 
 
@@ -144,7 +144,7 @@ def span(nodes: list[Node]) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SignedColours:
-    """The responses of a capture's channels."""
+    """Responses of a capture's channels to wavelengths."""
 
     # Wavelengths, and the channels' responses.
     spectrum: Spectrum
@@ -220,7 +220,7 @@ def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.f
 
 
 def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalise the weights of each channel to the sum 1."""
+    """Return the weights of each channel, normalised to the sum 1."""
     return np.asarray(weights / weights.sum(1, keepdims=True))
 
 

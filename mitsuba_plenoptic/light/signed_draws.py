@@ -67,12 +67,12 @@ class Drawn(NamedTuple):
 
     @property
     def kept(self) -> Kept:
-        """What the coefficients of the rays depend on."""
+        """Data on which the coefficients of the rays depend."""
         return Kept(self.point, self.inner, self.weight, self.open)
 
 
 class Kept(NamedTuple):
-    """What the coefficients of rays depend on, in addition to random numbers that are drawn again: see `Drawn`."""
+    """Data on which the coefficients of rays depend, besides random numbers that are drawn again: see `Drawn`."""
 
     point: Pair
     inner: Pair
@@ -80,7 +80,7 @@ class Kept(NamedTuple):
     open: Any
 
     def at(self, lane: Any) -> Kept:
-        """Return that of some of the rays, which has been computed."""
+        """Return the data of some of the rays, evaluated."""
         point, inner = (
             tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
         )
@@ -99,7 +99,7 @@ class Pixels:
     steps: NDArray[np.int64]
 
     def take(self, which: Any) -> Pixels:
-        """Return some of the pixels."""
+        """Return a selection of the pixels."""
         return replace(self, index=dr.gather(mi.UInt32, self.index, which))
 
 
@@ -133,7 +133,7 @@ class Aims(NamedTuple):
     kind: Any
 
     def at(self, own: Any) -> Aims:
-        """Return those of some of the cells or pixels, which are computed once for all of their rays."""
+        """Return the aims of some cells or pixels, which are computed once for all of their rays."""
         dr.eval(*self)
         middle, centre = (
             tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
@@ -189,7 +189,7 @@ class Draws:
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
-        """Return the lenses that can light a pixel, as lattice indices relative to the lens of its chief ray."""
+        """Return the lenses that can light a pixel, as lattice indices from the lens of its chief ray."""
         camera = self._camera
         # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
@@ -229,7 +229,7 @@ class Draws:
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
     def _cells(self, aims: Aims, place: Any) -> Aims:
-        """Return the aims of the cells at some places of pixels, numbered row by row, from those of the pixels."""
+        """Return the aims of cells at given places in pixels, numbered row by row, from the aims of the pixels."""
         row = quotient(place, self._parts)
         x, y = (
             p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
@@ -251,7 +251,7 @@ class Draws:
         return self.walk.through_centre(offset, drawn.height)[1]
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
-        """Return where the light that lands on detector points lands if it passes the centres of lenses, from these."""
+        """Return the landing points of light that lands on detector points, if it passed the centres of its lenses."""
         return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
 
     def _shrunk(self, offset: Pair, kind: Any) -> Pair:
@@ -279,7 +279,7 @@ class Draws:
         return np.column_stack(camera.lattice.to_frame(x, y)) * scale
 
     def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
-        """Return rays of pixels; those of even and of odd numbers are independent.
+        """Return rays drawn for pixels; rays of even and of odd numbers are independent.
 
         For each ray, `own` is the position of its pixel among the pixels, `sample` its number in the pixel, and `place`
         that of its cell.
@@ -316,7 +316,7 @@ class Draws:
         return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
 
     def crossed(self, drawn: Drawn) -> Pair:
-        """Return how far light moves aside in the medium, and its depth; points outside a lens have its nearest's."""
+        """Return the sideways path of light in the medium, and its depth, from the nearest points of lenses."""
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height

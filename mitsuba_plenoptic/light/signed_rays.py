@@ -59,7 +59,7 @@ _LEAST = 2
 
 
 class Brought(NamedTuple):
-    """What the rays of a lot bring."""
+    """Sums that the rays of a lot contribute."""
 
     # For each node and image the mean values of cells, first those at the first place of each pixel.
     values: list[list[list[Any]]]
@@ -129,7 +129,7 @@ class SignedRaySum:
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Return the sum of all blocks."""
+        """Return the image, the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     @cached_property
@@ -162,7 +162,7 @@ class SignedRaySum:
         return [[kernel for sets in kinds for each in sets for kernel in each.kernels] for kinds in self._kernels]
 
     def _rows(self, number: int, kind: int) -> list[slice]:
-        """Return which of a node's images are those of each set of values of a kind of lenses."""
+        """Return, for each set of values of a kind of lenses, the slice of a node's images that it fills."""
         counts = [[len(each.kernels) for each in sets] for sets in self._kernels[number]]
         ends = sum(map(sum, counts[:kind])) + np.cumsum([0, *counts[kind]])
         return [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
@@ -301,7 +301,7 @@ class SignedRaySum:
         return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
 
     def _timed(self, pixels: Any, seed: int) -> float:
-        """Time the rays of pixels; return the seconds per pixel."""
+        """Return the seconds per pixel that tracing the rays of pixels takes."""
         with busy_drjit():
             dr.sync_thread()
             start = time.perf_counter()
@@ -322,7 +322,7 @@ class SignedRaySum:
         return lanes
 
     def _collect(self, lot: Lot) -> Brought:
-        """Trace the rays of a lot; return the sums over the rays of its cells, which are about to be computed."""
+        """Trace the rays of a lot; return sums over the rays of its cells, scheduled for evaluation."""
         count = dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
@@ -342,14 +342,14 @@ class SignedRaySum:
         return Brought(sums, cosines)
 
     def _drawn_rays(self, pixels: Pixels, key: Any) -> tuple[Drawn, Any]:
-        """Return all rays of pixels, one per lane, and for each ray the position of its pixel among these."""
+        """Return all rays of pixels, one per lane, and the index of each ray's pixel."""
         lane = dr.arange(mi.UInt32, dr.width(pixels.index) * self._together)
         own = quotient(lane, self._together)
         sample = lane - own * dr.opaque(mi.UInt32, self._together)
         return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
 
     def _cell_of(self, own: Any, sample: Any, pixels: int) -> Any:
-        """Return the position of the cell of rays among the cells of some pixels, first those at their first place."""
+        """Return the index of each ray's cell among the cells of pixels, all first places before the second ones."""
         return quotient(sample, self._spp) * dr.opaque(mi.UInt32, pixels) + own
 
     def _asked(self, walk: Walk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
@@ -434,7 +434,7 @@ class SignedRaySum:
 
 
 def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return, for each value of the radiance, the means over the rays of even and over those of odd indices.
+    """Return, for each value of the radiance, its means over rays of even indices and of odd indices.
 
     Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
     """

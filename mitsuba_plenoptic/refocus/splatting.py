@@ -42,7 +42,7 @@ _BLOCK = 2**16
 
 @dataclass(frozen=True)
 class Splat:
-    """The positions of the pixels on the bins, and their footprints there.
+    """Positions of pixels on the bins, with their footprints.
 
     There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
     counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
@@ -113,7 +113,7 @@ class Splat:
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Spread the light of every fine sample over the bins around its own."""
+    """Return the light of every fine sample spread over the bins around it."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
     rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
@@ -131,7 +131,7 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 
 def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Apply the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
+    """Return the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
     taps = footprint.shape[0]
     kernels = footprint.reshape(taps, taps, -1)
     rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
@@ -149,7 +149,7 @@ def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
-    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: odd size, the sum is 1."""
+    """Return the footprint of a pixel: the view of its lens or the pixel's square, whichever is wider; its sum is 1."""
     scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
     if scale * camera.lattice.aperture_width >= pixel:
         return camera.lattice.aperture_image(step, scale)
@@ -234,7 +234,7 @@ _WHITE_RAYS = 32
 def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
-    """Follow one ray a pixel, through the centre of its lens, back to an object plane.
+    """Yield the places at which one ray per pixel, through the centre of its lens, meets an object plane.
 
     Yields rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which corrects
     the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.

@@ -183,7 +183,7 @@ def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Bundles:
-    """The rays of a few points."""
+    """Rays from a few points through an even grid of the pupil to the detector."""
 
     camera: PlenopticCamera
     lens: MainLens

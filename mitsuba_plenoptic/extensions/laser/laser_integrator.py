@@ -150,15 +150,15 @@ def make_class() -> type:
             return sensor.film()
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Refuse an estimate."""
+            """Refuse an estimate of the cost, which this integrator does not have."""
             raise InputError(f"{NAME}: its cost is not estimated; time a smaller detector")
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
-            """Return None: the light has one wavelength."""
+            """Return None, as laser light has one wavelength."""
             return None
 
         def parameters(self) -> dict[str, Any]:
-            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 "lasers": ", ".join(self.lasers),
                 "wavelength": self.wavelengths[0],
@@ -168,7 +168,7 @@ def make_class() -> type:
             }
 
         def _require(self, scene: Any, sensor: Any) -> list[Any]:
-            """Return the lasers; refuse scenes and cameras for which the model does not hold."""
+            """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""
             with naming(NAME):
                 camera = regular_array(PlenopticCamera.from_sensor(sensor))
                 require_ideal(camera, in_full=True)
@@ -196,7 +196,7 @@ def make_class() -> type:
             return coherent_capture(operator, points.weights, modes=modes, seed=seed, job=job)[..., None]
 
         def _modes_of(self, camera: PlenopticCamera, points: LitPoints) -> int:
-            """Return the number of modes, of the source if one is given."""
+            """Return the number of modes: given directly, or computed for the size or spectrum of the source."""
             if self.modes is not None or not self.source:
                 return self.modes or 1
             distance = float(np.average(points.positions[:, 2], weights=points.weights))

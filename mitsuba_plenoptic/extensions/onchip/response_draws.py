@@ -22,7 +22,7 @@ from .response_tables import PhotodiodeResponses, TableWindow
 
 
 class Aimed(NamedTuple):
-    """Rays that are drawn for lenses."""
+    """Rays drawn for lenses, with their weights."""
 
     pupil: Pair
     # Points on the array in the camera frame.
@@ -62,7 +62,7 @@ class Tables:
         return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
 
     def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
-        """Return rays of lenses with the given lattice indices; those of both halves are independent."""
+        """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
         system = self.plans[0].system
         words = [
             mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] + number * step
@@ -154,7 +154,7 @@ class Tables:
         return dr.clip((mi.Float(index) - float(zones[0])) * float(scale), 0, len(zones) - 1)
 
     def _zone(self, index: Pair, chance: Pair) -> Any:
-        """Return one of the zones around lenses, at random."""
+        """Return one of the zones around each lens, drawn at random."""
         zones = self.plans[0].zones
         x, y = (
             mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
@@ -164,7 +164,7 @@ class Tables:
 
 
 def _quantiles_of(window: TableWindow) -> int:
-    """Return the count of quantiles from which cells of a window are drawn, more than it has cells."""
+    """Return the number of quantiles from which cells of a window are drawn, which exceeds the number of cells."""
     return 1 << math.ceil(math.log2(2 * window.lenses**2))
 
 

@@ -103,7 +103,7 @@ class LensRows:
 
     @property
     def samples(self) -> int:
-        """Count of pixels."""
+        """Number of pixels of these rows of lenses."""
         return self.sums.size
 
     def prepare(self) -> Callable[[], Part]:
@@ -173,7 +173,7 @@ class ResponseSum:
             yield LensRows(box, np.ascontiguousarray(pixels.reshape(-1, rows * size, columns * size), np.float32))
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Return the sum of all blocks."""
+        """Return the image, the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     def probe(self) -> NDArray[np.float32]:
@@ -202,7 +202,7 @@ class ResponseSum:
         return min(seconds[1:]) * self._rounds * float(self.items.sum()), tables + _RAY_BYTES * _LANES
 
     def _traced(self, index: Pair, lens: Any, seed: int) -> Rays:
-        """Trace the rays of lenses with the given lattice indices and numbers."""
+        """Return traced rays of lenses with given lattice indices and numbers."""
         rays = self._rays
         dr.eval(index, lens)
         lane = dr.arange(mi.UInt32, dr.width(lens) * rays)
@@ -382,7 +382,7 @@ class ResponseCapture(SignedCapture):
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
-        """Return no channels: the noise of few rays exceeds the light around, so that pixels remain as they are."""
+        """Return no channels to mend: noise of few rays exceeds the light around, so that negative pixels remain."""
         return {}
 
 

@@ -62,7 +62,7 @@ class Refocused:
         "partition": "{kind}", "propagations": "{propagations}", "g (mm)": "{distance:g}", "letter": "{letter}",
         "interference": "{shown}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{kind}, {propagations}", "{letter} at {distance:g} mm", "{shown}"),
     quick={"size": 1024, "periods": (1, 2, 3), "grids": (2,), "counts": (2, 4, 7)},
 )  # fmt: skip

@@ -38,7 +38,7 @@ DISTANCES = [210.0, 240.0, 280.0]
     "Reconstructions on one core at the paper's size, against bare FFTs, a pass over the image, whole-bin "
     "shift-and-add, and the paper's seconds",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 2048, "runs": 1},
 )
 def reconstructions(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:
