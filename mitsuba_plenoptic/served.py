@@ -41,8 +41,7 @@ _NAMES = {
     "plugins.other_camera": ("with_camera",),
     "prescription": ("Prescription",),
     "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
-    "runtime.batches": ("Cluster",),
-    "runtime.jobs": ("Job",),
+    "runtime.batches": ("Cluster", "Job"),
     "runtime.progress": ("progress_bar",),
     "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
 }

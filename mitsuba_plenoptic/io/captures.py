@@ -35,10 +35,11 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..extension import Displayed
+from ..runtime.files import atomic_output, require_file, require_writable
 from ..runtime.limits import require_memory
-from ..runtime.notebook import Displayed, report_module
+from ..served import attribute
 from .exr import read_exr, write_exr
-from .files import atomic_output, require_file, require_writable
 from .versions import camera_of_waves, is_of_1_0, stamped
 
 MODELS = ("ray", "wave")
@@ -144,7 +145,7 @@ class Capture(Displayed):
         Viewer
             ``save(path)`` writes the page.
         """
-        return report_module("viewer").view(self, *others, title=title)
+        return attribute("view")(self, *others, title=title)
 
     @property
     def relative_noise(self) -> float | None:
@@ -188,6 +189,27 @@ def recording_of(capture: Capture) -> dict[str, Any]:
     """Return what a capture's metadata state of the detector that recorded it, an empty record if nothing."""
     found = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
     return found if isinstance(found, dict) else {}
+
+
+MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
+"""Bayer's mosaic and its turns (Bayer 1976, US patent 3971065), by the filters of the first two rows of two pixels."""
+
+QUAD = "QUAD_"
+"""Before the name of one of `MOSAICS`: each of its filters covers 2 x 2 pixels."""
+
+ALL_MOSAICS = (*MOSAICS, *(QUAD + mosaic for mosaic in MOSAICS))
+
+
+def mosaic_of(capture: Capture) -> str | None:
+    """Return the mosaic that a capture was recorded through and still has, None if it has none."""
+    mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
+    return mosaic if mosaic in ALL_MOSAICS else None
+
+
+def require_demosaiced(capture: Capture) -> None:
+    """Refuse a capture that is a mosaic of colours, for work that treats all pixels alike."""
+    mosaic = mosaic_of(capture)
+    refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")
 
 
 def write_capture(path: str | Path, capture: Capture) -> None:

@@ -20,7 +20,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io.captures import Capture, recording_of
+from ..io.captures import ALL_MOSAICS, QUAD, Capture, recording_of, require_demosaiced
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
@@ -208,16 +208,6 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     return replace(capture, image=result, wavelength=wavelength, noise=None, metadata=metadata)
 
 
-MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
-"""Bayer's mosaic and its turns (Bayer 1976, US patent 3971065), by the filters of the first two rows of two pixels."""
-
-
-QUAD = "QUAD_"
-"""Before the name of one of `MOSAICS`: each of its filters covers 2 x 2 pixels."""
-
-ALL_MOSAICS = (*MOSAICS, *(QUAD + mosaic for mosaic in MOSAICS))
-
-
 def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
     tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix(QUAD)]).reshape(2, 2)
@@ -225,15 +215,3 @@ def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     left, top = camera.crop_offset
     rows, columns = camera.shape
     return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])
-
-
-def mosaic_of(capture: Capture) -> str | None:
-    """Return the mosaic that a capture was recorded through and still has, None if it has none."""
-    mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
-    return mosaic if mosaic in ALL_MOSAICS else None
-
-
-def require_demosaiced(capture: Capture) -> None:
-    """Refuse a capture that is a mosaic of colours, for work that treats all pixels alike."""
-    mosaic = mosaic_of(capture)
-    refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

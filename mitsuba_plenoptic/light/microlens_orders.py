@@ -46,8 +46,8 @@ from ..lattice import Lattice, turn
 from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module, backend_of, drjit_array, empty_packets
 from ..runtime.fft import Field, array_types, as_field, as_words, fast_length, pack, split, unpack, worker_count
+from ..runtime.limits import check_memory
 from .microlenses import from_centre, is_separable, transmission
-from .sampling import check_memory
 
 _FLAT = 1e4
 """Focal length, in millimetres, of a lens without noticeable phase."""

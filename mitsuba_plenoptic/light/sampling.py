@@ -6,7 +6,6 @@ Directions are given as direction cosines, as in the angular spectrum.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +15,6 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import SHORTEST, InputError, refuse_if
 from ..lenses.main_lens import Light, MainLens
-from ..runtime.limits import memory_limit, require_memory
-
-MEMORY_LIMIT = 4 * 2**30
-"""Largest memory in bytes for one propagation."""
 
 _FARTHEST = 1e16
 """Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
@@ -140,11 +135,6 @@ def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) 
             f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is "
             f"within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
         )
-
-
-def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
-    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`."""
-    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
 def _format(point: NDArray[np.float64]) -> str:

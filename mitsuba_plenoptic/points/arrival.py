@@ -20,11 +20,12 @@ from ..lenses.telecentric import TelecentricLens
 from ..lenses.thin import ThinLens
 from ..light.microlenses import diffraction, scattering
 from ..light.optical_system import OpticalSystem, is_paraxial
-from ..light.sampling import Footprint, bundle_footprint, check_memory, footprint
+from ..light.sampling import Footprint, bundle_footprint, footprint
 from ..optics import guards
 from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fast_length, fft, fft2, pack, resting_drjit, rows_and_columns
+from ..runtime.limits import check_memory
 from .pupil_weights import PupilWeights
 
 _WINDOW_MARGIN = 1.2

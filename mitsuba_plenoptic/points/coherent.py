@@ -20,10 +20,11 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if, require_choice
 from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
-from ..light.sampling import Footprint, check_memory, footprint
+from ..light.sampling import Footprint, footprint
 from ..optics.waves import advance
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fft, fft2, resting_drjit
+from ..runtime.limits import check_memory
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_microlenses, pixel_integrals

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if, require_number
-from ..light.sampling import check_memory
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
+from ..runtime.limits import check_memory
 from .mixing import mix
 from .operator import CaptureOperator
 from .spreads import FullFieldSpreads, PatchSpreads

@@ -28,12 +28,12 @@ from ..errors import InputError, refuse_if, require_choice, require_count, requi
 from ..io.captures import as_array, require_pixels
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
-from ..light.sampling import check_memory
 from ..optics import guards
 from ..prescription.lens_data import image_distance
 from ..refocus_options import FOOTPRINTS
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
+from ..runtime.limits import check_memory
 from .conjugates import ThinConjugates
 from .deconvolution.solver import RichardsonLucyStep, Values
 from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of

@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
 from .methods import Progress, Task, method, portion, work_of

@@ -27,12 +27,11 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..light.optical_system import OpticalSystem, is_paraxial
-from ..light.sampling import check_memory
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend, drjit_array
 from ..runtime.fft import Field, as_field, as_words, fast_length, fft, fft2, pack, resting_drjit, split, unpack
-from ..runtime.limits import single_threaded_blas
+from ..runtime.limits import check_memory, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, field_subsamples

@@ -25,13 +25,12 @@ from ..design import focus_type, lens_footprint
 from ..errors import MOST_PIXELS, refuse_if, short_repr
 from ..io.captures import Capture
 from ..light.optical_system import OpticalSystem
-from ..light.sampling import check_memory
 from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
-from ..runtime.limits import single_threaded_blas
+from ..runtime.limits import check_memory, single_threaded_blas
 from ..views.white_image import PupilFraction, recorded_white, scaled_white, white_image
 from .conjugates import RealConjugates, ThinConjugates
 from .displacement import brought_back, displacements, is_known, rising, tilt

@@ -56,12 +56,11 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..light.microlenses import is_separable, transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
-from ..light.sampling import check_memory
 from ..optics import guards, rays
 from ..optics.waves import parabola, phasor, power, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
-from ..runtime.limits import require_memory
+from ..runtime.limits import check_memory, require_memory
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
 from .methods import Progress, Task, method, portion, work_of

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError, require_number
-from ..io.files import atomic_output
+from ..runtime.files import atomic_output
 
 ANIMATED = (".gif", ".mp4")
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 from .. import design
 from ..io.checkpoints import write_json
-from ..io.files import write_text
+from ..runtime.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, lit_window

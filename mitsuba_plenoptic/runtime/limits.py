@@ -22,6 +22,9 @@ VARIABLE = "MITSUBA_PLENOPTIC_MEMORY"
 _FRACTION = 0.75
 """Fraction of the machine's memory that is allowed by default; the rest is for what is underestimated."""
 
+MEMORY_LIMIT = 4 * GIB
+"""Largest memory in bytes for one propagation."""
+
 _UNKNOWN = 8 * GIB
 
 # Times the limit beyond which an estimate is rather of lengths in other units.
@@ -59,6 +62,11 @@ def require_memory(
         + (f"; {hint} would fit" if hint else "")
         + unit_hint(needed, limit)
     )
+
+
+def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`."""
+    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
 _asked: list[list[float]] = []

@@ -12,9 +12,9 @@ from ..camera import PlenopticCamera, are_alike
 from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
 from ..extension import format_of, place
 from ..io.captures import Capture, read_capture
-from ..io.files import atomic_output, require_file, require_size, require_writable
 from ..io.pictures import TIFF, read_picture
 from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
+from ..runtime.files import atomic_output, require_file, require_size, require_writable
 from ..runtime.limits import require_memory
 from . import MicroImages, decode, estimate_lens_grid, micro_images
 from .coordinates import camera_of, require_light_field

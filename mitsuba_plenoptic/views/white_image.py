@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera, are_alike
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr
-from ..io.captures import Capture, as_array, recording_of, require_pixels
-from ..light.detector import require_demosaiced
+from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps, hashed
 from ..light.walk import Passage, Walk, detector_rows

@@ -15,8 +15,7 @@ from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.points.operator import PLANS, CaptureOperator
 from mitsuba_plenoptic.points.point_spread import point_spread_function
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
-from mitsuba_plenoptic.runtime.batches import Threads
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job, Threads
 
 SMALL = small_camera()
 
@@ -414,7 +413,7 @@ def test_images_that_are_no_numbers_are_refused():
 
 
 def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
-    monkeypatch.setattr("mitsuba_plenoptic.light.sampling.MEMORY_LIMIT", 2**20)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.limits.MEMORY_LIMIT", 2**20)
     operator = CaptureOperator(SMALL, [(0.0, 0.0, 240.0)], wavelength=WAVELENGTH)
     for work in (operator.estimate, lambda: operator.forward([1.0]), lambda: operator.adjoint(np.ones(SMALL.shape))):
         with pytest.raises(InputError, match=r"1 points by patches.*GiB"):

@@ -66,6 +66,6 @@ def test_mistakes(capture, monkeypatch):
         refocus.forward(np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"^iterations = 0: "):
         DeconvolvedRefocus(CAMERA, 250.0, iterations=0)
-    monkeypatch.setattr("mitsuba_plenoptic.light.sampling.MEMORY_LIMIT", 1e5)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.limits.MEMORY_LIMIT", 1e5)
     with pytest.raises(InputError, match=r"^derivatives of 4 steps in 1 channels[^\n]*$"):
         refocus.forward(capture)

@@ -20,10 +20,10 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_choice
 from ...io.captures import Capture
-from ...io.files import atomic_output
 from ...refocus import reconstruct
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
-from ...runtime.jobs import Progress, counted
+from ...runtime.batches import Progress, counted
+from ...runtime.files import atomic_output
 from ...views import decode, depth_map, distance_of, micro_images, view
 from .contents import CAPTURES, DISTANCES, FINER, PUPIL_POINTS, WAVELENGTH, Benchmark, capture_of, model_of
 from .score import answer_folder

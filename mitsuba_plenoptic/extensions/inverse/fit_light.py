@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
-from ...io.captures import Capture, as_array, require_pixels, response_of
-from ...light.detector import require_demosaiced
+from ...io.captures import Capture, as_array, require_demosaiced, require_pixels, response_of
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...light.render_capture import chosen_integrator, plenoptic_sensor

@@ -21,13 +21,14 @@ from ...errors import refuse_if, short_repr
 from ...lattice import make_lattice
 from ...lenses.main_lens import MainLens
 from ...light.optical_system import OpticalSystem
-from ...light.sampling import check_memory, check_positions
+from ...light.sampling import check_positions
 from ...light.walk import Passage, Walk
 from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH, check_names, light_slopes
 from ...points.operator import CaptureOperator
 from ...points.pupil_weights import PupilWeights
 from ...points.units import brightness_at
 from ...runtime.backend import array_module, drjit_array, one_at_a_time
+from ...runtime.limits import check_memory
 from .fit_light import View
 
 

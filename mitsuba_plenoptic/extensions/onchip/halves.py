@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError, refuse_if, require_pair, short_repr, suggest_keywords
-from ...io.captures import Capture
-from ...light.detector import filters, mosaic_of
+from ...io.captures import Capture, mosaic_of
+from ...light.detector import filters
 from ...views.coordinates import light_field
 from .photodiode_response import ACROSS, require_pixel_pairs
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
-from ...io.captures import EXPOSED, RECORDED, Capture, recording_of
-from ...light.detector import MOSAICS, QUAD, filters, mosaic_of
+from ...io.captures import EXPOSED, MOSAICS, QUAD, RECORDED, Capture, mosaic_of, recording_of
+from ...light.detector import filters
 from ...views.lens_grid import lens_numbers
 from ...views.white_image import recorded_white, scaled_white, white_image
 

@@ -16,9 +16,9 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number
-from ...io.files import atomic_output, read_text, write_text
 from ...io.pictures import read_picture
 from ...report.images import Brightness, write_png
+from ...runtime.files import atomic_output, read_text, write_text
 from ...runtime.limits import require_memory
 from ...views import disparity
 from ...views.coordinates import camera_of, light_field

@@ -19,7 +19,8 @@ from mitsuba_plenoptic import (
 
 from mitsuba_plenoptic import demosaic, write_capture  # isort: skip
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.light.detector import MOSAICS, filters
+from mitsuba_plenoptic.io.captures import MOSAICS
+from mitsuba_plenoptic.light.detector import filters
 from mitsuba_plenoptic.views import white_image
 from mitsuba_plenoptic.views.lens_grid import lens_numbers
 
