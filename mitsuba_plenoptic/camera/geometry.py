@@ -17,7 +17,7 @@ from .parameters import CameraParameters
 
 @record
 class CameraGeometry(CameraParameters):
-    """A camera's parameters, and the quantities that follow from them."""
+    """Parameters of a camera, with the quantities that follow from them."""
 
     # -- main lens -----------------------------------------------------------------------------------
 
@@ -128,7 +128,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def reduced_focal_lengths(self) -> tuple[float, ...]:
-        """Focal lengths :math:`f_2 / n` of the microlenses, reduced alike: the reciprocals of their powers."""
+        """Focal lengths :math:`f_2 / n` of the microlenses in air, the reciprocals of their powers."""
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
 
     def medium_wavelength(self, wavelength: float) -> float:
@@ -319,5 +319,5 @@ _MM_PER_NM = 1e-6
 
 
 def has_small_lenses(camera: CameraGeometry, wavelength: float) -> bool:
-    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
+    """Return whether a camera's lenses are so small that captures need the responses of photodiodes."""
     return min(camera.mla_pitches) < _SMALLEST * wavelength * _MM_PER_NM

@@ -13,14 +13,14 @@ from ..prescription.lens_file import lens_from_plain, read_lens
 
 
 def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:
-    """Return a main lens from any of its forms; None means a thin lens."""
+    """Return the data of a main lens, given in any of its forms; None means a thin lens."""
     if value is None or isinstance(value, LensData):
         return value
     return read_lens(value) if isinstance(value, (str, Path)) else lens_from_plain(value)
 
 
 def known_glass(name: str, value: Any) -> Glass | None:
-    """Return a lens's glass from any of its forms; refuse one that does not refract light of the line d."""
+    """Return a lens's glass, given in any of its forms; refuse a glass that does not refract light of the line d."""
     if value is None:
         return None
     glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)

@@ -41,7 +41,7 @@ from .scene_file import describe, write_xml
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Check a camera's arguments, given by name, and fill in defaults; return all values by attribute."""
+    """Return all parameters of a camera by attribute: the given ones, checked, and defaults."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
@@ -57,7 +57,7 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _complete_lens(values: dict[str, Any]) -> None:
-    """Fill in the main lens's parameters and the array's distance from it; refuse values that contradict the lens."""
+    """Fill in parameters of the main lens and the array's distance; refuse values that contradict the lens."""
     data, focus = values["main_lens"] or THIN, values["focus_distance"]
     for name, number in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
         if values[name] is None:
@@ -104,7 +104,7 @@ def _check_array(values: dict[str, Any]) -> None:
 
 
 def _complete_window(values: dict[str, Any]) -> None:
-    """Fill in the size of the crop window, by default the rest of the detector; refuse a window outside of it."""
+    """Fill in the size of the crop window, by default up to the detector's end; refuse a window beyond the detector."""
     resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
     if size is None:
         rest = tuple(count - first for count, first in zip(resolution, offset, strict=True))
@@ -219,7 +219,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build one of the known cameras; `presets` lists them with the sources of their numbers.
+        """Return one of the known cameras; `presets` lists them with the sources of their numbers.
 
         Parameters
         ----------
@@ -246,7 +246,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         pixel_size: float | None = None,
         **others: Any,
     ) -> PlenopticCamera:
-        r"""Build the unfocused camera whose micro-images touch, from what data sheets state.
+        r"""Return the unfocused camera whose micro-images touch, from the numbers of a data sheet.
 
         Micro-images on the detector are `pixels_per_lens` pixels wide and as far apart. The first four parameters, the
         focal length of the main lens and its focus are all required.
@@ -343,7 +343,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls._from_names(values)
 
     def arguments(self) -> dict[str, Any]:
-        """Return all parameters by name as the camera stores them; the constructor accepts them."""
+        """Return all parameters by name in the form that the camera stores and the constructor accepts."""
         return {name: getattr(self, entry.attribute) for name, entry in PARAMETERS.items() if not entry.instead_of}
 
     def to_dict(self) -> dict[str, Any]:
@@ -487,5 +487,5 @@ def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
 
 
 def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:
-    """Return whether two cameras differ in nothing but their `lens_model`, so that pixels and views correspond."""
+    """Return whether two cameras differ at most in `lens_model`, so that pixels and views correspond."""
     return one == other or (other is not None and one == other.replace(lens_model=one.lens_model))

@@ -99,7 +99,7 @@ def _command() -> typer.Typer:
 
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with some of its subcommands; loading all of them takes a second."""
+    """Return the command with the named subcommands; loading all of them would take a second."""
     from .judging import judging
     from .run_file import recorded
 
@@ -139,7 +139,7 @@ def _called(words: Sequence[str]) -> list[str]:
 
 
 def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
-    """Yield the commands of Typer's group with what is typed for them, such as ``benchmark make``."""
+    """Yield the commands of a Typer group with the words that call them, such as ``benchmark make``."""
     for name, command in group.commands.items():
         if hasattr(command, "commands"):
             yield from commands_of(command, *words, name)
@@ -148,7 +148,7 @@ def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
 
 
 def command_group(names: Iterable[str] = COMMANDS) -> Any:
-    """Return Typer's group of some commands, each with the options that all of them have."""
+    """Return the Typer group of the named commands, each with the common options."""
     group: Any = typer.main.get_command(command_line(names))
     for_all = typer.Typer()
     for_all.command()(_for_all)
@@ -265,7 +265,7 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
 
 
 def _is_usage(error: Exception) -> bool:
-    """Return whether an error is one of Typer's own of usage; their class has no public name in all versions."""
+    """Return whether an error is one of Typer's usage errors, whose class has no public name in all versions."""
     return hasattr(error, "format_message")
 
 
@@ -278,7 +278,7 @@ def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
 
 @contextlib.contextmanager
 def _remarks() -> Iterator[None]:
-    """Show the library's warnings and remarks, such as what a long rendering will take, on standard error."""
+    """Print the library's warnings and remarks, such as the time of a long rendering, on standard error."""
     handler = logging.Handler()
     handler.emit = _print_record  # type: ignore[method-assign]
     level = _logger.level

@@ -363,7 +363,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Describe a deconvolution in words."""
+    """Return a deconvolution's facts as words."""
     if not facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"

@@ -32,13 +32,13 @@ Resume = Annotated[
 
 
 def existing_checkpoint(resume: bool) -> Existing:
-    """Return what a command does with a checkpoint that is there."""
+    """Return whether a command requires an existing checkpoint to fit, or replaces one of another run."""
     return "resume" if resume else "resume_if_same"
 
 
 @contextlib.contextmanager
 def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
-    """Let Ctrl-C say that the same command goes on from what is done, and how much that is where it is known."""
+    """On Ctrl-C, print that the same command continues the run, and the finished part where it is known."""
     try:
         yield
     except KeyboardInterrupt:

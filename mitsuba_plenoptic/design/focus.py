@@ -33,7 +33,7 @@ from .micro_images import direction_count, spot_radius
 
 
 def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
-    r"""Return for each type of microlens the name of what it is focused on.
+    r"""Return the name of the plane on which each type of microlens is focused.
 
     - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
       spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
@@ -54,13 +54,13 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
 
 
 def focus_type(camera: PlenopticCamera) -> str:
-    """Return what all microlenses are focused on, as `focus_types` names it, or ``mixed``."""
+    """Return the name of the plane on which all microlenses are focused, as in `focus_types`, or ``mixed``."""
     types = set(focus_types(camera))
     return types.pop() if len(types) == 1 else "mixed"
 
 
 def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance a before the MLA, towards the main lens, of what each type of microlens images on the detector.
+    """Distance a in front of the MLA, towards the main lens, of the plane that each type of microlens images sharply.
 
     :math:`1/a + n/z = n/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
 
@@ -87,7 +87,7 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
 
 def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance behind the main lens of what each type of microlens is to see: the MLA's for an unfocused one."""
+    """Distance behind the main lens of the image that each type of microlens sees: the MLA's for unfocused cameras."""
     camera.require_lens("the plane that microlenses see")
     return tuple(
         camera.mla_distance - (0 if focus == "unfocused" else a)
@@ -311,7 +311,7 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:
-    """Return how near to and how far from the MLA an image is sharp, on the side where a microlens is in focus at a.
+    """Return the nearest and farthest distance from the MLA of sharp images, on the side where a lens is in focus at a.
 
     From the distance `covering` on, the light of a point spans a lens pitch.
     """
@@ -321,7 +321,7 @@ def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength:
 
 
 def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
-    """Return by how much 1/a may differ from a microlens's focus for a blur of a pixel, or of the spot if wider."""
+    """Return the change of 1/a from a microlens's focus that causes a blur of a pixel, or of the spot if wider."""
     return _finest(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 

@@ -38,7 +38,7 @@ def mla_f_number(camera: PlenopticCamera) -> float:
 
 
 def micro_image_distance(camera: PlenopticCamera) -> float:
-    """Distance of the closest micro-images: those of a diameter below it do not touch."""
+    """Distance of the closest micro-images; micro-images of a smaller diameter do not touch."""
     return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.mla_pitch
 
 
@@ -100,7 +100,7 @@ def white_mean(camera: PlenopticCamera) -> float:
 
 
 def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
-    """Find the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
+    """Return the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
 
     The ray from a detector point p through the point c + d of a lens meets the pupil plane in
     :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
@@ -141,19 +141,19 @@ def crosstalk_reach(camera: PlenopticCamera) -> float:
 
 
 def crosstalk_defocus(camera: PlenopticCamera) -> float:
-    """Return how much this distance changes per relative change of a lens's power."""
+    """Return the change of `crosstalk_reach` per relative change of a lens's power."""
     growth = camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
     across = camera.lattice.aperture_reach * camera.pupil_distance
     return float(across / min(camera.reduced_focal_lengths) / growth)
 
 
 def turns_cosines(camera: PlenopticCamera) -> bool:
-    """Return whether the microlenses turn direction cosines of rays, not slopes."""
+    """Return whether microlenses turn direction cosines of rays instead of slopes."""
     return camera.lens_model != "ideal" or camera.mla_shape is not None
 
 
 def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
-    """Return how far lenses that turn direction cosines can be from the chief ray's point and still light a pixel.
+    """Return the largest distances from the chief ray's point of lenses that turn cosines and still light a pixel.
 
     `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
     rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens

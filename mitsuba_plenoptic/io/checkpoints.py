@@ -94,7 +94,7 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Say what the run is, and return how far an earlier process has come with it.
+        """Register the run; return the state that an earlier process saved, None if there is none.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Checkpoint:
         return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
-        """Say what a run is whose state is no sum, and return the arrays that an earlier process has saved of it.
+        """Register a run whose state is arrays instead of a sum; return the arrays that an earlier process saved.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Checkpoint:
         return found
 
     def stop(self) -> bool:
-        """Have the next state written whenever the last one was, and the run end there with a KeyboardInterrupt.
+        """Make the run save its next state and end there with a KeyboardInterrupt.
 
         Returns
         -------
@@ -246,7 +246,7 @@ def _read(
     take: Callable[[Any, dict[str, Any]], _State],
     shapes: dict[str, tuple[int, ...]],
 ) -> _State:
-    """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
+    """Return the state in the checkpoint of a run; refuse a damaged one or another run's."""
     try:
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:
@@ -266,7 +266,7 @@ def _read(
 
 
 def _check_sizes(path: Path, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Compare what arrays claim to be with what there is of them and with the shapes that they must have."""
+    """Refuse arrays whose claimed sizes differ from their data or from the required shapes."""
     # The list of the members is read whole, too.
     require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
     if not zipfile.is_zipfile(path):
@@ -324,7 +324,7 @@ def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return what differs between the run of a checkpoint and this one."""
+    """Return the names of entries in which a checkpoint's run differs from this one."""
     found, wanted = flattened(there), flattened(here)
     return [
         f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"

@@ -117,7 +117,7 @@ def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes."""
+    """Return the image, the noise if any, and the attributes of a file of `write_exr`."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -150,7 +150,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
 
 
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
-    """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes."""
+    """Return the float32 channels of each part, and the attributes, of a file of `write_exr_parts`."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -177,7 +177,7 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
 
 
 def _attributes(part: ExrPart) -> dict[str, Any]:
-    """Return what the attribute of this package holds."""
+    """Return the content of this package's attribute."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
     if not isinstance(attributes, dict):
         raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")

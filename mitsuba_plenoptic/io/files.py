@@ -47,7 +47,7 @@ _used: FilesUsed | None = None
 
 @contextlib.contextmanager
 def files_used() -> Iterator[FilesUsed]:
-    """Note which files this process reads and writes by the functions of this module."""
+    """Collect the files that this process reads and writes by the functions of this module."""
     global _used
     before, _used = _used, FilesUsed()
     try:
@@ -109,7 +109,7 @@ def require_file(path: str | Path) -> Path:
 
 
 def require_size(path: str | Path, largest: int) -> Path:
-    """Check that a file can be read and has at most `largest` bytes, before any of them is read."""
+    """Return a path after a check that it can be read and has at most `largest` bytes."""
     path = require_file(path)
     size = path.stat().st_size
     refuse_if(size > largest, f"{path}: {size} bytes: it may have at most {largest}")
@@ -168,7 +168,7 @@ class Sink(io.FileIO):
     error: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write all of it; after an error, drop it."""
+        """Write all bytes; after an error, discard them."""
         view = memoryview(data).cast("B")
         size = len(view)
         try:
@@ -179,7 +179,7 @@ class Sink(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Set the size; after an error, do not."""
+        """Set the size; after an error, do nothing."""
         try:
             return self.tell() if self.error else super().truncate(size)
         except OSError as error:
@@ -199,7 +199,7 @@ def write_text(path: str | Path, text: str, *suffixes: str) -> None:
 
 
 def remove_leftovers(path: str | Path) -> None:
-    """Remove what `atomic_output` of the same file left behind in a process that was killed."""
+    """Remove temporary files of `atomic_output` that a killed process left."""
     path = Path(path)
     for folder in path.parent.glob(f".{glob.escape(path.name)}.*"):
         shutil.rmtree(folder, ignore_errors=True)
@@ -207,7 +207,7 @@ def remove_leftovers(path: str | Path) -> None:
 
 @contextlib.contextmanager
 def native_output_dropped() -> Iterator[None]:
-    """Suppress what C++ libraries print about damaged files, on Python's output and on the process's own.
+    """Suppress messages of C++ libraries about damaged files on standard output and error.
 
     Their exceptions say it again.
     """
@@ -266,7 +266,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return what a text in YAML or JSON holds, without aliases."""
+    """Return the data of a text in YAML or JSON, without aliases."""
     with refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
         return yaml.load(text, Loader=_Loader)
 
@@ -289,7 +289,7 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
 
 
 def _is_number(text: str) -> bool:
-    """Whether a cell is a number, or is meant to be one."""
+    """Return whether a cell is a number or is meant as one."""
     try:
         float(text)
     except ValueError:
@@ -307,7 +307,7 @@ def h5py_module(purpose: str) -> Any:
 
 
 def stored_array(group: Any, name: str) -> Any:
-    """Return an HDF5 dataset of numbers by its name, or None if there is no such entry; links are refused.
+    """Return a dataset of numbers in HDF5 by its name, None without such an entry; links are refused.
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
     stranger that would read files of the user's.

@@ -129,7 +129,7 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
-    """Read what `write_ground_truth` wrote.
+    """Return the ground truth in a file of `write_ground_truth`.
 
     Parameters
     ----------

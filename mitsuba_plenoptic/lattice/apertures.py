@@ -23,32 +23,32 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the width along the rows and across them: from side to side, or the diameter."""
+        """Return the width of the aperture along the rows and across them; a circle's is its diameter."""
 
     @abc.abstractmethod
     def area(self, lattice: Lattice) -> Any:
-        """Return its area."""
+        """Return the area of the aperture."""
 
     @abc.abstractmethod
     def reach(self, lattice: Lattice) -> Any:
-        """Return the greatest distance of one of its points from its centre."""
+        """Return the largest distance of the aperture's points from its centre."""
 
     @abc.abstractmethod
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Whether a point at this offset from the centre, in the camera frame, is within it."""
+        """Return whether a point at an offset from the centre, in the camera frame, is within the aperture."""
 
     @abc.abstractmethod
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to it; the result is an offset from the centre, in the camera frame."""
+        """Return the point of the aperture for (s, t) in the unit square, evenly, as an offset from the centre."""
 
     @abc.abstractmethod
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
+        """Return the region of points within `smear` of an aperture at any point of a cell: margin, and scale of the cell."""
 
     def diffraction_width(self, lattice: Lattice) -> float:
-        r"""Return the width w for which the first zero of its diffraction lies at :math:`\lambda / w`.
+        r"""Return the width w for which the aperture's diffraction has its first zero at :math:`\lambda / w`.
 
-        That of the disc of its area.
+        By default the width for a disc of the same area.
         """
         return math.sqrt(4 / math.pi * self.area(lattice)) / AIRY_ZERO
 
@@ -68,7 +68,7 @@ class Cell(Aperture):
         return lattice.cell_area * lattice.fill**2
 
     def reach(self, lattice: Lattice) -> Any:
-        """Return the distance of its farthest corner."""
+        """Return the distance of the cell's farthest corner from its centre."""
         return lattice.fill * lattice.cell_reach
 
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
@@ -81,11 +81,11 @@ class Cell(Aperture):
         return lattice.cell_point(s, t, lattice.fill)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Enlarge the cell: cells are convex and the same on both sides of their centre."""
+        """Return no margin, and the scale of the enlarged cell: cells are convex and symmetric about their centre."""
         return 0.0, 1 + smear * lattice.fill
 
     def diffraction_width(self, lattice: Lattice) -> float:
-        """Return the narrower width of a rectangle, and of any other cell that of the disc of its area."""
+        """Return the smaller width of a rectangle, or the width for a disc of the same area for other cells."""
         return min(self.widths(lattice)) if lattice.rectangular else super().diffraction_width(lattice)
 
 
@@ -95,32 +95,32 @@ class Circle(Aperture):
     product = False
 
     def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the diameter, twice."""
+        """Return the diameter twice."""
         along, across = lattice.pitches
         diameter = lattice.fill * (along if along is across else minimum(along, across))
         return diameter, diameter
 
     def area(self, lattice: Lattice) -> Any:
-        """Return the disc's area."""
+        """Return the area of the disc."""
         return math.pi / 4 * self.widths(lattice)[0] ** 2
 
     def reach(self, lattice: Lattice) -> Any:
-        """Return the radius."""
+        """Return the radius of the disc."""
         return self.widths(lattice)[0] / 2
 
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Compare with the radius."""
+        """Return whether a point is within the radius."""
         radius = self.reach(lattice)
         return dx * dx + dy * dy <= radius * radius
 
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map to polar coordinates."""
+        """Return a point of the disc by polar coordinates."""
         module = module_of(s)
         radius = module.sqrt(s) * self.reach(lattice)
         return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Reach out from the cell by the enlarged radius."""
+        """Return the enlarged radius as margin, and the scale 1 of the cell."""
         return smear * self.reach(lattice), 1.0
 
 

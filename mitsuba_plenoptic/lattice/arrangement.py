@@ -91,7 +91,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Whether a point at this offset from the centre is in a cell of equal pitches `width`.
+        """Return whether a point at an offset from the centre is in a cell of equal pitches `width`.
 
         Parameters
         ----------
@@ -165,12 +165,12 @@ class Lattice(abc.ABC):
 
     @property
     def aperture_widths(self) -> tuple[Any, Any]:
-        """Diameter of a circular aperture, twice; width of another along the rows and across them."""
+        """Diameter of a circular aperture, twice; widths of other apertures along and across the rows."""
         return APERTURES[self.aperture].widths(self)
 
     @property
     def aperture_width(self) -> Any:
-        """Diameter of a circular aperture; width of another, the greater one."""
+        """Diameter of a circular aperture; larger width of other apertures."""
         along, across = self.aperture_widths
         return along if self.pitches[0] is self.pitches[1] else maximum(along, across)
 
@@ -198,12 +198,12 @@ class Lattice(abc.ABC):
 
     @property
     def axis_aligned(self) -> bool:
-        """Whether cells are rectangles along x and y, for plain floats: an index along x follows from x alone."""
+        """Whether cells are rectangles along x and y, with plain floats: an index along x follows from x alone."""
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
     def separable(self) -> bool:
-        """Whether cells and apertures are products of one along x and one along y."""
+        """Whether cells and apertures are products of an interval along x and one along y."""
         return self.axis_aligned and APERTURES[self.aperture].product
 
     # -- cells ---------------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ class Lattice(abc.ABC):
         return self.centre(index, index)[axis]
 
     def lens_type(self, i: Any, j: Any) -> Any:
-        """Return which of the interleaved types a lens is, from 0: (i - j) modulo their number."""
+        """Return the index, from 0, of a lens's interleaved type: (i - j) modulo the number of types."""
         difference = i - j
         return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
 
@@ -250,7 +250,7 @@ class Lattice(abc.ABC):
     # -- apertures -----------------------------------------------------------------------------------
 
     def in_aperture(self, dx: Any, dy: Any) -> Any:
-        """Whether a point at this offset from its lens's centre is within the aperture."""
+        """Return whether a point at an offset from its lens's centre is within the aperture."""
         return APERTURES[self.aperture].holds(self, dx, dy)
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
@@ -372,13 +372,13 @@ LATTICES: dict[str, type[Lattice]] = {}
 
 
 def register(cls: type[Lattice]) -> type[Lattice]:
-    """Register a lattice under its name; a decorator of its class."""
+    """Register a lattice under its name; a decorator of classes."""
     LATTICES[cls.name] = cls
     return cls
 
 
 def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
-    """Build a lattice.
+    """Return the lattice of a name with given pitches.
 
     Parameters
     ----------
