@@ -44,7 +44,7 @@ class FileFormat:
 
 @dataclass(frozen=True, kw_only=True)
 class Extension:
-    """The record of what an extension adds; modules are named relative to the extension's package.
+    """Record of what an extension adds; modules are named relative to the extension's package.
 
     A place is the name of a module, a colon, and the name of an object in the module.
 
@@ -136,7 +136,7 @@ def entry_of(kind: str, key: str, what: str) -> Any:
 
 
 def register(kind: str) -> None:
-    """Import the modules that register what the records list: ``methods`` or ``lenses``."""
+    """Import the modules that the records list under ``methods`` or ``lenses``, and that register themselves."""
     for package, record in installed().items():
         for module in getattr(record, kind):
             importlib.import_module(f"{package}.{module}")
@@ -164,5 +164,5 @@ def missing(kind: str, name: str) -> str:
 
 
 def _is_installed(name: str) -> bool:
-    """Return whether a shipped extension is there."""
+    """Return whether a shipped extension is installed."""
     return f"{GROUP}.{name}" in installed()

@@ -43,7 +43,7 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Return the region of points within `smear` of an aperture at any point of a cell: margin, and scale of the cell."""
+        """Return the region of points within `smear` of an aperture in a cell: a margin, and the scale of the cell."""
 
     def diffraction_width(self, lattice: Lattice) -> float:
         r"""Return the width w for which the aperture's diffraction has its first zero at :math:`\lambda / w`.

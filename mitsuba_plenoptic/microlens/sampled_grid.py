@@ -80,7 +80,7 @@ class SampledGrid:
         return (columns - 1) * self._step / 2, (rows - 1) * self._step / 2
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether offsets lie within the samples, up to rounding."""
+        """Return a mask of offsets within the samples, up to rounding."""
         across, up = (half * (1 + 1e-6) for half in self.reach)
         return (abs(x) <= across) & (abs(y) <= up)
 
@@ -96,7 +96,7 @@ class SampledGrid:
         return np.stack([spline(rows, columns, dx=by_row, dy=by_column) for by_row, by_column in orders], -1)
 
     def at(self, x: Any, y: Any) -> Any:
-        """Return the value at offsets; beyond the grid that at its border."""
+        """Return the interpolated value at offsets; beyond the grid the value at its border."""
         return self._sum(x, y, (0, 0))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -111,7 +111,7 @@ class SampledGrid:
         return _take(values.ravel(), row * values.shape[1] + column, x)
 
     def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
-        """Return column and row of the sample before each offset, and the distances from it in samples."""
+        """Return column and row of the sample before each offset, and the distances from this sample in samples."""
         found = []
         for place, size in zip((x, y), self._samples.shape[::-1], strict=True):
             module = module_of(place)
@@ -134,7 +134,7 @@ class SampledGrid:
 
 
 def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
-    """Return the weights of Hermite's cubic, or their derivatives, by (end, whether it is that of the slope)."""
+    """Return the weights of Hermite's cubic, or their derivatives, by end and by whether they belong to the slope."""
     if derivative:
         step = 6 * t * (1 - t)
         return {(0, 0): -step, (1, 0): step, (0, 1): 1 + t * (3 * t - 4), (1, 1): t * (3 * t - 2)}

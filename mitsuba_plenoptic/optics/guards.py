@@ -176,7 +176,7 @@ APERTURE = Guard(
 
 
 class _Findings(dict[Guard, float]):
-    """Largest fraction so far, by guard."""
+    """Largest fraction that each guard has found so far."""
 
 
 _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
@@ -184,7 +184,7 @@ _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
 
 @contextlib.contextmanager
 def watch() -> Iterator[dict[str, float]]:
-    """Collect the findings of guards during a computation, and warn at most once per guard, of its largest fraction.
+    """Collect the largest fraction of each guard during a computation, and warn at most once per guard.
 
     Yields
     ------

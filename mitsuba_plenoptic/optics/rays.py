@@ -166,7 +166,7 @@ def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
 
 
 def _widening(chief: Pair, index: Any) -> Any:
-    """Return c^-2 of `into_medium`."""
+    """Return the factor c^-2 of `into_medium`."""
     return 1 + (1 - 1 / (index * index)) * _dot(chief, chief)
 
 
@@ -175,7 +175,7 @@ def _dot(a: Pair, b: Pair) -> Any:
 
 
 def _is_one(index: Any) -> bool:
-    """Whether there is no medium, so that slopes keep the bits that they have without its formulas."""
+    """Return whether there is no medium, so that slopes keep their bits."""
     return isinstance(index, (int, float)) and index == 1
 
 

@@ -104,7 +104,7 @@ class Dispersion:
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
     def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
-        """Choose the wavelength of each ray; return its optics, the rest of the sample, and the channels' weights."""
+        """Return the optics of rays of random wavelengths, the unused part of the sample, and channels' weights."""
         if mi.is_spectral:
             position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
@@ -145,7 +145,7 @@ class Passage(NamedTuple):
 
 @dataclass(frozen=True)
 class Candidates:
-    """The lenses around the chief ray's from which those of rays are drawn, evenly."""
+    """Lenses around a chief ray's lens among which the lenses of rays are drawn evenly."""
 
     # Steps in the lattice's indices, as two arrays; the first is the chief ray's own lens.
     steps: list[Any]
@@ -208,7 +208,7 @@ class CameraRays:
         )
 
     def candidates(self, beyond: float = 0.0) -> Candidates:
-        """Return the lenses from which those of rays are drawn, at the wavelength that needs most."""
+        """Return the lenses among which the lenses of rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
         place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
@@ -246,7 +246,7 @@ class CameraRays:
         return dr.hypot(*towards) <= limit
 
     def _draw(self, candidates: Candidates, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
-        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
+        """Return lenses drawn around cells, the unused part of the sample, the choice, and the number of choices."""
         (i, j), count, within = cell, dr.width(candidates.steps[0]), mi.Float(sample)
         if count == 1:
             return cell, within, mi.UInt32(0), mi.Float(1)
@@ -270,7 +270,7 @@ class CameraRays:
         return nth(choice), scaled - whole, choice, tried
 
     def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
-        """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
+        """Return the points where chief rays of detector points cross the array, and the cells of the lenses there."""
         x, y = chief_points(self.lens, pixel, self.detector_distance, self.camera.mla_medium)
         if any(self.camera.mla_tilt):
             nearer = 1 - self._height(x, y) / self.lens.pupil_distance

@@ -211,7 +211,7 @@ def make_class() -> type:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            """Render the capture; `spp` is the count of rays per pixel, or of points per lens by method ``points``."""
+            """Return the capture; `spp` is the number of rays per pixel, or of points per lens by method ``points``."""
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
             seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
@@ -278,7 +278,7 @@ def make_class() -> type:
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Estimate the cost of `record` from a fraction of its work."""
+            """Return the estimated cost of `record`, from a fraction of its work."""
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
@@ -324,7 +324,7 @@ def make_class() -> type:
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
-            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 **self.colours.parameters(),
                 "method": self.method,
@@ -332,7 +332,7 @@ def make_class() -> type:
             }
 
         def to_string(self) -> str:
-            """Describe the integrator."""
+            """Return the description of the integrator that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
             return "\n".join(["PlenopticWaveIntegrator[", *lines, f"  child = {self.child}", "]"])
 

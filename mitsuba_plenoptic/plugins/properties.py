@@ -122,7 +122,7 @@ def _read_one(props: Any, name: str) -> Any:
 
 
 def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
-    """Read one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
+    """Return one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
     value = _plain(props[name])
     if isinstance(value, str):
         with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
@@ -133,13 +133,13 @@ def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
 
 
 def _read_position(props: Any, name: str) -> tuple[float, ...]:
-    """Read the x and y of a position, given as a pair or as a point or vector whose z is 0."""
+    """Return the x and y of a position, given as a pair or as a point or vector whose z is 0."""
     position = _read_numbers(props, name)
     return position[:2] if len(position) == 3 and position[2] == 0 else position
 
 
 def _read_main_lens(props: Any, name: str) -> LensData:
-    """Read a main lens, given as a file, a bundled lens or the text of a JSON file."""
+    """Return the data of a main lens, given as a file, a bundled lens or the text of a JSON file."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
@@ -147,7 +147,7 @@ def _read_main_lens(props: Any, name: str) -> LensData:
 
 
 def _read_glass(props: Any, name: str) -> Any:
-    """Read a glass, given as a name, a refractive index or the text of a JSON object."""
+    """Return a glass, given as a name, a refractive index or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or not source.lstrip().startswith("{"):
         return source
@@ -156,7 +156,7 @@ def _read_glass(props: Any, name: str) -> Any:
 
 
 def _read_shape(props: Any, name: str) -> Any:
-    """Read the shape of microlenses, given as a JSON file or its text."""
+    """Return the shape of microlenses, given as a JSON file or its text."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
@@ -164,7 +164,7 @@ def _read_shape(props: Any, name: str) -> Any:
 
 
 def _read_screen(props: Any, name: str) -> Any:
-    """Read a phase screen, given as a JSON file or its text."""
+    """Return a phase screen, given as a JSON file or its text."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
@@ -172,7 +172,7 @@ def _read_screen(props: Any, name: str) -> Any:
 
 
 def _read_response(props: Any, name: str) -> Any:
-    """Read a response of photodiodes, given as a file or the text of a JSON object."""
+    """Return a response of photodiodes, given as a file or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or source.lstrip().startswith("{"):
         return source

@@ -314,13 +314,13 @@ def make_class() -> type:
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray and its weight; `sample2` is the position on the crop window, `sample3` that on the lens."""
+            """Return a random ray and its weight, from positions on the crop window (`sample2`) and on the lens."""
             return self._sample(time, sample1, sample2, sample3, active, differential=False)
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray with differentials: the rays from the next pixels in x and y through the same lens point."""
+            """Return a random ray with differentials: rays from the next pixels through the same lens point."""
             return self._sample(time, sample1, sample2, sample3, active, differential=True)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
@@ -343,7 +343,7 @@ def make_class() -> type:
             return box
 
         def to_string(self) -> str:
-            """Describe the camera."""
+            """Return the description of the camera that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.camera.to_dict().items()]
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
@@ -356,7 +356,7 @@ def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
 
 
 def _as_drjit(entry: Parameter, value: Any) -> Any:
-    """Return the value of a parameter, in its shortest form, as a Dr.Jit array that can carry gradients."""
+    """Return the value of a parameter in its shortest form, as a Dr.Jit array that can carry gradients."""
     return (mi.Point2f if entry.form is Form.PLACE else mi.Float)(entry.plain(value))
 
 
@@ -369,7 +369,7 @@ def _flags(entry: Parameter) -> Any:
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
-    """Return single-precision values as they were given, or else as their shortest decimals: 0.512 for 0.5120000243."""
+    """Return single-precision values as given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(given).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}

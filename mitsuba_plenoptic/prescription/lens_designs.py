@@ -39,12 +39,12 @@ class Line:
             raise self.refused(rule)
 
     def word(self, index: int) -> str:
-        """Return one of its words; the first is the keyword, number 0."""
+        """Return a word of the command by its number; the keyword has the number 0."""
         self.refuse_if(index >= len(self.words), f"value {index} is missing")
         return self.words[index]
 
     def value(self, index: int, default: float | None = None) -> float:
-        """Return one of its words as a finite number."""
+        """Return a word of the command as a finite number."""
         if index >= len(self.words) and default is not None:
             return default
         word, value = self.word(index), math.nan
@@ -60,7 +60,7 @@ class Line:
 
 @dataclass
 class DesignSurface:
-    """A surface as a lens file has it, in the file's own unit of length."""
+    """A surface as a lens file states it, in the file's unit of length."""
 
     curvature: float = 0.0
     thickness: float = 0.0

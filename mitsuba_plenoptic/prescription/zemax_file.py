@@ -31,7 +31,7 @@ _FIXED, _MODEL, _PICKED_UP, _SUBSTITUTE = range(4)
 
 
 def read_zemax(path: str | Path) -> Prescription:
-    """Read a Zemax file.
+    """Return the prescription in a Zemax file.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class _ZemaxReader:
         self.taken: set[tuple[str, ...]] = set()
 
     def take(self, line: Line, *, closing: bool) -> None:
-        """Take a line; behind the last surface, `closing`, there are merit functions and tolerances, too."""
+        """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return

@@ -25,14 +25,14 @@ _LONGEST = 480
 
 
 def require_animation(path: Path) -> Any:
-    """Return the module that writes a file, None for a GIF, before what is shown is computed."""
+    """Return the module that writes an animation's format, None for GIF; called before frames are computed."""
     if path.suffix.lower() == ".gif":
         return None
     return require_module("imageio_ffmpeg", f"{path}: MP4 needs a package: pip install 'mitsuba-plenoptic[video]'")
 
 
 def sweep_distances(distances: Sequence[float]) -> list[float]:
-    """Return the distances of a focal sweep between two that are given, in even steps of their reciprocals."""
+    """Return the distances of a focal sweep between two distances, in even steps of their reciprocals."""
     refuse_if(
         len(distances) != 2,
         f"{argument('distance')}: a focal sweep goes from one distance to another, and {len(distances)} are given",

@@ -263,7 +263,7 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
 
 
 def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
-    """Draw what the coherent methods add to the limit in which no two lenses interfere."""
+    """Draw the difference of coherent methods from the limit in which no two lenses interfere."""
     window = lit_window(list(experiment.truths.values()))
     distances, names = experiment.settings.distances, ("coherent", "partial")
     wide, gap, left, title, foot = 3.4, 0.1, 0.45, 0.4, 0.32

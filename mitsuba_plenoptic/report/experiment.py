@@ -28,7 +28,7 @@ _RAYS_PER_PASS = 2**24
 
 
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
-    """Render what a thin lens of the camera's aperture sees when focused at `distance`, one pixel a bin.
+    """Return the image by a thin lens of the camera's aperture focused at `distance`, one pixel per bin.
 
     There are `oversample` bins per lens along each axis.
     """
@@ -39,7 +39,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Render the camera's field of view from the centre of its main lens, `columns` wide, everything sharp."""
+    """Return the sharp image of the camera's field of view from the centre of its main lens, `columns` wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
@@ -89,7 +89,7 @@ _FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
-    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it starts from."""
+    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it refocuses."""
 
     name: str
     title: str
@@ -114,7 +114,7 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment."""
+    """Settings of an experiment: scene, camera, distances and methods."""
 
     # A scene file or a built-in name.
     scene: str
@@ -145,7 +145,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Results of an experiment."""
+    """Captures and reconstructions of an experiment."""
 
     settings: Settings
     camera: PlenopticCamera
@@ -173,7 +173,7 @@ class Experiment:
 
 
 def run_experiment(settings: Settings, store: StageStore) -> Experiment:
-    """Capture and refocus, taking from the store what is already there."""
+    """Return captures and reconstructions of an experiment; finished stages come from the store."""
     refuse_if(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
@@ -261,7 +261,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
 def load_with_sensor(
     name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
 ) -> Any:
-    """Load a scene, with the camera of these parameters in place of its own; refuse one without a plenoptic sensor."""
+    """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
     scene = load_scene(name, parameters=parameters, unit=unit)
     if camera is not None:
         return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))

@@ -25,7 +25,7 @@ _LENSES = 8
 
 
 class Window(NamedTuple):
-    """A part of an image in fractions of its height and width."""
+    """Part of an image, in fractions of its height and width."""
 
     top: float
     bottom: float
@@ -42,7 +42,7 @@ class Window(NamedTuple):
 
     @property
     def aspect(self) -> float:
-        """Height over width."""
+        """Height of the window over its width."""
         return self.field_aspect * (self.bottom - self.top) / (self.right - self.left)
 
 
@@ -82,7 +82,7 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
 
 
 def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
-    """Return a window of whole micro-images around the detector point of a chief ray with given slopes (x, y)."""
+    """Return a window of whole micro-images around the detector point of a chief ray of slopes (x, y)."""
     half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch
     spans = []
@@ -136,7 +136,7 @@ class Canvas:
         text: float = 8,
         extend: str = "neither",
     ) -> Any:
-        """Add the scale of an image, along the longer side of what it fills, and return it."""
+        """Add the scale of an image along the longer side of the given rectangle, and return it."""
         along = "vertical" if height > width else "horizontal"
         axes = self.axes(left, top, width, height)
         bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
@@ -179,7 +179,7 @@ def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "") -> 
 
 
 def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
-    """Frame on the whole detector what a close-up shows."""
+    """Draw the frame of a close-up on the picture of the whole detector."""
     x, y = (zoom.columns.start - corner[1]) / factor, (zoom.rows.start - corner[0]) / factor
     width, height = (zoom.columns.stop - zoom.columns.start) / factor, (zoom.rows.stop - zoom.rows.start) / factor
     axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=_ACCENT, linewidth=1.2))

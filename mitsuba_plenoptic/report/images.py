@@ -137,7 +137,7 @@ class Brightness:
 
 @dataclass(frozen=True)
 class Drawing:
-    """How pictures are drawn."""
+    """Settings for drawing pictures: exposure, scale and whether to draw a figure."""
 
     brightness: Brightness = field(default_factory=Brightness)
     # Pixels that a bin is wide; None: as suits the picture.
@@ -146,5 +146,5 @@ class Drawing:
     figure: bool = False
 
     def is_figure(self, path: Path) -> bool:
-        """Return whether a file becomes a labelled figure."""
+        """Return whether a file is written as a labelled figure."""
         return self.figure or path.suffix.lower() == ".pdf"

@@ -29,7 +29,7 @@ _FREQUENCIES = np.linspace(0, 1, 129)
 
 @dataclass(frozen=True)
 class EdgeSharpness:
-    """The sharpness of an edge.
+    """Sharpness of an edge: place, angle, width and modulation transfer.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ def _ignore(*_: Any) -> None:
 
 @dataclass(frozen=True)
 class StageOptions:
-    """How the progress of stages is reported, and what becomes of checkpoints."""
+    """Settings of stages: report of progress, and treatment of checkpoints."""
 
     # Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
     notify: Callable[[str, int, int], None] = _ignore
@@ -51,7 +51,7 @@ class StageOptions:
 
 
 class StageStore:
-    """A folder of finished stages."""
+    """A folder of finished stages of a run."""
 
     def __init__(
         self,
@@ -146,7 +146,7 @@ class StageStore:
 
 
 class StepLog:
-    """A file of what the steps of a run have read and written, by which finished steps are found again.
+    """A file of the digests of files that finished steps have read and written.
 
     A step is finished if its settings and the software are those of its entry, and every file that it read or wrote
     has the digest noted there.
@@ -157,13 +157,13 @@ class StepLog:
         self._entries = {key: entry for key, entry in _read_json(path).items() if _is_entry(entry)}
 
     def is_finished(self, settings: Any) -> bool:
-        """Return whether there is a finished step of these settings; one that wrote nothing never is."""
+        """Return whether a finished step has these settings; a step that wrote nothing has never finished."""
         entry = self._entries.get(_key(settings), _NOTHING)
         noted = [*entry["read"].items(), *entry["written"].items()]
         return bool(entry["written"]) and all(_digest(self._path.parent / name) == digest for name, digest in noted)
 
     def note(self, settings: Any, used: FilesUsed) -> None:
-        """Note what a step has read and written; entries of steps that wrote one of its files before are dropped."""
+        """Record the files that a step has read and written; drop entries of steps that wrote one of these files."""
         read, written = (
             {self._name(path): _digest(path) for path in sorted(paths) if path.exists()}
             for paths in (used.read - used.written, used.written)
@@ -214,13 +214,13 @@ def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
 # The source text is read once: it does not change while a process runs.
 @cache
 def software() -> dict[str, str]:
-    """Return the versions that stages depend on, our own by the source text."""
+    """Return {package: version}; for this package, the hash of its source files."""
     experiment = hashlib.sha256(Path(__file__).with_name("experiment.py").read_bytes())
     return {**versions(), "experiment": experiment.hexdigest()[:16]}
 
 
 def time_summary(seconds: dict[str, float]) -> str:
-    """Say how long the stages took together, and the longest one."""
+    """Return a sentence on the time of all stages together, and on the longest stage."""
     total = sum(seconds.values())
     longest = max(seconds, key=lambda name: seconds[name])
     return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"

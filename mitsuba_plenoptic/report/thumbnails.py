@@ -21,7 +21,7 @@ _LONGEST, _SHOWN = 512, 256
 
 @singledispatch
 def thumbnail(thing: Any) -> str:
-    """Return what a notebook shows of an object, as HTML."""
+    """Return the HTML that a notebook shows for an object."""
     raise TypeError(f"a thumbnail of type {type(thing).__name__}")
 
 
@@ -56,7 +56,7 @@ def _camera(camera: PlenopticCamera) -> str:
 
 
 def _figure(image: np.ndarray, caption: str) -> str:
-    """Return a picture in its own aspect; NaN is transparent."""
+    """Return the HTML of a picture in its aspect ratio; NaN is transparent."""
     grey = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
     white = Brightness().white([grey])
     style = f"width: {_SHOWN}px; image-rendering: {'pixelated' if max(grey.shape[:2]) < _SHOWN else 'auto'}"

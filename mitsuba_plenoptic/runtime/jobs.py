@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 
 
 def counted(items: Collection[Item], progress: Progress | None) -> Iterator[Item]:
-    """Yield items, and report before each of them, and at the end, how many are done."""
+    """Yield items, and report the number of finished ones before each and at the end."""
     for done, item in enumerate(items):
         if progress:
             progress(done, len(items))
@@ -46,7 +46,7 @@ class LongSum(Protocol):
 
 @dataclass(frozen=True)
 class SumTask:
-    """One of several sums that make an image."""
+    """One of several sums of batches that make an image."""
 
     # Its items, those too that are in no batch.
     items: int
@@ -58,7 +58,7 @@ class SumTask:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Several sums in progress."""
+    """State of several sums in progress, for a checkpoint."""
 
     sums: int
     # Their images, added up; (rows, columns, channels).
@@ -79,7 +79,7 @@ class CheckpointStore(Protocol):
 
 @dataclass
 class Job:
-    """How a long computation is carried out.
+    """Execution of a long computation: workers, progress and checkpoint.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Job:
 
     @property
     def workers(self) -> BatchMap:
-        """Who computes the batches: the given ones, or threads of this process."""
+        """Map that computes batches: the given one, or threads of this process."""
         return self.batch_map or Threads()
 
     def run(
@@ -140,7 +140,7 @@ class Job:
         return state.image
 
     def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
-        """Compute one sum, from where it stands."""
+        """Return one sum, continued from its state."""
         work = task.plan()
         shape = (work.channels, work.box.rows, work.box.columns)
         start = state.partial or PartialSum(0, work.arrays.zeros(shape, np.float32))

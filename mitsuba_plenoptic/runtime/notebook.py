@@ -10,7 +10,7 @@ from typing import Any
 
 
 def report_module(name: str) -> Any:
-    """Import a module of `report`."""
+    """Return a module of `report`, imported on first use."""
     return importlib.import_module(f"{__package__.partition('.')[0]}.report.{name}")
 
 

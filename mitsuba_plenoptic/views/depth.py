@@ -151,7 +151,7 @@ def depth_map(
 
 
 def beyond_search(found: xr.Dataset) -> tuple[float, float]:
-    """Return which fractions of the bins probably see what is nearer and what is farther than a depth map's search.
+    """Return the probable fractions of bins that see points nearer, and farther, than the search of a depth map.
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
@@ -220,7 +220,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
 
 
 def is_focused(lf: xr.DataArray) -> bool:
-    """Whether all microlenses of a light field's camera are focused on the main lens's image."""
+    """Return whether all microlenses of a light field's camera are focused on the main lens's image."""
     return "unfocused" not in focus_types(camera_of(lf))
 
 
@@ -257,7 +257,7 @@ def disagreement_of_planes(
 
 @dataclass(frozen=True)
 class DepthError:
-    """How far estimated depths are off, as fractions of the true distance.
+    """Errors of estimated depths, as fractions of the true distance.
 
     Attributes
     ----------

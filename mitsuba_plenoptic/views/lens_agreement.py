@@ -65,7 +65,7 @@ class LensComparison:
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return which part of the variance neighbouring lenses leave unexplained, moved so that a disparity coincides.
+        """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
         The results are those of `agreement.view_disagreement`; the ratio is NaN where lenses compare nothing. The
         variance that samples of a bin have is to be explained, and that between samples of neighbouring lenses is left
@@ -139,7 +139,7 @@ class LensComparison:
         return pairs
 
     def _straightened(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return samples where a pencil through the lens's centre would show them, and which of them are open."""
+        """Return samples at the positions where a pencil through the lens's centre shows them, and a mask."""
         images = self._images
         values, weight = np.empty_like(self._values), np.empty_like(images.weight)
         types = images.types
@@ -233,7 +233,7 @@ def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:
-    """Return the views that have such ones `move` views on, the whole views about those, and the fraction between."""
+    """Return views that have a partner `move` views on, the partners' whole views, and the fraction between these."""
     whole = math.floor(move)
     first, last = max(0, -whole), min(views, views - 1 - whole)
     return slice(first, last), slice(first + whole, last + whole + 1), np.float32(move - whole)

@@ -170,7 +170,7 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
 
 
 def require_light_field_path(path: str | Path) -> Path:
-    """Check, before a long computation, that a light field can be written there, in the format of its suffix.
+    """Return a path after a check, before a long computation, that a light field can be written there.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:
 
 
 def _white(path: str | Path, linear: bool) -> np.ndarray:
-    """Read a white image."""
+    """Return a white image read from a file."""
     found = _white_capture(path, linear)
     return found.image if isinstance(found, Capture) else found
 

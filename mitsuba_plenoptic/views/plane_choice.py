@@ -62,7 +62,7 @@ WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 @dataclass(frozen=True)
 class Choice:
-    """The plane of each bin."""
+    """Plane chosen for each bin, with its probability."""
 
     # Index of the plane, with fractions, (rows, columns).
     plane: np.ndarray
@@ -77,7 +77,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How badly views agree about planes."""
+    """Disagreement of views on each plane of a search."""
 
     # Variance about each plane over the variance that is to be explained, 1 of noise, (planes, rows, columns); NaN
     # where nothing can be compared.
@@ -115,7 +115,7 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
 
 
 def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return where the right plane may be beyond the last one.
+    """Return a mask of bins whose true plane may lie beyond the last plane.
 
     That is so within the tolerance of the first or the last plane, and where no valley of the disagreement is closed at
     the chosen one: on both sides, among the planes that can be compared, the logarithm of the deviation must rise by
@@ -199,7 +199,7 @@ def _normalised(logarithm: np.ndarray) -> np.ndarray:
 
 
 def _with_neighbours(own: np.ndarray) -> np.ndarray:
-    """Multiply the probabilities of each bin with what the bins on its four sides tell, each from those beyond it.
+    """Return probabilities of planes multiplied by the messages from the bins on the four sides.
 
     Belief propagation (Pearl 1988) along rows and columns, each line a chain.
     """
@@ -232,7 +232,7 @@ def _summit(probability: np.ndarray) -> np.ndarray:
 
 
 def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the probability between two planes; each plane's own is spread evenly over its neighbourhood."""
+    """Return the probability between two planes; each plane's probability is spread over its neighbourhood."""
     below = np.concatenate([np.zeros((1, *low.shape)), np.cumsum(probability, axis=0)])
     row, column = np.indices(low.shape)
 

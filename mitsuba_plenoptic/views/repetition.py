@@ -33,7 +33,7 @@ _BLURRED, _SLOPE, _LEAST, _MOST = 2.5, 3.0, 0.25, 0.87
 
 
 def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
-    """Return how probably the depth of a bin, (t, s), is wrong because its texture repeats, by the searched planes.
+    """Return the probability, (t, s), that a bin's depth is wrong because texture repeats in the search.
 
     It is 0 where no plane of the search is a whole period from another one.
     """

@@ -54,7 +54,7 @@ def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
 
 
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
-    """Keep `count` views along each axis: those in the middle of as many equal parts of the pupil.
+    """Return `count` views along each axis, in the middles of equal parts of the pupil.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
 def epipolar_image(
     lf: xr.DataArray, axis: str = "horizontal", *, at: float | None = None, through: float | None = None
 ) -> xr.DataArray:
-    """Return one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
+    """Return one line of the field from every view along one line of the pupil, in which points draw slanted lines.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ _POINTS = 8
 
 
 class PupilFraction:
-    r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
+    r"""Fraction of an endless pupil's light that each pixel gets through the camera's pupil.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
     position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
@@ -113,7 +113,7 @@ _log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
-    """Compute what a camera records of a scene of uniform radiance 1.
+    """Return the capture of a scene of uniform radiance 1 that a camera would record.
 
     The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
     array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
@@ -250,7 +250,7 @@ def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray |
 
 
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
-    """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
+    """Refuse a white capture with less than a required fraction, and warn below one half."""
     refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
         warnings.warn(f"{text}: {rule}", stacklevel=2)
@@ -292,7 +292,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
+        """Return the heights towards the main lens of lenses of micro-images (n, 2), relative to one on the axis."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
