@@ -14,15 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-
-if TYPE_CHECKING:
-    from .real_lens import RoundMap
 
 Pair = tuple[Any, Any]
 """x and y in the camera frame, of positions, slopes or direction cosines."""
@@ -350,3 +347,15 @@ class Entrance:
     pupil: float = 0.0
     front: float = 0.0
     magnification: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class RoundMap:
+    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
+
+    # Distance of the last field from the axis, on the array; the first is 0.
+    field: float
+    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
+    half: float
+    # Corresponding point of each node, (fields, rows, columns, 2).
+    points: NDArray[np.float32]

@@ -21,11 +21,10 @@ from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
 from .common import LensNumbers, builds
-from .exit_pupil import ExitPupil
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
-from .main_lens import Entrance
-from .pupil_fit import Pupils, covered, fit_pupil, trace
+from .main_lens import Entrance, RoundMap
+from .pupil_fit import ExitPupil, Pupils, covered, fit_pupil, trace
 
 _FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
 """Distances from the axis, directions in which edges are searched and interpolated, and map nodes across the pupil."""
@@ -33,18 +32,6 @@ _FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
 _MAP_WIDER, _BISECTIONS, _TRIED = 1.1, 24, 65
 """Extent of the map over that of the pupil and of the detector's corner; bisections that find an edge; rays across the
 pupil that find its centre."""
-
-
-@dataclass(frozen=True, eq=False)
-class RoundMap:
-    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
-
-    # Distance of the last field from the axis, on the array; the first is 0.
-    field: float
-    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
-    half: float
-    # Corresponding point of each node, (fields, rows, columns, 2).
-    points: NDArray[np.float32]
 
 
 def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
@@ -131,7 +118,7 @@ class RealLens(LensSystem):
     @property
     def refraction(self) -> float:
         """The wavelength if the glasses are dispersive, else the focal length."""
-        return self._light if self.prescription.disperses else float(self.focal_length)
+        return self.light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
     def reach(self) -> float:
@@ -198,7 +185,7 @@ class RealLens(LensSystem):
         if (x, y, g) not in self._lights:
             while len(self._lights) >= _LIGHTS:
                 self._lights.pop(next(iter(self._lights)), None)
-            self._lights[x, y, g] = ExitPupil(self, (x, y, g))
+            self._lights[x, y, g] = ExitPupil.of(self, (x, y, g))
         return self._lights[x, y, g]
 
     def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
@@ -231,7 +218,7 @@ class RealLens(LensSystem):
         field = covered(tracer, radius, field, inverse_distance)
         refuse_if(not field > 0, "main_lens: no light of the scene points passes it")
         with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
-            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self._light)
+            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self.light)
         return FittedLens(self, self.reach, fitted)
 
 

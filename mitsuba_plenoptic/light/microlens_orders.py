@@ -55,9 +55,8 @@ _FLAT = 1e4
 _TABLE_LENGTH = 2**14
 """Smallest number of samples of the table of a factor of one coordinate."""
 
-_PER_ORDER = 64, 40
-"""Samples of a table per period of its highest order, for factors of one and of two coordinates; the table is
-interpolated linearly between them."""
+_PER_ORDER = 64, 16
+"""Samples of a table per period of its highest order, for factors of one and of two coordinates."""
 
 _FINE = 2048
 """Samples across a pitch from which the orders are computed; they limit the accuracy of the edges."""
@@ -125,9 +124,14 @@ class ArrayFactor(ABC):
         return values[0]
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
-        """Return one period of a sum of orders as 64-bit words, the first samples repeated at the end."""
+        """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end.
+
+        Linear interpolation between the samples multiplies order q of n by sinc^2(q / n), by which each is divided.
+        """
+        orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
+        kept = [np.sinc(order / size) ** 2 for order, size in zip(orders, self._shape, strict=True)]
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
-        spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
+        spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, kept)
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
         padded = empty_packets(tuple(size + 1 for size in table.shape), np.complex64)
         padded[tuple(map(slice, table.shape))] = table

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.collimated import CollimatedLens
-from ..lenses.exit_pupil import ExitPupil
 from ..lenses.main_lens import PointLight
+from ..lenses.pupil_fit import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..lenses.thin import ThinLens
 from ..light.microlenses import diffraction, scattering

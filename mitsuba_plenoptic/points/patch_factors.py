@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..lenses.lens_changes import VaryingLens, VaryingLight
+from ..lenses.fitted_lens import VaryingLens, VaryingLight
 from ..lenses.main_lens import Light, MainLens
 from ..light.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer

@@ -16,12 +16,12 @@ from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..optics import guards
 from ..prescription.lens_data import image_distance
+from ..refocus_options import FOOTPRINTS
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields
 from .lens_tiles import fine_bins
-from .methods import FOOTPRINTS
 from .passages import BinSums
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale

@@ -30,7 +30,7 @@ from .radiance import captures, to_radiance
 from .ray import white_pixels, white_sums
 
 
-@method("incoherent", options=(), waves=True, as_it_is=True)
+@method("incoherent", waves=True, as_it_is=True)
 def refocus(task: Task) -> list[np.ndarray]:
     """Return the capture weighed with the capture of every single bin."""
     count = len(task.distances)

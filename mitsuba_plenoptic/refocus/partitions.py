@@ -37,6 +37,7 @@ from scipy.sparse import csr_matrix
 
 from ..camera import PlenopticCamera
 from ..io.captures import Capture
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import in_millimetres
 from ..runtime.limits import require_memory
@@ -222,7 +223,7 @@ def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_
         row += start
         i, j = lattice.cell(x[column], y[row])
         ends = [
-            rays.follow_back(p, c, c, distance, camera)
+            follow_back(p, c, c, distance, camera)
             for p, c in zip((px[column], py[row]), lattice.centre(i, j), strict=True)
         ]
         passes = np.hypot(*(P for P, _ in ends)) <= camera.lit_radius

@@ -44,6 +44,7 @@ from scipy.ndimage import map_coordinates
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import refuse_if
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import in_millimetres, soft_edge
 from ..runtime.fft import blur, convolve
@@ -138,7 +139,7 @@ def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]
 
     Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
     """
-    at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
+    at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
     farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
     return _SLOPE / farthest, farthest, of_pupil
@@ -177,7 +178,7 @@ def _places(
         p = px, down[first : first + height, None]
         cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
         found = [
-            np.broadcast_arrays(*rays.follow_back(q, c, c, distance, camera))
+            np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
             for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
         ]
         P = np.broadcast_arrays(found[0][0], found[1][0])

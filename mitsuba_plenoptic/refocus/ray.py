@@ -21,6 +21,7 @@ from scipy.sparse import csr_matrix
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
+from ..light.walk import follow_back
 from ..optics import rays
 from ..runtime.backend import array_module, drjit_array
 from ..runtime.limits import require_memory
@@ -30,7 +31,7 @@ from .radiance import captures, once_a_camera, to_radiance
 from .splatting import Splat, traced_white
 
 
-@method("ray", options=("footprint",), waves=False)
+@method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
 
@@ -115,7 +116,7 @@ def _axis(
     chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
-    pupil, position = rays.follow_back(p, c, c, distance, camera)
+    pupil, position = follow_back(p, c, c, distance, camera)
     centre = position * (oversample / camera.mla_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, radius)

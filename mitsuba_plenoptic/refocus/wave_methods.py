@@ -50,6 +50,7 @@ from ..design import focus_type
 from ..errors import MOST_PIXELS, refuse_if
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import soft_edge
 from ..runtime.backend import backend
@@ -132,7 +133,7 @@ def _pixel_parts(camera: PlenopticCamera, distance: float) -> int:
 
     Light of waves comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses.
     """
-    _, image = rays.follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
+    _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
     return max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
 
@@ -278,13 +279,13 @@ _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-@method("coherent", options=("relay",), waves=True)
+@method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "relay"), waves=True)
+@method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)

@@ -102,8 +102,8 @@ def score_answers(
 
       mitsuba-plenoptic benchmark score bench answers/ray answers/mine -o scores.json
     """
+    from ...io.checkpoints import write_json
     from ...io.files import require_writable
-    from ...report.stage_store import write_json
     from .benchmark import Benchmark, score, table
 
     require_writable(output, ".json")

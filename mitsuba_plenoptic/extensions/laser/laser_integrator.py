@@ -17,7 +17,8 @@ from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain, require_read
+from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain
+from ...plugins.recording import make_base
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
@@ -38,8 +39,8 @@ SOURCE = ("source_diameter", "source_distance", "bandwidth", "roughness")
 def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
-    class PlenopticLaserIntegrator(mi.SamplingIntegrator):
-        r"""Captures with laser light, its speckle and fringes, together with all other light of the scene.
+    class PlenopticLaserIntegrator(make_base()):  # type: ignore[misc]
+        r"""Laser light: captures with speckle and fringes, together with all other light of the scene.
 
         .. pluginparameters::
 
@@ -127,36 +128,17 @@ def make_class() -> type:
                 )
             points = read_plain(props, "points_per_spot", POINTS_PER_SPOT)
             self.points_per_spot = require_number(f"{NAME}: points_per_spot", points, positive=True)
-            nested = [value for _, value in props.objects()]
-            refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
-            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
-            require_read(props, NAME)
+            self.read_child(props)
             variant = mi.variant() or ""
             refuse_if(
                 "_mono" not in variant or mi.is_polarized,
                 f"{NAME}: variant {variant}: laser light has one wavelength; use llvm_ad_mono or cuda_ad_mono",
             )
 
-        def render(
-            self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
-        ) -> Any:
-            """Return the capture; `spp` is the number of samples per pixel of the nested integrator."""
-            if isinstance(sensor, int):
-                sensor = scene.sensors()[sensor]
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            film = self.record(scene, sensor, seed=seed, spp=spp or sensor.sampler().sample_count())
-            return film.develop() if develop else None
-
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it; the job is that of the laser light."""
+            """Compute the capture, and return the film that holds it; `spp` is for the nested integrator."""
             refuse_if(noise, f"{NAME}: noise: it is not estimated; compare seeds")
             lasers = self._require(scene, sensor)
             with guards.watch():
@@ -184,11 +166,6 @@ def make_class() -> type:
                 **self.source,
                 "points_per_spot": self.points_per_spot,
             }
-
-        def to_string(self) -> str:
-            """Return the description of the integrator that Mitsuba prints."""
-            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
-            return "\n".join(["PlenopticLaserIntegrator[", *lines, f"  child = {self.child}", "]"])
 
         def _require(self, scene: Any, sensor: Any) -> list[Any]:
             """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""

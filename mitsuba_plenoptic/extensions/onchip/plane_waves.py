@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, short_repr
 from ...light.lens_kinds import chief_ray_shift
-from ...light.optical_system import OpticalSystem, RayPupil
+from ...light.optical_system import OpticalSystem
+from ...light.walk import Walk
 from ...optics.waves import in_millimetres
 from ...runtime.backend import drjit_array
 from ...runtime.limits import single_threaded_blas
@@ -231,7 +232,7 @@ class PlaneWaveResponses:
         lens = self.system.lens
         slopes = (-sx / cosine, -sy / cosine)
         pupil = tuple(drjit_array(mi.Float, lens.pupil_point(c, t)) for c, t in zip(place, slopes, strict=True))
-        inner = RayPupil(self.system).inner(pupil, tuple(mi.Float(c) for c in place))
+        inner = Walk.of(self.camera, lens).inner(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
 

@@ -25,12 +25,13 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...lenses.main_lens import Pair
+from ...light.control_variate import means_of
 from ...light.noise import Mended
-from ...light.optical_system import RayPupil
 from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite
 from ...light.signed_capture import SignedCapture
 from ...light.signed_colours import Node, SignedColours, mixed
+from ...light.walk import walks_of
 from ...runtime.backend import drjit_array
 from ...runtime.batches import Box, Part, PartialSum
 from ...runtime.fft import busy_drjit
@@ -130,14 +131,9 @@ class ResponseSum:
         self._camera, self._light, self._nodes, self._seed = camera, light, nodes, seed
         self._tables = Tables(camera, [node.plan for node in nodes])
         self._across = across = self._tables.count
-        self._pupils: dict[float, tuple[RayPupil, list[int]]] = {}
-        for number, node in enumerate(nodes):
-            pupil = RayPupil(node.plan.system)
-            self._pupils.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
+        self._walks = walks_of(node.plan.system for node in nodes)
         # The images: the wavelength and the channel of each.
-        self._images = [
-            (n, channel) for _, numbers in self._pupils.values() for n in numbers for channel in nodes[n].channels
-        ]
+        self._images = [(n, channel) for _, numbers in self._walks for n in numbers for channel in nodes[n].channels]
         self.channels = max(channel for _, channel in self._images) + 1
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
@@ -220,8 +216,8 @@ class ResponseSum:
         key = dr.opaque(mi.UInt32, seed & ~31)
         aimed = self._tables.draw(each, word, half, turn - half * (count // 2), key)
         lights, counted = [], mi.Float(0)
-        for pupil, numbers in self._pupils.values():
-            start, slope = pupil.trace(aimed.place, aimed.pupil, 0.0)
+        for walk, numbers in self._walks:
+            start, slope, _ = walk.through_pupil(aimed.pupil, aimed.place)
             seen = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
             radiance = self._light(start, slope, seen, seed)
             counted = dr.select(seen, mi.Float(1), 0)
@@ -271,10 +267,7 @@ class ResponseSum:
             ]
             for parts in ([rays.counts], rays.sums)
         )
-        means = [
-            [dr.select(number > 0, light / number, 0) for light, number in zip(each, counts[0], strict=True)]
-            for each in sums
-        ]
+        means = [means_of(each, counts[0]) for each in sums]
         dr.eval(means, counts)
         near = self._near_sums(grid, rays, means, at)
         far = self._far_sums(grid, rays, means, seed)
@@ -289,9 +282,7 @@ class ResponseSum:
         dr.eval(result)
         return result
 
-    def _near_sums(
-        self, grid: LensCells, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
-    ) -> list[Any]:
+    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         tables, size = self._tables, self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
@@ -313,7 +304,7 @@ class ResponseSum:
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
-    def _far_sums(self, grid: LensCells, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+    def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables, size, margin = self._tables, self._across**2, self._tables.margin
         around = grid.within(margin)

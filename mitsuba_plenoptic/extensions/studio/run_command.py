@@ -38,17 +38,16 @@ def run(
 
       mitsuba-plenoptic run run.yaml
     """
+    from ...io.checkpoints import finished_step, lock_of, locked, note_step
     from ...io.files import files_used, read_yaml
     from ...io.versions import VERSION, is_of_1_0
-
-    # Brings libraries that take a while to load.
-    from ...report.stage_store import StepLog
 
     commands = step_commands()
     parameters = parameters_of(commands)
     steps = read_run_file(file, parameters)
-    log = StepLog(file.absolute().with_suffix(".steps.json"))
-    with contextlib.chdir(file.parent), resumable():
+    log = file.absolute().with_suffix(".steps.json")
+    alone = locked(lock_of(log), f"{file}: another process is running it")
+    with contextlib.chdir(file.parent), alone, resumable():
         # All are parsed before the first is run, which may take long.
         contexts, by_waves = [], False
         for number, step in enumerate(steps, 1):
@@ -68,13 +67,13 @@ def run(
             label = f"step {number} of {len(steps)}, {step.command}"
             with _naming_step(file, number, step, parameters[step.command]):
                 settings = _settings(step, parameters[step.command])
-                if log.is_finished(settings):
+                if finished_step(log, settings):
                     typer.echo(f"{label}: up to date")
                     continue
                 typer.echo(label)
                 with context, files_used() as used:
                     commands[step.command].invoke(context)
-                log.note(settings, used)
+                note_step(log, settings, used)
 
 
 _LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "method"}

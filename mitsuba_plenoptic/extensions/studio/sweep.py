@@ -32,7 +32,7 @@ from ...light.render_capture import is_wave_capture, refuse_by_rays, render_capt
 from ...prescription.lens_data import image_distance
 from ...refocus import METHODS
 from ...report.experiment import load_with_sensor, refocused
-from ...report.stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software
+from ...report.stage_store import Progress, StageOptions, Stages, scene_fingerprint, software
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
 from ...runtime.batches import BatchMap
 
@@ -137,7 +137,7 @@ class SweepSettings:
 class Points:
     """Points of a grid, with a capture and its reconstructions for each."""
 
-    def __init__(self, settings: SweepSettings, grid: Grid, store: StageStore) -> None:
+    def __init__(self, settings: SweepSettings, grid: Grid, store: Stages) -> None:
         self.settings, self.store = settings, store
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
@@ -344,7 +344,7 @@ def prepare(
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
     set_variant(settings.variant)
-    store = StageStore(output.with_suffix(".points"), stages)
+    store = Stages(output.with_suffix(".points"), stages)
     points = Points(settings, grid, store)
     points.check(**for_waves)
 

@@ -20,7 +20,8 @@ from ...camera.plenoptic_camera import require_no_shape
 from ...design import resolution_limit
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
-from ...optics.rays import cosines_to_slopes, into_medium
+from ...light.walk import Passage, Walk
+from ...optics.rays import cosines_to_slopes
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
 from ...points.patch_factors import Fields
@@ -163,8 +164,8 @@ def _pairs() -> NDArray[np.float64]:
 def _trace(batch: RayBatch) -> Part:
     """Trace the rays of a bin, and distribute each to the four samples around it."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
-    lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
-    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
+    lens, light, walk = grid.lens, grid.lens.bind(np.empty((0, 3))), Walk.of(camera, grid.lens)
+    pairs, b = _pairs(), camera.mla_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
@@ -175,16 +176,10 @@ def _trace(batch: RayBatch) -> Part:
     else:
         slopes = cosines_to_slopes(*light.cosines(pupil, point))
         m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
-    index = lattice.cell(*m)
-    centre = lattice.centre(*index)
-    offset = [position - c for position, c in zip(m, centre, strict=True)]
-    passes = lattice.in_aperture(*offset)
-    types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
-    f2 = np.array(camera.reduced_focal_lengths)[types]
-    before, chief = ((P[0] / b, P[1] / b) for P in (np.subtract(pupil, m), np.negative(centre)))
-    behind = into_medium(before, (-offset[0] / f2, -offset[1] / f2), chief, camera.mla_medium)
-    landed = np.stack([x - z * t for x, t in zip(m, behind, strict=True)], axis=-1)
-    position = ((landed - grid.origin) / grid.pitch)[passes]
+    centre, f2 = walk.lens_at(*camera.lattice.cell(*m))
+    passes = camera.lattice.in_aperture(m[0] - centre[0], m[1] - centre[1])
+    landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), centre, f2))
+    position = ((np.stack(landed, axis=-1) - grid.origin) / grid.pitch)[passes]
     below = np.floor(position).astype(np.int64)
     low = below.min(0)
     columns, rows = (below.max(0) - low + 2).tolist()

@@ -68,9 +68,6 @@ class Noise:
         return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)
 
 
-MOST = 0.25
-"""Largest weight: steps stay positive, as the gradient is at most 3.42."""
-
 _SMOOTH = 1e-3
 """Largest step between bins, over their mean, that counts as even."""
 
