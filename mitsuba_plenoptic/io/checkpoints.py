@@ -159,7 +159,7 @@ class Checkpoint:
         return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
-        """Register a run whose state is arrays instead of a sum; return the arrays saved of it, None if there are none."""
+        """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
         return self._begin(facts, _named_arrays, {})
 
     def _begin(

@@ -27,7 +27,7 @@ def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[l
 
 
 def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
-    """Return the means over each half of the rays from their sums and counts; 0 where there is no ray."""
+    """Return the means over each half of the rays from sums and counts; 0 where a half has no ray."""
     first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
     return first, second
 

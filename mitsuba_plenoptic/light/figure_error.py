@@ -37,7 +37,7 @@ class FigureError:
 
     @classmethod
     def of(cls, camera: PlenopticCamera) -> FigureError | None:
-        """Return the figure error of a camera's array, or None if it has none."""
+        """Return the figure error of a camera's array, None without one."""
         size, length = camera.mla_figure_error
         return _drawn(size, length, camera.mla_seed) if size else None
 

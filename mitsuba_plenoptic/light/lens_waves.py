@@ -27,7 +27,7 @@ class LensWaves:
 
     @property
     def lattice(self) -> Lattice:
-        """The microlens lattice."""
+        """Lattice of the microlenses."""
         return self.camera.lattice
 
     @cached_property
@@ -36,7 +36,7 @@ class LensWaves:
 
     @property
     def kinds(self) -> list[Kind]:
-        """The kinds of microlenses."""
+        """Kinds of the camera's microlenses."""
         return self._lens_kinds.every
 
     @property

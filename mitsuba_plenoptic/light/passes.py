@@ -52,7 +52,7 @@ def render_passes(
 
 
 def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:
-    """Divide samples per pixel into passes of at most `most`, each a power of two.
+    """Return the sizes of passes, powers of two of at most `most`, that add up to the samples per pixel.
 
     Otherwise two threads may share a pixel, and the order in which they add its samples varies. Samplers other than
     ``independent`` do not draw every count; the smallest that they draw is their least.

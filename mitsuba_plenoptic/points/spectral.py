@@ -25,7 +25,7 @@ def with_enough_nodes(
     error: float,
     pupil_weights: Any = None,
 ) -> Spectrum:
-    """Return a spectrum with as few nodes as its point spreads need.
+    """Return a spectrum with as few nodes as accurate point spreads need.
 
     The number of nodes is raised in steps until images of each point, by every channel, change by no more than half
     of the error; the other half allows for the error that remains.
