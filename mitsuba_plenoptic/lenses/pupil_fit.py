@@ -236,7 +236,7 @@ def fit_pupil(
     wavelength: float,
     good: float = GOOD,
 ) -> PupilFit:
-    """Trace rays, and fit polynomials of rising degree until the path's error is at most `good` waves."""
+    """Return traced rays and polynomials of rising degree, until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
     is_open = rays.open
     refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
@@ -317,7 +317,7 @@ class ExitPupil(LensLight):
 
     @classmethod
     def of(cls, lens: LensSystem, point: tuple[float, float, float]) -> ExitPupil:
-        """Trace rays from a point before a lens, and fit their light.
+        """Return the light of a point on the exit pupil of a lens, fitted to traced rays.
 
         Raises
         ------

@@ -21,16 +21,16 @@ _DIGITS = 3
 
 
 class PhysicsWarning(UserWarning):
-    """A result is less accurate than its sampling promises; the message contains the fraction of power concerned."""
+    """Warning that a result is less accurate than promised, with the fraction of power concerned."""
 
 
 class PhysicsError(InputError):
-    """A result would be false, because its sampling loses or aliases too much of the light."""
+    """Error for a result that would be false, because its sampling loses or aliases too much light."""
 
 
 @dataclass(frozen=True)
 class Guard:
-    """A fraction of the power, and its bounds.
+    """Fraction of the power that a computation loses, and the bounds for warning and error.
 
     Attributes
     ----------

@@ -320,5 +320,5 @@ class FullFieldSum:
         return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Move the channels to the last axis; the loss of a full field is checked where it is computed."""
+        """Return the total with its channels in the last axis."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

@@ -86,7 +86,7 @@ class Recorder:
         return image
 
     def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Integrate one channel as `record` does, but return the pixels in the `window` only, (rows, columns)."""
+        """Return the integrals of one channel, as `record` has them, over the pixels in `window` alone."""
         upright = samples if self._upright is None else self._upright.forward(samples)
         return backend().to_host(self._pixels_of(move).forward(upright))
 

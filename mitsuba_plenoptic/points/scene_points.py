@@ -219,7 +219,7 @@ class _Finder:
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
-        """Return as bits (n, bytes) which pupil cells see points; the cell of its own ray always does."""
+        """Return, as bits (n, bytes), the pupil cells that see points; the cell of a point's ray always does."""
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius

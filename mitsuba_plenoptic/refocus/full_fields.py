@@ -215,7 +215,7 @@ class BackwardFields:
         return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
     def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
-        """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
+        """Return gradients by the amplitudes, from gradients by all subsets' fields at an object plane's directions."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
@@ -281,7 +281,7 @@ class BackwardFields:
                 field[number, chord] += line[chord]
 
     def _whole(self, blocks: Rows, step: Step) -> Field:
-        """Gather the rows of a field at the destination samples of a step."""
+        """Return all rows of a field at the destination samples of a step."""
         field = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
         for rows, samples in blocks:
             field[rows] = samples
@@ -332,7 +332,7 @@ def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
 def microlenses(
     step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
 ) -> ThinElement:
-    """Return the microlenses of a subset in the source plane of a step, by the remainders of indices; others are dark.
+    """Return the microlenses of a subset, by remainders of indices, in the source plane; others are dark.
 
     The period of the subset is `interleave`, in both indices of the lattice.
     """

@@ -100,13 +100,13 @@ class LensTile:
 
     @cached_property
     def pixels(self) -> int:
-        """Most pixels that belong to one lens, along an axis."""
+        """Largest number of pixels that belong to one lens along an axis."""
         growth = self.camera.micro_image_pitch / self.camera.mla_pitch
         return math.ceil(self.cell_width * growth / self.camera.pixel_size) + 1
 
     @cached_property
     def padded(self) -> int:
-        """Samples of the window from detector to MLA: what wraps round misses the cell."""
+        """Number of samples of the window from detector to MLA, wide enough that wrapped light misses the cell."""
         source = self.pixels * self.camera.pixel_size + self._chief_shift
         spread = self.camera.reduced_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
         window = (source + self.cell_width) / 2 + self._chief_shift + spread
@@ -121,7 +121,7 @@ class LensTile:
 
     @cached_property
     def samples(self) -> int:
-        """Object samples across a lens's image, enough for the pupil's light and a multiple of the bins.
+        """Number of object samples across a lens's image, enough for the pupil's light and a multiple of the bins.
 
         A bin as wide as the lens's image averages over all frequencies that a few samples confuse.
         """
@@ -141,7 +141,7 @@ class LensTile:
 
     @cached_property
     def to_bins(self) -> Field:
-        r"""From the power at samples across the patch to that in bins along an axis, float32 (bins, samples).
+        r"""Matrix from the power at samples across the patch to the power in bins, float32 (bins, samples).
 
         Where samples miss nothing of the power, it is the trigonometric polynomial through them, whose integrals over
         bins of m samples are exact: a frequency of f periods a sample counts :math:`m \,\mathrm{sinc}(f m)` times.
@@ -174,7 +174,7 @@ class LensTile:
 
     @cached_property
     def to_pupil(self) -> Field:
-        r"""From the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
+        r"""Matrix from the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         matrix = phasor(np.outer(self.pupil, self.cell) / -wave_path) * np.float32(self.pitch / math.sqrt(wave_path))
         return backend().arrays.asarray(matrix)
@@ -188,7 +188,7 @@ class LensTile:
 
     @property
     def transformed(self) -> int:
-        """Samples that one lens's Fourier transforms go through; matrix products count by their time."""
+        """Number of samples that one lens's transforms go through, with matrix products counted by their time."""
         products = self.cell_samples * self.pupil_samples * (self.cell_samples + self.pupil_samples)
         return (
             4 * self.padded**2 + self.object_samples * (self.object_samples + self.pupil.size) + products // _PRODUCTS
@@ -211,7 +211,7 @@ class LensTile:
 
 
 def fine_bins(system: OpticalSystem, oversample: int) -> int:
-    """Return the count of fine bins across a bin, in which power is summed before it is spread over lenses."""
+    """Return the number of fine bins across a bin, in which power is summed before it is spread over lenses."""
     camera = system.camera
     if camera.lens_data.traced_surfaces:
         camera = behind_thin_lens(system)

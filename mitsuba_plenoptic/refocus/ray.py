@@ -33,7 +33,7 @@ from .splatting import Splat, traced_white
 
 @method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
-    r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
+    r"""Return images of bins to which the values of pixels are added, each by one ray back to the object plane.
 
     The ray passes the centres of the pixel and of its lens. With ``footprint="point"`` the whole value is added to one
     bin. With ``"lens"`` it is spread over the area that rays through the whole lens hit, because the pixel has
@@ -79,7 +79,7 @@ _MOST_VALUES = 2**32 - 1
 def ray_sums(
     image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> np.ndarray:
-    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
+    """Return sums of the pixels that fall into each bin, by one ray per pixel back to the object plane.
 
     Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a
     thin main lens, this is done one axis at a time.
@@ -156,7 +156,7 @@ class AxisBins:
 
 
 def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
-    """Spread each pixel evenly over the interval from `low` to `high` of bin coordinates."""
+    """Return the bins over which each pixel is spread evenly, from `low` to `high` in bin coordinates."""
     pixels = np.flatnonzero(np.abs(pupil) <= radius)
     low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
     first = np.floor(low).astype(np.int64)

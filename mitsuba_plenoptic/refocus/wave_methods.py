@@ -129,7 +129,7 @@ def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine:
 
 
 def _pixel_parts(camera: PlenopticCamera, distance: float) -> int:
-    """Return into how many parts along each axis pixels are split, so that images of parts are no wider than a lens.
+    """Return the number of parts of a pixel along each axis for which images of parts are at most a lens wide.
 
     Light of waves comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses.
     """
@@ -213,7 +213,7 @@ def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) ->
 
 
 def _white_micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the micro-image of white behind one lens, and where its pixels see the pupil from its centre, at most."""
+    """Return the micro-image of white behind one lens, and the largest pupil radii that its pixels see."""
     b, z = camera.mla_distance, camera.reduced_distance
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
@@ -281,13 +281,13 @@ _APART = 2
 
 @method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
-    """Follow the light back as one coherent wave."""
+    """Return images from the light followed back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
 @method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Follow the light back as one wave for each subset of lenses, or for each lens."""
+    """Return images from the light followed back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
@@ -338,7 +338,7 @@ def _signed_power(
     oversample: int,
     progress: Progress,
 ) -> list[np.ndarray]:
-    """Return the power in bins, in pixel values times pixels, spread over lenses where these do not lie on bins.
+    """Return the power in bins, in pixel values times pixels, spread over lenses that do not lie on bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
     Fields have the samples that all `planned` distances need: ratios of images, such as displacements, which are of
