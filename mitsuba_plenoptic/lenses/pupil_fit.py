@@ -192,7 +192,7 @@ class Pupils:
         return self.at_infinity - inverse_distance / self.magnification**2
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
-        """Return the path to the exit pupil of a perfect wave towards the image, less that to its centre, (n,)."""
+        """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
         (x, y), w, s = rays.place, self.convergence(rays.inverse_distance), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length

@@ -262,7 +262,7 @@ class FieldPlan:
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
-    r"""Number of field samples across a pixel of the detector.
+    r"""Return the number of field samples across a pixel of the detector.
 
     The range of direction cosines must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` on both
     sides of the chief ray, whose own is that of the rim. On the MLA it must hold, beside the light that the main lens
