@@ -42,7 +42,7 @@ class InputError(ValueError):
 
 
 def refuse_if(broken: object, message: str) -> None:
-    """Raise an `InputError` where a rule is broken; the message is made in any case, so it must be quick to make."""
+    """Raise an `InputError` if a rule is broken; the message is always made, so it must be quick to make."""
     if broken:
         raise InputError(message)
 
@@ -106,7 +106,7 @@ _options: Mapping[str, str] | None = None
 
 @contextlib.contextmanager
 def at_shell(options: Mapping[str, str]) -> Iterator[None]:
-    """Let advice name options of the command line; `options` has those whose names differ from their arguments."""
+    """Let advice name options of the command line; `options` lists options named differently from their arguments."""
     global _options
     before, _options = _options, options
     try:
@@ -155,7 +155,7 @@ def relation(name: str) -> str:
 
 
 def did_you_mean(name: Any, known: Iterable[Any]) -> str:
-    """Return the end of a message on an unknown name: the known one that it resembles, or nothing if none does."""
+    """Return the end of a message on an unknown name: the most similar known name, or nothing."""
     names = {str(one).lower(): str(one) for one in known}
     if _RELATIONS.get(str(name).lower(), ("",))[0] in names:
         return f"; {relation(str(name))}"
@@ -169,7 +169,7 @@ def suggest_keywords(
     gone: Mapping[str, str] | None = None,
     absent: Callable[[str], str] = lambda name: "",
 ) -> _Call:
-    """Have a call with an unknown keyword name the one that it resembles, as Python itself does from 3.13 on.
+    """Return a function that answers an unknown keyword with the most similar known one.
 
     A function that hands further keywords on knows the `others`. Of a class it is the constructor. Keywords that
     earlier versions had are refused with what serves instead, `gone`, and those that an extension would add with the

@@ -177,7 +177,7 @@ class _ServedFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that is served, None for all others."""
+        """Return the spec of a module that is served by its name, None for all others."""
         root, _, name = fullname.partition(".")
         if root != ROOT or name in ("", "extensions") or "." in name:
             return None

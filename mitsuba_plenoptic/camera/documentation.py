@@ -59,7 +59,7 @@ def _sensor_row(entry: Parameter) -> Iterator[str]:
 
 
 def _written(default: Any) -> str:
-    """Return a default as it is written in a scene file."""
+    """Return a default as written in a scene file."""
     if isinstance(default, tuple):
         return f'"{", ".join(map(_written, default))}"'
     return f"``{default}``" if isinstance(default, str) else f"{default:g}"

@@ -23,12 +23,12 @@ class CameraGeometry(CameraParameters):
 
     @property
     def objective(self) -> Objective | None:
-        """The main lens if it is a microscope's objective."""
+        """Main lens if it is a microscope's objective, otherwise None."""
         return self.main_lens if isinstance(self.main_lens, Objective) else None
 
     @property
     def prescription(self) -> Prescription | None:
-        """The main lens if it has surfaces."""
+        """Main lens if it has surfaces, otherwise None."""
         return self.main_lens if isinstance(self.main_lens, Prescription) else None
 
     @property

@@ -206,7 +206,7 @@ def frozen_flow(
 def _windows(
     large: NDArray[np.float64], step: float, count: int, moved: NDArray[np.float64], frames: int
 ) -> Iterator[PhaseScreen]:
-    """Yield windows of a screen, of `count` samples along each axis, between which it moves by `moved` millimetres."""
+    """Yield windows of a screen with `count` samples along each axis, each moved by `moved` mm from the last."""
     grid = SampledGrid(large, (large.shape[1] - 1) * step)
     offsets = (np.arange(count) - (count - 1) / 2) * step
     for frame in range(frames):

@@ -88,7 +88,7 @@ def _complete_microlenses(values: dict[str, Any]) -> None:
 
 
 def _check_array(values: dict[str, Any]) -> None:
-    """Refuse focal lengths for which the lattice has no lens types, and arrays too irregular for their pitches."""
+    """Refuse focal lengths for which the lattice has no lens types, and irregularities too large for the pitches."""
     types, focal_lengths = LATTICES[values["mla_lattice"]].lens_types, values["mla_focal_lengths"]
     if len(focal_lengths) not in (1, types):
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
@@ -323,7 +323,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
-        """Build a camera from a dictionary of `to_dict`, for example from a file's header.
+        """Return the camera of a dictionary of `to_dict`, for example from a file's header.
 
         Parameters
         ----------
@@ -353,7 +353,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Build a camera from the text of a JSON file: an object of parameters, which have defaults if left out.
+        """Return the camera of a JSON file's text: an object of parameters, which have defaults if left out.
 
         Or of arguments of `matched`.
 
@@ -381,7 +381,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def _from_names(cls, values: Any) -> PlenopticCamera:
-        """Build a camera from parameters of unknown origin."""
+        """Return the camera of parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
         of_sheet = [name for name in MATCHED if name in values]
@@ -394,7 +394,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:
-        """Describe the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
+        """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
         ----------

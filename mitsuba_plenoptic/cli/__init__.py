@@ -115,7 +115,7 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 
 def _outline() -> typer.Typer:
-    """Return the command with subcommands that have their help alone, for which none of their modules is imported."""
+    """Return the command with subcommands that have only their help, without importing their modules."""
     made = _command()
     for name in COMMANDS:
         made.command(name, help=_docstring(name))(lambda: None)
@@ -123,7 +123,7 @@ def _outline() -> typer.Typer:
 
 
 def _docstring(name: str) -> str | None:
-    """Return the docstring of a subcommand's function from its file; for a group of commands, that of the file."""
+    """Return the docstring of a subcommand's function, or of the file for a group of commands, from the file."""
     spec = importlib.util.find_spec(COMMANDS[name])
     module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
     own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
@@ -131,7 +131,7 @@ def _docstring(name: str) -> str | None:
 
 
 def _called(words: Sequence[str]) -> list[str]:
-    """Return the subcommand among the words of a command line, or of one that a shell completes; else nothing."""
+    """Return the subcommand among the words of a command line, or of one being completed; empty without one."""
     if "_MITSUBA_PLENOPTIC_COMPLETE" in os.environ:
         # The last word is being typed.
         words = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split(" ")[1:-1]
@@ -183,7 +183,7 @@ def _for_all(
         ),
     ] = False,
 ) -> None:
-    """Hold the options that every command has."""
+    """Store the options that every command has."""
 
 
 def _be_quiet() -> None:
@@ -299,7 +299,7 @@ def _print_record(record: logging.LogRecord) -> None:
 
 
 def _with_options(message: str, options: Mapping[str, str]) -> str:
-    """Spell the arguments that a message is about, ``name = value: ...``, as options where the command has such."""
+    """Return a message with the arguments it is about, ``name = value: ...``, spelt as options of the command."""
 
     def spelled(found: re.Match[str]) -> str:
         option = options.get(_OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}"))

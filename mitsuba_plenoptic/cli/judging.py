@@ -23,7 +23,7 @@ class Judged:
 
 
 def judging(function: Callable[..., None]) -> Callable[..., None]:
-    """Have a command's values judged when it is called; in a run an earlier step may write what a later one reads."""
+    """Return a command whose option values are judged when it is called, not when a run file is parsed."""
     parameters = inspect.signature(function, eval_str=True).parameters
     judges = {
         name: one.judge

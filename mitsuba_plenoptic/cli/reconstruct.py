@@ -266,7 +266,7 @@ def sheet(
 def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
-    """Read a capture and its white reference, and set the variant."""
+    """Return a capture and its white reference, and set the variant."""
     from ..runtime.backend import set_variant
 
     recorded = read_recorded(capture, known, linear)
@@ -285,7 +285,7 @@ def _value_of(option: Option, value: Any) -> Any:
 
 
 def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
-    """Write all distances together, as a volume and as a picture, where these are asked for."""
+    """Write all distances together as a volume, and as an overview picture, if requested."""
     from ..refocus import Volume, write_volume
 
     if path is None and overview is None:

@@ -168,7 +168,7 @@ _FILES_OR_NAMES = {"scene", "camera", "source"}
 
 
 def _seen_from(folder: Path, name: str, value: Any) -> str:
-    """Return an option's value as a word; a file's path relative to the folder, where it is not absolute."""
+    """Return an option's value as a word; relative paths of files are made relative to the folder."""
     word = _word("", value)
     named = isinstance(value, Path) or (name in _FILES_OR_NAMES and Path(word).is_file())
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word
@@ -204,7 +204,7 @@ def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tupl
 
 
 def _yaml(value: Any) -> str:
-    """Write a word, a list of words or a flag as YAML, as plain text where it is read back as the same word."""
+    """Return a word, a list of words or a flag as YAML, unquoted where it is read back as the same word."""
     from ..io.files import parse_yaml
 
     if isinstance(value, bool):

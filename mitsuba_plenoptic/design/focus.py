@@ -151,7 +151,7 @@ class EffectiveResolution:
 
 
 def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float) -> float:
-    r"""Enlargement of a lens's aperture in the object plane, seen through it by a pixel: :math:`|1 - s \kappa|`.
+    r"""Return the enlargement of a lens's aperture in the object plane, as a pixel sees it: :math:`|1 - s \kappa|`.
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
 

@@ -277,7 +277,7 @@ def _capture_of(
 # Some commands read a capture twice.
 @functools.cache
 def _remark(path: str | Path, lens_model: str) -> None:
-    """Say once that a wave capture is read as its waves were."""
+    """Log once that a wave capture is read with the `lens_model` of its waves."""
     _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 

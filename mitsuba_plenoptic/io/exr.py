@@ -169,7 +169,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
-    """Read the attributes of a file without its pixels; those of other programs have none."""
+    """Return the attributes of a file without reading its pixels; files of other programs have none."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -185,7 +185,7 @@ def _attributes(part: ExrPart) -> dict[str, Any]:
 
 
 def read_parts(path: Path) -> list[ExrPart]:
-    """Read the headers of an OpenEXR file, without its pixels."""
+    """Return the headers of an OpenEXR file without reading its pixels."""
     _require_small_header(path)
     with (
         _undamaged(path),
@@ -243,7 +243,7 @@ def _undamaged(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
-    """Open the pixels of a file with these parts."""
+    """Open the pixels of a file with given parts."""
     with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
         if len(file.parts) < len(parts):
             raise ValueError("its pixels are damaged or incomplete")

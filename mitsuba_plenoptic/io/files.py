@@ -57,7 +57,7 @@ def files_used() -> Iterator[FilesUsed]:
 
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:
-    """Check, before a long computation, that a file can be written, without touching it."""
+    """Return a path after a check, before a long computation, that a file can be written there."""
     path = _path(path)
     try:
         refuse_if(path.is_dir(), f"{path}: it is a folder; give a file name")
@@ -77,7 +77,7 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that an output file is not also an input, which it would replace."""
+    """Refuse an output file that is also an input and would be replaced."""
     for source in sources:
         refuse_if(
             source is not None and path.exists() and source.exists() and path.samefile(source),
@@ -86,7 +86,7 @@ def require_apart(path: Path, *sources: Path | None) -> None:
 
 
 def require_different(*paths: Path | None) -> None:
-    """Check that no two of the files that are to be written are the same."""
+    """Refuse output files of which two are the same."""
     found: set[Path] = set()
     for path in filter(None, paths):
         refuse_if(path.resolve() in found, f"{path}: two results would be written to it; give each a name of its own")
@@ -163,7 +163,7 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
 
 
 class Sink(io.FileIO):
-    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
+    """File that holds its write errors until `check`, as HDF5 would crash at the end of the process after one."""
 
     error: OSError | None = None
 
@@ -228,7 +228,7 @@ _LARGEST_JSON = 2**26
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as version 1.2 and JSON have it, without its common traps.
+    """Loader of YAML 1.2 and JSON, without YAML's common traps.
 
     PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Names given twice, and
     aliases, by which a small file grows endless, are refused.
@@ -275,7 +275,7 @@ _LARGEST_TABLE = 2**22
 
 
 def read_table(path: str | Path) -> NDArray[np.float64]:
-    """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names."""
+    """Return the numbers of a CSV file of at most 4 MiB, all columns of all rows; the first line may hold names."""
     lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
     if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
         lines = lines[1:]
@@ -330,7 +330,7 @@ def stored_array(group: Any, name: str) -> Any:
 
 
 def read_json_value(value: Any, resolve: Callable[[str], str]) -> Any:
-    """Return plain data from a JSON file, named as `resolve` finds it, or from its text; other values as they are."""
+    """Return plain data from a JSON file, named as `resolve` finds it, or from JSON text; other values unchanged."""
     if not isinstance(value, (str, Path)):
         return value
     text = str(value)

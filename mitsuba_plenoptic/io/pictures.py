@@ -20,7 +20,7 @@ _PIXEL_BYTES = 8 + 16 + 12
 
 
 def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
-    """Read a PNG or TIFF of 8 or 16 bits a channel; of TIFF files, grey ones and those of 8 bits.
+    """Return a PNG or TIFF of 8 or 16 bits a channel; TIFF files must be grey or have 8 bits.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
 
 
 def _read_tiff(path: Path, linear: bool) -> np.ndarray:
-    """Read a TIFF file, as industrial cameras write their raw pictures."""
+    """Return the picture in a TIFF file, as industrial cameras write raw pictures."""
     with refusing(f"{path}: it cannot be read as a TIFF picture:"), Image.open(path) as picture:
         require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
         wide = picture.mode.startswith("I")

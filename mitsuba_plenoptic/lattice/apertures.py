@@ -16,7 +16,7 @@ AIRY_ZERO = 1.21967
 
 
 class Aperture(abc.ABC):
-    """A shape of apertures, the same for all lenses of a lattice."""
+    """Shape of apertures, equal for all lenses of a lattice."""
 
     product: ClassVar[bool]
     """Whether an aperture of upright rectangular cells is a product of one along x and one along y."""
@@ -77,7 +77,7 @@ class Cell(Aperture):
         return lattice.in_cell(u, v / lattice.aspect, lattice.fill * lattice.pitches[0])
 
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map to a cell shrunk by `fill`."""
+        """Return a point of the cell, shrunk by `fill`, for (s, t) in the unit square, evenly."""
         return lattice.cell_point(s, t, lattice.fill)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:

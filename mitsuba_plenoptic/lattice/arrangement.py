@@ -81,7 +81,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point of the unit frame: its indices, integers as floats."""
+        """Return the indices, integers as floats, of the cell that holds a point of the unit frame."""
 
     @staticmethod
     @abc.abstractmethod
@@ -106,7 +106,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell of equal pitches `width`.
+        """Return the point of a cell of equal pitches `width` for (s, t) in the unit square, evenly.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class Lattice(abc.ABC):
 
     @property
     def aspect(self) -> Any:
-        """Pitch across the rows over that along them."""
+        """Pitch across the rows over the pitch along the rows."""
         along, across = self.pitches
         return 1.0 if along is across else across / along
 
@@ -209,7 +209,7 @@ class Lattice(abc.ABC):
     # -- cells ---------------------------------------------------------------------------------------
 
     def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point: its indices, integers as floats."""
+        """Return the indices, integers as floats, of the cell that holds a point."""
         u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
         return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
@@ -233,7 +233,7 @@ class Lattice(abc.ABC):
         return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
 
     def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell, shrunk by `scale`; the result is an offset from the centre.
+        """Return the point of a cell shrunk by `scale` for (s, t) in the unit square, as an offset from its centre.
 
         Parameters
         ----------
@@ -254,11 +254,11 @@ class Lattice(abc.ABC):
         return APERTURES[self.aperture].holds(self, dx, dy)
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to the aperture; the result is an offset from the centre."""
+        """Return the point of the aperture for (s, t) in the unit square, evenly, as an offset from the centre."""
         return APERTURES[self.aperture].point(self, s, t)
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
-        """Draw an aperture, enlarged by `scale`, into samples of width `step`: the fractions of its area in each.
+        """Return the fractions of samples of width `step` that an aperture, enlarged by `scale`, covers.
 
         Parameters
         ----------
@@ -295,7 +295,7 @@ class Lattice(abc.ABC):
         return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
 
     def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
-        """Find the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
+        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
 
         Parameters
         ----------
@@ -331,7 +331,7 @@ class Lattice(abc.ABC):
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*position.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
-        """Find the lenses whose centre lies in the rectangle from `low` to `high`.
+        """Return the lenses whose centre lies in the rectangle from `low` to `high`.
 
         Parameters
         ----------

@@ -104,7 +104,7 @@ class SampledGrid:
         return self._sum(x, y, (1, 0)) / self._step, self._sum(x, y, (0, 1)) / self._step
 
     def nearest(self, values: NDArray[np.float64], x: Any, y: Any) -> Any:
-        """Return other values of the samples, each of the nearest sample."""
+        """Return other values of the samples at offsets, each from the nearest sample."""
         (column, u), (row, v) = self._places(x, y)
         module = module_of(u)
         column, row = column + module.floor(u + 0.5), row + module.floor(v + 0.5)

@@ -123,7 +123,7 @@ class MicrolensShape(ABC):
 
 
 def _plain(value: Any) -> Any:
-    """Return a field of a shape as JSON can have it."""
+    """Return a field of a shape as a JSON value."""
     if isinstance(value, Glass):
         return value.to_plain()
     return value.tolist() if hasattr(value, "tolist") else value

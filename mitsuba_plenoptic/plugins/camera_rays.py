@@ -51,7 +51,7 @@ class RayColours:
     indices: list[Any] | None
 
     def of(self, walk: CameraRays) -> CameraRays:
-        """Return the walk through the main lens as these rays meet it."""
+        """Return the walk of rays with these focal lengths and indices through the main lens."""
         lens: Any = walk.lens
         if self.indices is not None:
             return replace(walk, lens=replace(lens, indices=self.indices))
@@ -146,7 +146,7 @@ class Candidates:
     defocus: Any = 0.0
 
     def limit(self, chief: Pair, towards: Pair) -> Any:
-        """Return the distance within which centres are tried, by their direction from the chief ray's points."""
+        """Return the distance within which lens centres are tried, by their direction from the chief ray's point."""
         across, along = (
             towards[0] * chief[1] - towards[1] * chief[0],
             towards[0] * chief[0] + towards[1] * chief[1],
@@ -249,7 +249,7 @@ class CameraRays(Walk):
         return nth(choice), scaled - whole, choice, tried
 
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
-        """Choose the points of the array through which rays from detector points pass.
+        """Return the points of the array through which rays from detector points pass, drawn at random.
 
         `pixel` is the detector point, a pair of Dr.Jit arrays. Return also the number of the candidate, and that of the
         lenses from which it was drawn.
@@ -261,7 +261,7 @@ class CameraRays(Walk):
         return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
 
     def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
-        """Choose points of the lenses above detector points, and points of the pupil.
+        """Return random points of the lenses above detector points, and random points of the pupil.
 
         Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. Return these, slopes
         towards the pupil, and the columns and rows of pixels among those of their lenses.

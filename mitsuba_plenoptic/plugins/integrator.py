@@ -61,7 +61,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Accumulate the gradient of a parameter of the camera."""
+    """Add to the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
@@ -77,7 +77,7 @@ _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticWaveIntegrator(make_base()):  # type: ignore[misc]
         r"""Wave capture: the incoherent, non-paraxial wave-optical image on a plenoptic camera's detector.
@@ -211,7 +211,7 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Propagate the gradient of the capture to the parameters, for `mi.render`."""
+            """Add the gradients by parameters from a gradient by the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
@@ -243,7 +243,7 @@ def make_class() -> type:
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it."""
+            """Return the film that holds the computed capture."""
             crosstalk, film = PlenopticCamera.from_sensor(sensor).pixel_crosstalk, sensor.film()
             require_wave_film(film)
             capture = self._capture(scene, sensor)

@@ -53,7 +53,7 @@ from ..runtime.backend import drjit_array
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
-    """Read a value from a plugin's properties without a check; the caller checks it."""
+    """Return a value of a plugin's properties unchecked; the caller checks it."""
     return _plain(props[name]) if name in props else default
 
 
@@ -75,7 +75,7 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
 
 
 def require_read(props: Any, plugin: str) -> None:
-    """Refuse a parameter that a plugin has not read: there is none of its name.
+    """Refuse a parameter that a plugin has not read, as no parameter has its name.
 
     Mitsuba does so itself once a plugin is made, without the name that was meant.
     """
@@ -86,7 +86,7 @@ def require_read(props: Any, plugin: str) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return the entry of an array of one entry, which ``load_dict`` accepts for a scalar, or any other value as is."""
+    """Return the single entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
@@ -206,7 +206,7 @@ def develop(film: Any, image: NDArray[np.float32]) -> Any:
 
 
 def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Apply the transpose of `develop` to a gradient; `shape` is that of the image (rows, columns, channels)."""
+    """Return the transpose of `develop` applied to a gradient; `shape` is the image's (rows, columns, channels)."""
     block = drjit_array(mi.TensorXf, _block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
     film.prepare([])

@@ -17,7 +17,7 @@ def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, i
 
 
 def make_base() -> type:
-    """Define the base of such integrators for the active Mitsuba variant; they offer `record` and `parameters`."""
+    """Return the base class of integrators with `record` and `parameters`, defined for the active variant."""
 
     class RecordingIntegrator(mi.SamplingIntegrator):
         plugin: str
@@ -38,13 +38,13 @@ def make_base() -> type:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            """Render the capture; `spp` is the count of samples that `record` takes."""
+            """Return the capture; `spp` is the number of samples that `record` takes."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
 
         def to_string(self) -> str:
-            """Describe the integrator."""
+            """Return the description of the integrator that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
             return "\n".join([f"{type(self).__name__}[", *lines, f"  child = {self.child}", "]"])
 

@@ -32,7 +32,7 @@ _BOX = '<rfilter type="box"/>'
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticSensor(mi.Sensor):
         r"""Plenoptic (light-field) camera: main lens, microlens array, detector.
@@ -224,7 +224,7 @@ def make_class() -> type:
             return self._in_world(self._rays.through_pupil(pupil, position))
 
         def _in_world(self, traced: Traced) -> tuple[Any, Any]:
-            """Transform a traced ray to the world frame, at the time at which the shutter opens."""
+            """Return a traced ray in the world frame, at the time when the shutter opens."""
             point, slope, open_ = traced
             to_world = self.world_transform()
             ray = mi.RayDifferential3f(
@@ -287,7 +287,7 @@ def make_class() -> type:
             return ray
 
         def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
-            """Choose points of the four neighbours for light that crosses walls; return also the rest of the sample."""
+            """Return points of the four neighbours for light that crosses walls, and the unused part of the sample."""
             fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
             scaled = sample[0] / fraction
             side = dr.floor(scaled)

@@ -84,7 +84,7 @@ _ONCE = {"DIM", "RDM", "WL", "REF"}
 
 
 class _CodevReader:
-    """The lens of a file, as far as its commands have been read."""
+    """Reader of a CODE V file, which collects the lens command by command."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -246,7 +246,7 @@ class _CodevReader:
 
 
 def _glass(line: Line, written: str) -> Glass | None:
-    """Return the glass of a surface's line: a name, also with its maker, or a code of index and Abbe number."""
+    """Return the glass of a surface's line: a name, optionally with its maker, or a code of index and Abbe number."""
     if written.upper() == "AIR":
         return None
     line.refuse_if(written.upper() in ("REFL", "REF"), "mirrors are not read")

@@ -212,7 +212,7 @@ class Glass:
 def catalogue_glass(
     name: str, where: str = "glass", makers: Sequence[str] | None = None, *, with_hyphens: bool = True
 ) -> Glass:
-    """Return a glass by its name in a maker's catalogue, as a table that needs the catalogue no more.
+    """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
     The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``. Only a glass of just
     that name is taken, in capitals or not.

@@ -58,7 +58,7 @@ _MLA_DISTANCE = 120.0
 
 
 class LensData:
-    """The plain data of a main lens. This class is a thin lens's; others derive from it and answer differently.
+    """Plain data of a main lens, here a thin one; real lenses derive their data from this class.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ class Line:
         return InputError(f"{self.path}, line {self.number}: {short_repr(' '.join(self.words))}: {rule}")
 
     def refuse_if(self, broken: object, rule: str) -> None:
-        """Refuse the command where it breaks a rule."""
+        """Refuse the command if it breaks a rule."""
         if broken:
             raise self.refused(rule)
 
@@ -114,6 +114,6 @@ def to_prescription(
 
 
 def _trimmed(terms: list[float]) -> list[float]:
-    """Return coefficients without the zeros at their end."""
+    """Return coefficients without trailing zeros."""
     count = max((number for number, term in enumerate(terms, start=1) if term), default=0)
     return terms[:count]

@@ -175,7 +175,7 @@ class Objective(LensData):
         return require_unscaled(given, own, SINGLE)
 
     def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse any other plane than the native one."""
+        """Refuse a plane in focus other than the native object plane."""
         raise InputError(
             f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; leave it out"
         )

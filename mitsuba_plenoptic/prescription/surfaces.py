@@ -149,7 +149,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Prescription(LensData):
-    """A lens as its designer writes it down. Lengths are millimetres.
+    """Main lens as its designer states it: surfaces and glasses, lengths in millimetres.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class Prescription(LensData):
 
     @classmethod
     def from_plain(cls, value: Any) -> Prescription:
-        """Take a prescription from plain data, for example from a file.
+        """Return the prescription that plain data describe, for example from a file.
 
         Parameters
         ----------
@@ -293,7 +293,7 @@ class Prescription(LensData):
         return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
 
     def clipped(self) -> Prescription:
-        """Return the lens with refracting surfaces that cross their neighbours ending where they do, with a warning.
+        """Return the lens with surfaces ending where they cross their neighbours, with a warning.
 
         Published prescriptions list semi-apertures for drawings, which may reach beyond the edge where surfaces meet.
         """
@@ -314,7 +314,7 @@ class Prescription(LensData):
         return lens
 
     def require_apart(self) -> None:
-        """Refuse a lens of which two refracting surfaces that follow each other cross where light may pass both."""
+        """Refuse a lens in which neighbouring refracting surfaces cross where light may pass both."""
         if crossing := self._crossing():
             first, second, _, text = crossing
             edge = min(self.surfaces[first].semi_aperture, self.surfaces[second].semi_aperture)
@@ -349,7 +349,7 @@ def height(surface: Any, square: Any) -> Any:
 
 
 def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
-    """Return the distance from the axis at which two surfaces cross; None if they stay apart in both of their areas."""
+    """Return the distance from the axis at which two surfaces cross within their areas, None if they do not."""
     edge = min(front.semi_aperture, back.semi_aperture)
 
     def gap(square: Any) -> Any:

@@ -56,7 +56,7 @@ def read_zemax(path: str | Path) -> Prescription:
 
 
 class _ZemaxReader:
-    """The lens of a file, as far as its lines have been read."""
+    """Reader of a Zemax file, which collects the lens line by line."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -34,7 +34,7 @@ _Line = tuple[str, str, str, str]
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
-    """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
+    """Return the rows of a camera's parameters and derived quantities; without a wavelength not of diffraction."""
     if camera.objective is not None or isinstance(camera.main_lens, Collimator):
         if camera.objective is not None:
             seen = _microscope_groups(camera, camera.objective, wavelength)
@@ -307,7 +307,7 @@ def _distance(value: float) -> tuple[str, str]:
 
 
 def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
-    """Write a range of distances and its unit."""
+    """Return a range of distances and its unit as texts."""
     if limits is None:
         return "none", ""
     return " to ".join(_distance(limit)[0] for limit in limits), "mm"
@@ -325,7 +325,7 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
 
 
 def _four(value: float) -> str:
-    """Four digits, without an exponent for the sizes that cameras have."""
+    """Return a number as text with four digits, without an exponent for sizes of cameras."""
     return f"{value:.4g}"
 
 

@@ -71,7 +71,7 @@ def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, in
 
 
 def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
-    """Render a picture by rays, in passes of bounded size."""
+    """Return a picture by rays, rendered in passes of bounded size."""
     columns, rows = sensor.film().crop_size()
     integrator = scene.integrator()
     # A wave integrator's child sees the scene by rays.
@@ -173,7 +173,7 @@ class Experiment:
 
 
 def run_experiment(settings: Settings, store: Stages) -> Experiment:
-    """Capture and refocus, taking from the store what is already there."""
+    """Return captures and reconstructions of an experiment; finished stages come from the store."""
     refuse_if(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
@@ -271,7 +271,7 @@ def load_with_sensor(
 
 
 def open_store(output: Path, stages: StageOptions | None) -> Stages:
-    """Check, before the work, that the output folder can be made; it is made with the first stage."""
+    """Return the store of an output folder, checked before the work and made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
@@ -294,7 +294,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Reduce a capture whose film has three equal channels, of a mono variant, to one."""
+    """Return a capture of a mono variant, whose film has three equal channels, with one channel."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

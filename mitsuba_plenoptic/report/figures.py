@@ -41,7 +41,7 @@ _MOST_LABELS = 9
 
 @dataclass(frozen=True)
 class Panel:
-    """An image of a sheet, its title, and how many millimetres of the object it is wide, if that is known."""
+    """Image of a sheet with its title and, if known, its width in millimetres of the object."""
 
     image: np.ndarray
     title: str = ""
@@ -97,7 +97,7 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
-    """Lay out a focal stack in rows, each image with its distance.
+    """Return a figure of a focal stack in rows, each image with its distance.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
-    """Lay out the views of a light field as they lie on the pupil, labelled by their positions u and v.
+    """Return a figure of a light field's views as they lie on the pupil, labelled by u and v.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
-    """Draw an epipolar image with its axes: position on the pupil over position in the plane in focus.
+    """Return a figure of an epipolar image: position on the pupil over position in the plane in focus.
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray"
 
 
 def _white(norm: Normalize) -> str:
-    """State which radiance is white in colour images, which have no scale."""
+    """Return a sentence on the radiance that is white in colour images, which have no scale."""
     return f"white: radiance {norm.vmax:.3g}"
 
 
@@ -333,7 +333,7 @@ def _edges(positions: np.ndarray) -> tuple[float, float]:
 
 
 def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
-    """Label positions, of many only some, so that the labels do not overlap; the first states what they are."""
+    """Return labels of positions, so few that they do not overlap; the first names the quantity."""
     every = -(-len(positions) // _MOST_LABELS)
     texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]

@@ -32,7 +32,7 @@ class Installation:
 
 
 def inspect_installation() -> Installation:
-    """Look at versions, LLVM, the GPU and Mitsuba's variants."""
+    """Return versions, LLVM, GPU and Mitsuba's variants of this installation."""
     problem = llvm.problem()
     cuda = bool(drjit.has_backend(drjit.JitBackend.CUDA))
     python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"

@@ -120,7 +120,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
 
 
 def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Follow rays in the plane of the axis from a position on the MLA, surface by surface, to before the lens.
+    """Return ray paths in the plane of the axis from a position on the MLA through all surfaces, to before the lens.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
 
 
 def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[FieldFigures]:
-    """Trace bundles from the MLA to the object plane in focus; figures of a camera with a real main lens.
+    """Return figures of a camera with a real main lens, by bundles traced from the MLA to the plane in focus.
 
     Parameters
     ----------

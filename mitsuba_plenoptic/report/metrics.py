@@ -49,7 +49,7 @@ def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray])
 
 
 def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
-    """Compare an image with a reference of the same shape, brightness and all.
+    """Return the metrics of an image against a reference of the same shape, brightness included.
 
     Pixels that are NaN in the image are not compared.
     """
@@ -97,7 +97,7 @@ def lit_region(limit: np.ndarray) -> np.ndarray:
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:
-    """Find the bins (rows, columns) that hold a box in the scene, seen from the centre of the main lens; None if none.
+    """Return the bins (rows, columns) that hold a box in the scene, seen from the main lens's centre, None if none.
 
     Its corners (x, y, z) are given in the camera's frame, and its depth is taken as that of its middle.
     """
@@ -132,7 +132,7 @@ class SquareSharpness:
 
 
 def window_sharpness(image: np.ndarray) -> SquareSharpness:
-    """Measure an edge that runs from top to bottom through the image, a few degrees off the vertical.
+    """Return the sharpness of an edge that runs from top to bottom through the image, nearly vertical.
 
     In contrast to `mitsuba_plenoptic.edge_sharpness`, the edge's place is known, so that interference next to it is
     allowed, and a window of few pixels is enough.
@@ -157,7 +157,7 @@ def window_sharpness(image: np.ndarray) -> SquareSharpness:
 
 
 def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> SquareSharpness:
-    """Measure a bright square on dark ground, turned by a few degrees: the median of its four edges.
+    """Return the sharpness of a slightly turned bright square on dark ground: the median of its four edges.
 
     The median, because something else may lie near one of them.
 

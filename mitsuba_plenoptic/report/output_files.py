@@ -190,7 +190,7 @@ def _write(
 
 
 def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
-    """Repeat the bins of a picture as often as asked for, or as makes a small one visible."""
+    """Return a picture with bins repeated as often as requested, or as makes a small picture visible."""
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 

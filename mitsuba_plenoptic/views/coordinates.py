@@ -41,7 +41,7 @@ def light_field(
     bins: LensGrid | None = None,
     lenses: LensGrid | None = None,
 ) -> xr.DataArray:
-    """Wrap sampled values into a labelled light field.
+    """Return sampled values as a labelled light field.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ def _require_suitable(
 def _reference(
     image: np.ndarray, camera: PlenopticCamera | None, white: Capture | np.ndarray | None, grid: LensGrid | None
 ) -> np.ndarray:
-    """Return the white image, (rows, columns, 1): the given one, or what the camera would record."""
+    """Return the white image, (rows, columns, 1): the given one or, without one, the camera's computed one."""
     if camera is None:
         if white is None:
             raise InputError("white = None: without a camera the pupil is known from a white image only")
@@ -282,7 +282,7 @@ def _sample(
 
 
 def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
-    """Sample an image at whole-pixel steps about each micro-image centre.
+    """Return samples of an image at whole-pixel steps about each micro-image centre.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """

@@ -46,7 +46,7 @@ class LensViews:
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
-        """Find the lenses in the image of the stop."""
+        """Return the lenses in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
         refuse_if(
             abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,

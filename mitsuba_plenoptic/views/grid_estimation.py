@@ -33,7 +33,7 @@ _BLOCK = 2048
 
 
 def estimate_lens_grid(white: np.ndarray) -> LensGrid:
-    """Find pitches, rotation and offset of a square, rectangular or hexagonal microlens array from a white image.
+    """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
     The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
     of the micro-images are fitted by least squares, first about the middle, then further and further out. A hexagonal

@@ -52,7 +52,7 @@ class FirstHits:
         self._index[registered] = np.arange(1, len(registered) + 1)
 
     def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
-        """Trace rays, and return float32 arrays (count[, 3]) by name."""
+        """Return float32 arrays (count[, 3]) by name for the first hits of rays."""
         found = {
             name: np.empty((count, len(letters))[: 1 + (len(letters) > 1)], np.float32)
             for name, letters in QUANTITIES.items()

@@ -109,7 +109,7 @@ class LensComparison:
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
-        """Return each pair of neighbouring lenses once, as blocks: lenses, their neighbours, and the way to these.
+        """Return each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
 
         The way is in pitches of the bins, along columns and rows.
         """
@@ -211,7 +211,7 @@ def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndar
 
 
 def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Smooth samples within their micro-images, each for as much as it sees of the pupil."""
+    """Return samples smoothed within their micro-images, weighted by the part of the pupil that they see."""
     total, seen = values * weight[..., None], weight
     for axis in (2, 3):
         total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
@@ -227,7 +227,7 @@ def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.
 
 
 def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
-    """Interpolate samples, (rows, columns, v, u, ...), by these fractions of a view: one view less along each axis."""
+    """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view, one view fewer per axis."""
     part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
     return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
 

@@ -103,7 +103,7 @@ def disagreement(
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
-    """Choose the most probable plane of each bin, whose surroundings have some samples, `VIEWS` or `LENSES`.
+    """Return the most probable plane of each bin, for surroundings with enough samples of `VIEWS` or `LENSES`.
 
     `tolerance` is the relative error of a distance that counts as right.
     """
@@ -144,7 +144,7 @@ def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.nd
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the most probable planes, with fractions, the evidence on whether they are right, and who agrees.
+    """Return the most probable planes with fractions, evidence on whether they are right, and agreeing neighbours.
 
     Evidence, (4, rows, columns), is logarithms but for the first: one; the log odds that the plane is right, if the
     evidence of the bin's surroundings, on average, is taken at its word, as repeated texture agrees at several
@@ -193,7 +193,7 @@ def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: float) -> tuple[n
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
-    """Return probabilities over the planes from their logarithms, but for a factor."""
+    """Return probabilities over the planes from their logarithms, up to a factor."""
     values = np.exp(logarithm - logarithm.max(axis=0))
     return np.asarray(values / values.sum(axis=0))
 
@@ -221,7 +221,7 @@ def _with_neighbours(own: np.ndarray) -> np.ndarray:
 
 
 def _summit(probability: np.ndarray) -> np.ndarray:
-    """Place of the most probable plane, by a parabola through its logarithm and its neighbours', -1/2 to 1/2 off."""
+    """Return the offset, -1/2 to 1/2, of the most probable plane, by a parabola through three logarithms."""
     best = probability.argmax(axis=0)
     inner = best.clip(1, len(probability) - 2)
     row, column = np.indices(best.shape)

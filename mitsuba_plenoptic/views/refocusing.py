@@ -163,7 +163,7 @@ def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int)
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Sum views (v, u, t, s), each read at its shift."""
+    """Return the sum of views (v, u, t, s), each read at its shift."""
     by_column = np.zeros(values.shape[1:], dtype=np.float64)
     for row, shift in zip(values, down, strict=True):
         _add_shifted(by_column, row, shift, axis=1)

@@ -48,7 +48,7 @@ def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) ->
 
 
 def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
-    """Label an image (t, s[, c]) with the coordinates and attributes of a light field's views."""
+    """Return an image (t, s[, c]) with the coordinates and attributes of a light field's views."""
     dims = ("t", "s", "c")[: image.ndim]
     return xr.DataArray(image, dims=dims, coords={dim: lf[dim] for dim in dims}, name="radiance", attrs=lf.attrs)
 
@@ -75,7 +75,7 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
 
 
 def view_mosaic(lf: xr.DataArray) -> np.ndarray:
-    """Lay the views side by side as they lie on the pupil, seen from behind the camera.
+    """Return the views side by side as they lie on the pupil, seen from behind the camera.
 
     Parameters
     ----------

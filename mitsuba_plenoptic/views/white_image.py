@@ -182,7 +182,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
 
 def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Scale a recorded white image to a radiance of 1, and refuse one that does not fill the view.
+    """Return a recorded white image scaled to a radiance of 1; refuse one that does not fill the view.
 
     Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
     wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
@@ -210,7 +210,7 @@ def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamer
 
 
 def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return the radiance of a recorded white for each channel: what it is to be divided by.
+    """Return the radiance of a recorded white image in each channel, by which the image is to be divided.
 
     It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
     main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between microlenses with
@@ -240,7 +240,7 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
 
 
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
-    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+    """Divide samples in place by the fraction of the pupil they see; set both to 0 where it is too small.
 
     So they do where a sample is not of one lens `alone`.
     """
@@ -257,7 +257,7 @@ def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
+    """Return the mean response of pixels to light of a lens on the axis, which computed white images leave out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
     # Importing this takes longer than most commands of a shell need in all.

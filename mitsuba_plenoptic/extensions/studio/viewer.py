@@ -60,7 +60,7 @@ class Recording:
 
 
 def _through(camera: PlenopticCamera) -> str:
-    """Describe a camera in a few words."""
+    """Return a camera's description in a few words."""
     columns, rows = camera.lens_count
     lattice = "" if camera.mla_lattice == "square" else f"{camera.mla_lattice} "
     lens = f"f/{camera.f_number:.3g}" if camera.lens_data.converges else camera.lens_data.label
@@ -256,7 +256,7 @@ def _recording(
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
-    """Leave out views until so few samples are left."""
+    """Return a light field with so few views that a limit of samples is kept."""
     count = most = min(lf.sizes["v"], lf.sizes["u"])
     each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     if lf.size <= samples:
