@@ -144,7 +144,7 @@ def require_whole(camera: CameraGeometry) -> None:
 def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
-    """Refuse a camera with a parameter that captures of a kind would ignore, `besides` some; `what` begins the rule."""
+    """Refuse a camera with parameters that captures of a kind would ignore, `besides` excepted."""
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
         if name not in besides and captures not in entry.known_to and value != entry.default:

@@ -19,7 +19,7 @@ COUNTS = 4, 1024
 
 
 def known_samples(name: str, value: Any) -> NDArray[np.float64]:
-    """Return samples (rows, columns) as `read_samples` does, of a limited count and with decimals that are short."""
+    """Return samples (rows, columns) from numbers or a file, of a limited count and rounded to short decimals."""
     # Single precision is enough for a path, and its decimals are short in files.
     samples = read_samples(name, value).astype(np.float32)
     low, high = COUNTS

@@ -65,7 +65,7 @@ def with_enough_nodes(
 
 
 def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
-    """Return the rows and columns that contain all light of some images, or all rows and columns without light."""
+    """Return the ranges of rows and columns that hold all light of images; the full ranges if there is no light."""
     lit = np.any([image.any(2) for image in images], axis=0)
     found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
     rows, columns = (slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(None) for some in found)

@@ -205,7 +205,7 @@ def _rows_with_edge(
 
 
 def _refuse_others(slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp]) -> None:
-    """Refuse other edges beside the rows of one that was found."""
+    """Refuse an image with further edges beside the rows of the edge that was found."""
     columns = np.arange(slope.shape[1])
     offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
     own = slope[index]

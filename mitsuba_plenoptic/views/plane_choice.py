@@ -93,7 +93,7 @@ class Disagreement:
 def disagreement(
     ratio: np.ndarray, whole: np.ndarray, samples: np.ndarray, brightness: np.ndarray, inverse: np.ndarray
 ) -> Disagreement:
-    """Judge how badly views agree by the brightness of bins: deviations that mean nothing make every ratio 1."""
+    """Return the disagreement of views; deviations too small for the brightness of bins count as noise."""
     bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)

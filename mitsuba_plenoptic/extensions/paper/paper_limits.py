@@ -53,7 +53,7 @@ class FocusedCamera:
 
 
 def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedCamera]:
-    """Return focused cameras like an unfocused one, from fine to coarse, and then the unfocused one itself.
+    """Return focused cameras derived from an unfocused camera, from fine to coarse, and the unfocused camera.
 
     They have its main lens, pixels and plane in focus. Their samples are the finest in that plane; in their range
     lenses are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.

@@ -196,7 +196,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
-    """Sort sources into light fields, planes from near to far as distance, image and method, and depth maps."""
+    """Return light fields, planes from near to far (distance, image and method), and depth maps among sources."""
     recordings: list[Recording] = []
     planes: list[tuple[float, np.ndarray, str]] = []
     depths: list[xr.Dataset] = []
