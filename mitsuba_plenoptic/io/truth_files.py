@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -159,24 +159,19 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
             for plane in parts[part].values():
                 refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
-        shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
+        to_world: np.ndarray = np.empty(0)
+        with contextlib.suppress(TypeError, ValueError):
+            to_world = np.array(attributes.get("to_world"), dtype=np.float64)
+        refuse_if(
+            to_world.shape != (4, 4) or not np.isfinite(to_world).all(),
+            f"to_world = {short_repr(attributes.get('to_world'))}: it must be 4 x 4 numbers",
+        )
+        shapes = attributes.get("shapes")
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
         pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
         views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
-
-
-def _matrix(value: Any) -> np.ndarray:
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    refuse_if(
-        matrix.shape != (4, 4) or not np.isfinite(matrix).all(),
-        f"to_world = {short_repr(value)}: it must be 4 x 4 numbers",
-    )
-    return matrix
 
 
 def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
