@@ -53,20 +53,45 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Whether a point at this offset from the centre, in the camera frame, is within it."""
+        """Return whether a point is within the aperture.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            Lattice with apertures of this shape.
+        dx : float or array
+            Offset of the point from the centre along x of the camera frame.
+        dy : float or array
+            Offset along y.
+        """
 
     @abc.abstractmethod
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to it; the result is an offset from the centre, in the camera frame."""
+        """Map a point of the unit square evenly to the aperture; return its offset from the centre in the camera frame.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            Lattice with apertures of this shape.
+        s : float or array
+            From 0 to 1.
+        t : float or array
+            From 0 to 1.
+        """
 
     @abc.abstractmethod
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
         """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
 
     def diffraction_width(self, lattice: Lattice) -> float:
-        r"""Return the width w for which the first zero of its diffraction lies at :math:`\lambda / w`.
+        r"""Return the width w for which the first zero of the aperture's diffraction lies at :math:`\lambda / w`.
 
-        That of the disc of its area.
+        By default this is the width of the disc whose area the aperture has.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            Lattice with apertures of this shape.
         """
         return math.sqrt(4 / math.pi * self.area(lattice)) / AIRY_ZERO
 

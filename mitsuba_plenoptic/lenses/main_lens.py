@@ -351,11 +351,18 @@ class Entrance:
 
 @dataclass(frozen=True, eq=False)
 class RoundMap:
-    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
+    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x.
 
-    # Distance of the last field from the axis, on the array; the first is 0.
+    Parameters
+    ----------
+    field : float
+        Distance of the last field from the axis, on the array; the first is at 0.
+    half : float
+        Largest coordinate of the nodes in the plane of the pupil, along x and y.
+    points : array
+        Corresponding point of each node, (fields, rows, columns, 2).
+    """
+
     field: float
-    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
     half: float
-    # Corresponding point of each node, (fields, rows, columns, 2).
     points: NDArray[np.float32]

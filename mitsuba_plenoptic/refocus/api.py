@@ -38,6 +38,7 @@ from .methods import (
     portion,
     require_distances,
     require_image_memory,
+    require_option,
     require_response,
     require_upright,
     require_wavelengths,
@@ -55,35 +56,26 @@ _LONG = 30.0
 """Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
 
 
+class ReconstructOptions(MethodOptions, total=False):
+    """Arguments of `reconstruct` beside capture and distance."""
+
+    method: str
+    camera: PlenopticCamera | None
+    wavelength: float | Sequence[float] | None
+    oversample: int
+    white: Capture | np.ndarray | None
+    progress: Callable[[int, int], None] | None
+    checkpoint: Checkpoint | None
+    batch_map: BatchMap | None
+
+
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: float,
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Unpack[MethodOptions],
+    capture: Capture | np.ndarray, distance: float, **options: Unpack[ReconstructOptions]
 ) -> Reconstruction: ...
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: Sequence[float],
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Unpack[MethodOptions],
+    capture: Capture | np.ndarray, distance: Sequence[float], **options: Unpack[ReconstructOptions]
 ) -> list[Reconstruction]: ...
 @functools.partial(suggest_keywords, gone={"partition": "interleave, which takes every K-th lens along both axes"})
 @one_at_a_time
@@ -205,7 +197,7 @@ def reconstruct(
         batch_map=batch_map,
     )
     white, wavelength = used["white"], used["wavelength"]
-    settings = {name: OPTIONS[name].checked(name, used[name], capture) for name in chosen.options}
+    settings = {name: require_option(name, used[name], camera) for name in chosen.options}
     if "response" in settings:
         settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)
@@ -261,7 +253,7 @@ def reconstruct(
         Reconstruction(
             image=made.image.reshape(*made.image.shape[:2], *capture.image.shape[2:]),
             distance=value,
-            bin_size=_bin_size(camera, value) / oversample,
+            bin_size=camera.bin_size(1.0 if math.isinf(value) else value) / oversample,
             method=method,
             camera=camera,
             options=settings,
@@ -310,7 +302,3 @@ def _side_by_side(parts: list[Any]) -> list[Found]:
         )
         for of_distance in zip(*found, strict=True)
     ]
-
-
-def _bin_size(camera: PlenopticCamera, distance: float) -> float:
-    return camera.bin_size(1.0 if math.isinf(distance) else distance)
