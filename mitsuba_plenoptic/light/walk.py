@@ -227,7 +227,7 @@ def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera
 
 
 def detector_rows(camera: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
-    """Yield some recorded rows at a time, with x and y of their pixels' centres in millimetres, as Dr.Jit arrays."""
+    """Yield slices of rows with x and y of the centres of their pixels in millimetres, as Dr.Jit arrays."""
     types = array_module()
     rows, columns = camera.shape
     x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
