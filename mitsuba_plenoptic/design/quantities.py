@@ -427,6 +427,8 @@ def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
 def white_mean(camera: PlenopticCamera) -> float:
     r"""Return the mean of an unbounded capture of a scene of uniform radiance 1.
 
+    The closed form takes no capture, so that sheets of a design have it at once.
+
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
     mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
     the lattice's cell.

@@ -129,6 +129,8 @@ _log = logging.getLogger(__name__)
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
     """Return the capture of a scene of uniform radiance 1 that a camera would record.
 
+    This is the one white capture by rays, of views and of all methods of reconstruction.
+
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
     pupil. Behind a real main lens rays are traced from the pixels.
@@ -201,7 +203,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 def recorded_white(
     white: Capture | np.ndarray, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera] = ()
 ) -> np.ndarray:
-    """Return the pixels of a recorded white image, (rows, columns, channels).
+    """Return the pixels of a recorded white image, (rows, columns, channels), which can be of the capture's camera.
+
+    Without a camera, or before views are sampled, a white image is checked but not yet scaled.
 
     Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras, `lens_model` aside, and
     an image of other pixels than `shape`, (rows, columns[, channels]), or of other channels than one or as many.
@@ -297,6 +301,8 @@ def scaled_white(
 
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
     """Divide samples in place by the fraction of the pupil they see; set both to 0 where it is too small.
+
+    Views keep this fraction as their weight, where a method of reconstruction divides sums over bins.
 
     So they do where a sample is not of one lens `alone`.
     """
