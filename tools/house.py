@@ -195,27 +195,21 @@ def function_gauges(trees: Trees) -> dict[str, Gauge]:
 
 
 def shown(root: Path) -> set[str]:
-    """Return the modules whose members the pages of the reference list, and the names that the package offers."""
+    """Return the modules, classes and functions that the pages of the reference show, by their full names."""
     pages = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
-    names = set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", pages, flags=re.MULTILINE))
-    for package in (root / PACKAGE).rglob("__init__.py"):
-        for node in ast.parse(package.read_text()).body:
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-                names |= set(ast.literal_eval(node.value))
-    return names
+    return set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", pages, flags=re.MULTILINE))
 
 
 def tested_internals(root: Path) -> list[str]:
-    """Return the internal names that tests import: of modules of which the reference does not list the members."""
-    public, names = shown(root), set()
+    """Return the names that tests import from elsewhere than the package and the modules that the reference shows."""
+    public, names = shown(root) | {f"{PACKAGE}.cli.main"}, set()
     for path in (root / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (module := node.module or "").split(".")[0] == PACKAGE:
-                names |= {
-                    f"{module}.{alias.name}"
-                    for alias in node.names
-                    if module not in public and alias.name not in public
-                }
+                full = {f"{module}.{alias.name}" for alias in node.names}
+                names |= set() if module in public else full - public
+            elif isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names if alias.name.startswith(f"{PACKAGE}.")} - public
     return sorted(names)
 
 

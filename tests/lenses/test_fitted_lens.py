@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from wave_cases import thin_as_real
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.accuracy import band_for

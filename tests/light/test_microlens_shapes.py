@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from wave_cases import HALF, error, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, calibrate, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    PlenopticCamera,
+    calibrate,
+    point_spread_function,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.microlens import Conic, Sampled, ZoneLens
-from mitsuba_plenoptic.points.point_spread import point_spread_function
 from mitsuba_plenoptic.prescription.glass import LINE_D
 from mitsuba_plenoptic.runtime.backend import array_module
 from tools.bench.cases.microlens_shapes import SHAPES, WAVELENGTH, X, Y, bumpy, path_of, propagated

@@ -7,8 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera, reconstruct, render_capture
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic import LensSystem, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.optics.spectrum import RGB_WAVELENGTHS
 
 SMALL = {"resolution": (64, 64), "detector_width": 0.128}

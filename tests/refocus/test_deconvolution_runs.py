@@ -10,6 +10,7 @@ from mitsuba_plenoptic import (
     Capture,
     CaptureOperator,
     Checkpoint,
+    Cluster,
     InputError,
     Objective,
     PlenopticCamera,
@@ -20,7 +21,7 @@ from mitsuba_plenoptic.refocus.deconvolution import response as response_module
 from mitsuba_plenoptic.refocus.deconvolution.response import Response
 from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.refocus.deconvolution.variation import MOST, Noise, TotalVariation
-from mitsuba_plenoptic.runtime.batches import Cluster, Threads
+from mitsuba_plenoptic.runtime.batches import Threads
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))

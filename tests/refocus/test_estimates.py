@@ -5,8 +5,9 @@ import re
 import pytest
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import estimate_reconstruction, reconstruct
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.refocus import api, estimate_reconstruction, reconstruct
+from mitsuba_plenoptic.refocus import api
 from mitsuba_plenoptic.runtime import limits, progress
 
 METHODS = [("ray", {}), ("coherent", {}), ("partial", {}), ("incoherent", {}), ("deconvolved", {"iterations": 3})]

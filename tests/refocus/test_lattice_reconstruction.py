@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
 
-from mitsuba_plenoptic import PlenopticCamera, reconstruct
-from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
 from mitsuba_plenoptic.refocus import lens_tiles
 from mitsuba_plenoptic.refocus.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens

@@ -9,10 +9,9 @@ import pytest
 import wave_cases
 from wave_cases import HALF, WAVELENGTH
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, write_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, point_spread_function, reconstruct, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
-from mitsuba_plenoptic.points.point_spread import point_spread_function
 from mitsuba_plenoptic.refocus import full_fields, planning
 from mitsuba_plenoptic.refocus.full_fields import BackwardFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_F
 from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
 

@@ -196,12 +196,17 @@ def test_clones_and_long_files(gauged):
 def test_internal_names_in_tests(gauged):
     found = gauged(
         {
-            "__init__.py": '__all__ = ["Shown"]\n',
-            "tests/test_a.py": "from mitsuba_plenoptic.a import _x, Shown, other\n",
-            "tests/test_b.py": "from mitsuba_plenoptic.a import other\n",
+            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n.. autoclass:: mitsuba_plenoptic.a.Class\n",
+            "tests/test_a.py": "from mitsuba_plenoptic import any\nfrom mitsuba_plenoptic.a import _x, Class, other\n",
+            "tests/test_b.py": "from mitsuba_plenoptic.a import other\nfrom mitsuba_plenoptic.shown import any\n",
+            "tests/test_c.py": "import mitsuba_plenoptic.b, mitsuba_plenoptic.shown\n",
         }
     )
-    assert found["internal names that tests import"] == ["mitsuba_plenoptic.a._x", "mitsuba_plenoptic.a.other"]
+    assert found["internal names that tests import"] == [
+        "mitsuba_plenoptic.a._x",
+        "mitsuba_plenoptic.a.other",
+        "mitsuba_plenoptic.b",
+    ]
 
 
 def test_words_of_pages(tmp_path):

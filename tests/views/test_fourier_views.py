@@ -5,17 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera, decode, view
 from mitsuba_plenoptic.design import parallax
 from mitsuba_plenoptic.views import (
     camera_of,
-    decode,
     depth_range,
     disparity,
     epipolar_image,
     refocus,
     shift_and_add,
-    view,
     view_mosaic,
 )
 

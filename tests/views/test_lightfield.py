@@ -12,11 +12,10 @@ from light_field_cases import PAPER, all_cameras, square_cameras
 from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, design, load_scene, render_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, design, load_scene, render_capture, view
 from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,
-    decode,
     depth_range,
     disparity,
     distance_of,
@@ -24,7 +23,6 @@ from mitsuba_plenoptic.views import (
     lens_grid,
     lens_mosaic,
     pick_views,
-    view,
     view_mosaic,
     white_image,
 )

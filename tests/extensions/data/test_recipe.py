@@ -12,8 +12,7 @@ import yaml
 from dataset_cases import small
 from scipy import stats
 
-from mitsuba_plenoptic import InputError, design
-from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic import InputError, PlenopticCamera, design
 from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
 from mitsuba_plenoptic.extensions.data.generators import Illumination, Shapes
 from mitsuba_plenoptic.extensions.data.recipe import draw, parse

@@ -16,8 +16,8 @@ import xarray as xr
 from foreign_files import write_matlab_7
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, write_capture
-from mitsuba_plenoptic.extensions.raw.exchange import (
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, view, write_capture
+from mitsuba_plenoptic.exchange import (
     open_light_field,
     read_lftoolbox,
     read_mosaic,
@@ -27,7 +27,7 @@ from mitsuba_plenoptic.extensions.raw.exchange import (
     write_mosaic,
 )
 from mitsuba_plenoptic.io.pictures import write_picture
-from mitsuba_plenoptic.views import LensGrid, camera_of, decode, depth_map, grid_of, refocus, view, white_image
+from mitsuba_plenoptic.views import LensGrid, camera_of, depth_map, grid_of, refocus, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.4, resolution=(128, 96), mla_pitch=0.05, aperture_radius=4)
 
