@@ -18,7 +18,7 @@ def gauged(tmp_path):
 
     def gauge(files):
         for name, text in ({"__init__.py": ""} | files).items():
-            path = tmp_path / ("" if name.startswith("tests/") else "mitsuba_plenoptic") / name
+            path = tmp_path / ("" if name.startswith(("tests/", "docs/")) else "mitsuba_plenoptic") / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
         return house.measure(tmp_path)
@@ -196,7 +196,8 @@ def test_clones_and_long_files(gauged):
 def test_internal_names_in_tests(gauged):
     found = gauged(
         {
-            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n.. autoclass:: mitsuba_plenoptic.a.Class\n",
+            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n",
+            "docs/reference/python/b.rst": ".. autoclass:: mitsuba_plenoptic.a.Class\n",
             "tests/test_a.py": "from mitsuba_plenoptic import any\nfrom mitsuba_plenoptic.a import _x, Class, other\n",
             "tests/test_b.py": "from mitsuba_plenoptic.a import other\nfrom mitsuba_plenoptic.shown import any\n",
             "tests/test_c.py": "import mitsuba_plenoptic.b, mitsuba_plenoptic.shown\n",
