@@ -202,7 +202,7 @@ def shown(root: Path) -> set[str]:
 
 def tested_internals(root: Path) -> list[str]:
     """Return the names that tests import from elsewhere than the package and the modules that the reference shows."""
-    public, names = shown(root) | {f"{PACKAGE}.cli.main"}, set()
+    public, names = shown(root) | {PACKAGE, f"{PACKAGE}.cli.main"}, set()
     for path in (root / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (module := node.module or "").split(".")[0] == PACKAGE:
