@@ -116,8 +116,8 @@ def point_tasks(camera: mp.PlenopticCamera) -> Tasks:
     change = {"mla_focal_length": 1.0, "detector_distance": 0.5}
     yield "forward", lambda: sums_of(camera).forward(weights)
     yield "adjoint", lambda: sums_of(camera).adjoint(image)
-    yield "jvp", lambda: sums_of(camera, accuracy=0.0).derivative(weights, change)
-    yield "vjp", lambda: sums_of(camera, accuracy=0.0).gradient(weights, image)
+    yield "jvp", lambda: sums_of(camera).derivative(weights, change)
+    yield "vjp", lambda: sums_of(camera).gradient(weights, image)
     yield "laser", lambda: mp.laser.coherent_capture(sums_of(camera, method="full_field"), weights, modes=1, seed=1)
 
 
@@ -169,7 +169,8 @@ def on_chip_tasks() -> Tasks:
     yield "wave capture", lambda: capture(ON_CHIP, "wave").image
     yield "table", lambda: capture(table, "ray").image
     yield "halves", lambda: np.asarray(mp.dual_pixel(capture(ON_CHIP, "ray")))
-    yield "bank", lambda: mp.psf_bank(ON_CHIP, [700.0], wavelength=WAVELENGTH).values
+    wider = ON_CHIP.replace(detector_width=0.0768, resolution=(64, 64))
+    yield "bank", lambda: mp.psf_bank(wider, [700.0]).values
 
 
 def laser_tasks() -> Tasks:
@@ -180,12 +181,19 @@ def laser_tasks() -> Tasks:
     wall = mi.ScalarTransform4f().translate([0, 0, 120]).rotate([0, 1, 0], 180).scale(20)
     scene = {
         "type": "scene",
-        "integrator": {"type": "plenoptic_laser", "lasers": "laser", "points_per_spot": 2.0, "wavelength": WAVELENGTH},
+        "integrator": {"type": "plenoptic_laser", "lasers": "laser", "points_per_spot": 2.0},
         "sensor": camera.to_sensor(),
         "wall": {"type": "rectangle", "to_world": wall, "bsdf": {"type": "diffuse"}},
         "laser": {"type": "point", "position": [0, 0, 20], "intensity": {"type": "spectrum", "value": 1e4}},
     }
-    yield "laser capture", lambda: mp.render_capture(mi.load_dict(scene, optimize=False), seed=1).image
+
+    def capture() -> Any:
+        mi.set_variant("llvm_ad_mono")
+        image = mp.render_capture(mi.load_dict(scene, optimize=False), seed=1).image
+        mi.set_variant("llvm_ad_rgb")
+        return image
+
+    yield "laser capture", capture
 
 
 def other_tasks() -> Tasks:
@@ -193,19 +201,19 @@ def other_tasks() -> Tasks:
     camera = camera_of("square", "thin")
     points = points_of(camera)
     design = mp.design
-    yield (
-        "full field",
-        lambda: mp.CaptureOperator(camera, points[:1], wavelength=WAVELENGTH, method="full_field").forward([1.0]),
-    )
+    whole = mp.CaptureOperator(camera, points[:1], wavelength=WAVELENGTH, method="full_field")
+    exact = mp.CaptureOperator(camera, points[:1], wavelength=WAVELENGTH, accuracy=0.0)
+    yield "full field", lambda: whole.forward([1.0])
+    yield "exact jvp", lambda: exact.derivative([1.0], {"detector_distance": 1.0})
+    yield "exact vjp", lambda: exact.gradient([1.0], whole.forward([1.0]))
     yield "point spread", lambda: mp.point_spread_function(camera, points[0], wavelength=WAVELENGTH)
     yield "f-numbers", lambda: np.array([design.image_f_number(camera), design.mla_f_number(camera)])
     yield "sizes", lambda: np.array([design.pixel_footprint(camera, 200.0), design.spot_radius(camera, 200.0)])
     yield "range", lambda: np.array(design.refocus_range(camera))
 
     def fitted() -> Any:
-        moved = camera.replace(mla_focal_length=0.52)
-        image = mp.CaptureOperator(moved, points, wavelength=WAVELENGTH, accuracy=0.0).forward(np.ones(len(points)))
-        seen = mp.fitting.View(image, points, np.ones(len(points)), noise=float(image.max()) / 100)
+        image = sums_of(camera.replace(mla_focal_length=0.52)).forward(np.ones(4))
+        seen = mp.fitting.View(image, points, np.ones(4), noise=float(image.max()) / 100)
         return np.array([mp.fit(camera, seen, ["mla_focal_length"], wavelength=WAVELENGTH).camera.mla_focal_length])
 
     yield "fit", fitted
