@@ -212,8 +212,8 @@ def other_tasks() -> Tasks:
     yield "range", lambda: np.array(design.refocus_range(camera))
 
     def fitted() -> Any:
-        image = sums_of(camera.replace(mla_focal_length=0.52)).forward(np.ones(4))
-        seen = mp.fitting.View(image, points, np.ones(4), noise=float(image.max()) / 100)
+        image = mp.point_spread_function(camera.replace(mla_focal_length=0.52), points[0], wavelength=WAVELENGTH)
+        seen = mp.fitting.View(image, points[:1], [1.0], noise=float(image.max()) / 100)
         return np.array([mp.fit(camera, seen, ["mla_focal_length"], wavelength=WAVELENGTH).camera.mla_focal_length])
 
     yield "fit", fitted
