@@ -23,7 +23,7 @@ from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.refocus import radiance
 from mitsuba_plenoptic.runtime import backend as _backend
-from tools.bench.cases.speed_steps import gpu
+from tools.bench.cases.speed_reconstructions import gpu
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")

@@ -15,7 +15,7 @@ from mitsuba_plenoptic.views.lens_grid import lens_grid
 from mitsuba_plenoptic.views.refocusing import shift_and_add
 from tools.bench import registry, tables
 from tools.bench.cases import peers
-from tools.bench.cases.peers_cameras import published_decode, published_refocus
+from tools.bench.cases.peers import published_decode, published_refocus
 from tools.bench.measures import relative
 from tools.bench.timing import Timing
 
