@@ -8,7 +8,7 @@ import tifffile
 from foreign_files import lytro_metadata, write_lytro, write_lytro_white
 
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture
-from mitsuba_plenoptic.extensions.raw.lytro_file import read_lytro
+from mitsuba_plenoptic.exchange import read_lytro
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.light.detector import filters
 from mitsuba_plenoptic.views import white_image

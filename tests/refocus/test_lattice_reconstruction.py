@@ -12,7 +12,7 @@ from mitsuba_plenoptic.refocus.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.radiance import over_lenses
 from mitsuba_plenoptic.refocus.wave_methods import white_throughput
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 SMALL = small_camera(12, **HALF)
 SCATTERED = scattered(5, distances=(112.5, 127.5), image=0.4)

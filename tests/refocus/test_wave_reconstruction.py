@@ -17,7 +17,7 @@ from mitsuba_plenoptic.refocus.full_fields import BackwardFields, lit_window, re
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.planning import plan
 from mitsuba_plenoptic.refocus.ray import white_sums
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
