@@ -195,13 +195,17 @@ def function_gauges(trees: Trees) -> dict[str, Gauge]:
 
 
 def shown(root: Path) -> set[str]:
-    """Return the modules, classes and functions that the pages of the reference show, by their full names."""
-    pages = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
-    return set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", pages, flags=re.MULTILINE))
+    """Return the full names of what the reference shows, and of what the code on pages imports."""
+    reference = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
+    names = set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", reference, flags=re.MULTILINE))
+    for page in (root / "docs").rglob("*.md"):
+        for module, imported in re.findall(rf"from ({PACKAGE}[\w.]*) import ([\w, ]+)", page.read_text()):
+            names |= {f"{module}.{name.strip()}" for name in imported.split(",")}
+    return names
 
 
 def tested_internals(root: Path) -> list[str]:
-    """Return the names that tests import from elsewhere than the package and the modules that the reference shows."""
+    """Return the names that tests import though neither the reference nor the code on pages shows them or their module."""
     public, names = shown(root) | {PACKAGE, f"{PACKAGE}.cli.main"}, set()
     for path in (root / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -198,15 +198,18 @@ def test_internal_names_in_tests(gauged):
         {
             "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n",
             "docs/reference/python/b.rst": ".. autoclass:: mitsuba_plenoptic.a.Class\n",
+            "docs/a.md": "```py\nfrom mitsuba_plenoptic.c import page, code\n```\n",
             "tests/test_a.py": "from mitsuba_plenoptic import any\nfrom mitsuba_plenoptic.a import _x, Class, other\n",
             "tests/test_b.py": "from mitsuba_plenoptic.a import other\nfrom mitsuba_plenoptic.shown import any\n",
             "tests/test_c.py": "import mitsuba_plenoptic.b, mitsuba_plenoptic.shown\n",
+            "tests/test_d.py": "from mitsuba_plenoptic.c import code, hidden\n",
         }
     )
     assert found["internal names that tests import"] == [
         "mitsuba_plenoptic.a._x",
         "mitsuba_plenoptic.a.other",
         "mitsuba_plenoptic.b",
+        "mitsuba_plenoptic.c.hidden",
     ]
 
 
