@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import mitsuba_plenoptic
-from mitsuba_plenoptic.extension import GROUP, Extension, installed
+from mitsuba_plenoptic.extension import Extension, installed
 
 PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 FOLDER = PACKAGE / "extensions"
@@ -198,7 +198,7 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     info = tmp_path / "site" / "dust-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: dust\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{GROUP}]\ndust = dust\n")
+    (info / "entry_points.txt").write_text("[mitsuba_plenoptic.extensions]\ndust = dust\n")
     code = """
     import mitsuba as mi
     import numpy as np

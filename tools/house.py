@@ -205,7 +205,7 @@ def shown(root: Path) -> set[str]:
 
 
 def tested_internals(root: Path) -> list[str]:
-    """Return the names that tests import though neither the reference nor the code on pages shows them or their module."""
+    """Return the names that tests import and that neither the reference nor the code on pages shows."""
     public, names = shown(root) | {PACKAGE, f"{PACKAGE}.cli.main"}, set()
     for path in (root / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

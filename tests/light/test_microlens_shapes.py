@@ -18,9 +18,11 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.microlens import Conic, Sampled, ZoneLens
-from mitsuba_plenoptic.prescription.glass import LINE_D
 from mitsuba_plenoptic.runtime.backend import array_module
 from tools.bench.cases.arrays import GREEN, SHAPES, X, Y, bumpy, path_of, propagated
+
+LINE_D = 587.5618
+"""Helium's yellow line, in nanometres."""
 
 shapes = pytest.mark.parametrize("name", SHAPES)
 
