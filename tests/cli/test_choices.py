@@ -4,8 +4,8 @@ import inspect
 
 import pytest
 
-from mitsuba_plenoptic import expose
 from mitsuba_plenoptic.cli import COMMANDS, choices
+from mitsuba_plenoptic.cli.render_command import expose
 from mitsuba_plenoptic.io import captures, examples
 from mitsuba_plenoptic.io import truth_files as ground_truth
 from mitsuba_plenoptic.light import detector, scene_unit

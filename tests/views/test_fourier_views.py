@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera, decode, view
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.design import parallax
 from mitsuba_plenoptic.views import (
     camera_of,
@@ -14,6 +14,7 @@ from mitsuba_plenoptic.views import (
     epipolar_image,
     refocus,
     shift_and_add,
+    view,
     view_mosaic,
 )
 

@@ -12,7 +12,7 @@ from light_field_cases import PAPER, all_cameras, square_cameras
 from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, design, load_scene, render_capture, view
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, design, load_scene, render_capture
 from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,
@@ -23,6 +23,7 @@ from mitsuba_plenoptic.views import (
     lens_grid,
     lens_mosaic,
     pick_views,
+    view,
     view_mosaic,
     white_image,
 )

@@ -23,11 +23,11 @@ from mitsuba_plenoptic import (
     view,
     with_camera,
 )
-from mitsuba_plenoptic import view as one_view
 from mitsuba_plenoptic.extensions.studio import viewer
 from mitsuba_plenoptic.extensions.studio.viewer import Recording
 from mitsuba_plenoptic.report.images import encode, to_bytes
 from mitsuba_plenoptic.views import depth_map, focal_stack, shift_and_add
+from mitsuba_plenoptic.views import view as one_view
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
 
