@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import json
 import os
 import re
@@ -15,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
+from ..refocus_options import with_parameters
 from .inputs import EXPERT
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
@@ -146,15 +146,7 @@ def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, 
         if save_run is not None:
             add_step(save_run, _step_of(context, save_run.parent), parameters_of(commands()))
 
-    given = inspect.signature(function, eval_str=True)
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    added = [
-        inspect.Parameter("save_run", keyword, default=None, annotation=SaveRun),
-        inspect.Parameter("context", keyword, annotation=typer.Context),
-    ]
-    command.__signature__ = given.replace(parameters=[*given.parameters.values(), *added])  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in (*given.parameters.values(), *added)}
-    return command
+    return with_parameters(command, {"save_run": SaveRun, "context": typer.Context})
 
 
 def _step_of(context: Any, folder: Path) -> RunStep:

@@ -84,7 +84,7 @@ class ArrayKernels(LensWaves):
 
     @property
     def by_points(self) -> bool:
-        """Whether each ray lands by its own point of the lens, and not by the lens's centre.
+        """Whether a ray lands by its point of the lens instead of the lens's centre.
 
         Far from the microlenses' focus a few functions do not suffice for the difference. The spread by the pupil is
         then taken as that of the whole pupil for all of its points.
@@ -160,7 +160,7 @@ class ArrayKernels(LensWaves):
         return np.asarray(np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected))
 
     def _cosines(self) -> NDArray[np.float64]:
-        """Return the direction cosines (n, 2) on the array, in its frame, of light from the pupil to the detector."""
+        """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""
         camera = self.camera
         field = np.linspace(-0.5, 0.5, _FIELD) if camera.lens_data.converges else np.zeros(1)
         pupil = np.linspace(-1, 1, _PUPIL) * camera.pupil_radius
@@ -181,7 +181,7 @@ class ArrayKernels(LensWaves):
         cosines: tuple[float, float] = (0.0, 0.0),
         samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.float64]:
-        """Return the spectra (n, values) of a kind's kernels of combinations of polynomials, as pixels record them."""
+        """Return spectra (n, values) of kernels for combinations of polynomials of one kind, as pixels record them."""
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / samples
         farthest = min(2 * samples, int(scale / (2 * self.camera.pixel_size * fine)))
@@ -259,7 +259,7 @@ class ArrayKernels(LensWaves):
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
-        """Return `kernels` with a given sampling, even if another one would suit them better."""
+        """Return `kernels` with a given sampling, also where another sampling would suit better."""
         every, farthest, count = samples
         functions, oblique = self.functions, self.oblique
         transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)

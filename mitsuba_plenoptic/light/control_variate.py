@@ -6,6 +6,7 @@ corrected by the mean of the other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -15,17 +16,20 @@ from ..lenses.main_lens import Pair
 
 
 def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return, for each value of the radiance, the means over the rays of even and over those of odd indices.
+    """Return, for each value of the radiance, its means over rays of even indices and of odd indices.
 
     Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
     """
     (counts, *sums), lit = halves(seen, radiance, count, spp)
-    means = [
-        tuple(dr.select(number > 0, total / number, 0) for total, number in zip(pair, counts, strict=True))
-        for pair in sums
-    ]
+    means = [means_of(pair, counts) for pair in sums]
     dr.eval(means, lit)
     return means, lit
+
+
+def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
+    """Return the means over each half of the rays from their sums and counts; 0 where there is no ray."""
+    first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
+    return first, second
 
 
 def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:

@@ -67,7 +67,7 @@ class LensWaves:
         return 1 / kind.distance + own - 1 / kind.focal_length
 
     def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves without that of the parabola by which rays land."""
+        """Return the phase of a lens in waves, less the phase of the parabola by which rays land."""
         shape = self.camera.mla_shape
         assert shape is not None
         ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]

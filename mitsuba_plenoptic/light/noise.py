@@ -68,7 +68,7 @@ def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
 
 
 class Mended:
-    """An image whose negative values, which are due to noise, are compensated by the light around them.
+    """Image in which the light around negative values, which are noise, compensates them.
 
     Clipping them to zero would brighten the image, and the more so the fewer samples there are. Squares of 2 x 2
     pixels, squares of 2 x 2 of these, and so on up to the whole image keep their sums instead. A square whose sum is
@@ -97,7 +97,7 @@ class Mended:
         return (light * self._spread(self._kept) + self._light * self._spread(kept)).astype(change.dtype)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to a gradient."""
         if self._squares is None:
             return np.where(self._positive, gradient, 0)
         squares = self._over_sum(_sums(gradient * self._light))

@@ -155,7 +155,7 @@ def render_capture(
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's plenoptic sensor by its index, or the given one; refuse a scene of another variant."""
+    """Return a scene's plenoptic sensor by its index, or a given sensor; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -176,7 +176,7 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
-    """Return whether the model, or that of the scene's integrator if it is None, is the wave model."""
+    """Return whether a capture is by waves: as `model` states, or as the scene's integrator does if it is None."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
 
 
@@ -216,7 +216,7 @@ def require_wave_film(film: Any) -> None:
 
 
 def sample_count(sensor: Any, spp: int | None) -> int:
-    """Return the requested sample count, or that of the sensor's sampler if it is None."""
+    """Return the requested number of samples, or the number of the sensor's sampler if it is None."""
     return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
 
 
@@ -367,7 +367,7 @@ def estimate_capture(
 
 
 def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Time rays of rows of pixels that are evenly spaced on the detector, in the order in which Mitsuba traces them."""
+    """Return rays per second, timed with evenly spaced rows of pixels in the order in which Mitsuba traces them."""
     rows, columns = shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))

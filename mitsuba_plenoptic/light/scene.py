@@ -91,7 +91,7 @@ def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
 
 
 def names_in(element: Element) -> set[str]:
-    """Return the names of the parameters to which an element's own attributes refer."""
+    """Return the names of scene parameters that an element's attributes refer to."""
     return {name for text in element.attrib.values() for name in re.findall(r"\$(\w+)", text)}
 
 
@@ -154,7 +154,7 @@ def _refuse_native_code(path: Path, folder: Path) -> None:
 
 
 def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a file that may never end, or whose header claims more data than it has or memory allows."""
+    """Refuse a file that may never end, or whose header claims more data than exist or fit into memory."""
     status = file.stat()
     refuse_if(
         not stat.S_ISREG(status.st_mode),
@@ -345,7 +345,7 @@ def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[
 
 
 def _find(scene: str | Path) -> Path:
-    """Return the file of a scene that is given by a path or a built-in name."""
+    """Return the file of a scene, given by a path or a built-in name."""
     text = str(scene)
     if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).is_file():
         return scene_path(text)
@@ -354,7 +354,7 @@ def _find(scene: str | Path) -> Path:
 
 @contextlib.contextmanager
 def loading(what: str = "") -> Iterator[None]:
-    """Raise an `InputError` with the cause, and the line in the file, for what Mitsuba refuses to load."""
+    """Turn Mitsuba's refusal to load a scene into an `InputError` with the cause and the line of the file."""
     try:
         yield
     except InputError:

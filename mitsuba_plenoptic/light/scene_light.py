@@ -104,13 +104,13 @@ def refuse_negative(lack: float, light: float) -> None:
 
 @dataclass(frozen=True)
 class LightDerivatives(SceneLight):
-    """Derivatives of the radiance along rays; calling it returns the derivatives along the parameters' tangents."""
+    """Derivatives of the radiance along rays; a call returns them along the parameters' tangents."""
 
     is_radiance: ClassVar[bool] = False
 
     @classmethod
     def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:
-        """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate so."""
+        """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate."""
         integrator = _differentiable(light.integrator)
         name = type(integrator).__name__
         if forward and (name == _REVERSE_ONLY or mi.is_spectral):
@@ -158,7 +158,7 @@ class Replay:
     state: Any
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
-        """Replay the light paths; in forward mode, return the change of their radiance."""
+        """Replay the light paths; return the change of their radiance in forward mode."""
         try:
             change, *_ = self.integrator.sample(
                 mode=mode,
@@ -187,7 +187,7 @@ def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
 
 
 def _differentiable(integrator: Any) -> Any:
-    """Return an integrator that differentiates the radiance found by the given one."""
+    """Return an integrator that differentiates the radiance of a given integrator."""
     if mi.is_polarized:
         raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):

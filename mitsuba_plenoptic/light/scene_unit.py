@@ -28,7 +28,7 @@ _LENGTHS = {"near_clip": 1e-2, "far_clip": 1e4, "focus_distance": None, "apertur
 
 
 def require_unit(unit: str) -> float:
-    """Return the millimetres in a unit."""
+    """Return the number of millimetres in a unit."""
     return UNITS[require_choice("unit", unit, UNITS)]
 
 

@@ -98,7 +98,7 @@ class SignedCapture:
         return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Capture the scene.
+        """Return the capture of the scene.
 
         The result has the shape (rows, columns, channels).
         """

@@ -139,7 +139,7 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
-    """Multiply a field just before the array by the transmission of the microlenses, in its own memory."""
+    """Multiply a field just before the array in place by the transmission of the microlenses."""
     if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
         samples *= _irregular(system, grids)
     else:
@@ -233,7 +233,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """A batch of a single point."""
+    """One point, as a batch."""
 
     system: OpticalSystem
     position: NDArray[np.float64]
@@ -246,7 +246,7 @@ class _FullField:
         return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
-        """Compute the whole batch."""
+        """Return a function that computes the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
         part = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
@@ -280,7 +280,7 @@ class FullFieldPlan:
 
     @property
     def box(self) -> Box:
-        """The recorded pixels."""
+        """Box of the recorded pixels."""
         return recorded_pixels(self._camera)
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:

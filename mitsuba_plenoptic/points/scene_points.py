@@ -165,7 +165,7 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Trace the rays of the given indices.
+        """Return the points at which traced rays of the given indices meet the scene.
 
         Return the positions, radiance, slants, visible pupil cells as bits, and lenses of the lit points that rays
         hit, and the lenses of all rays that pass the main lens.
@@ -238,7 +238,7 @@ class _Finder:
 def _landing(
     system: OpticalSystem, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
 ) -> NDArray[np.float64]:
-    """Return for each point the fraction f of its light to the visible pupil that lands in a window's lenses."""
+    """Return the fraction of each point's light through the visible pupil that lands in the lenses of a window."""
     fraction = np.ones(len(positions))
     if not len(positions):
         return fraction
@@ -280,7 +280,7 @@ class PointsCapture:
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Capture the scene.
+        """Return the capture of the scene.
 
         The result has the shape (rows, columns, channels).
         """

@@ -8,7 +8,7 @@ from . import ray, wave_methods, incoherent, deconvolved  # noqa: F401, I001
 from ..extension import register
 from .api import reconstruct
 from .estimates import estimate_reconstruction
-from .methods import FOOTPRINTS, RESPONSES
+from ..refocus_options import FOOTPRINTS, RESPONSES
 from .differentiable import RayRefocus
 from .differentiable import CoherentRefocus
 from .differentiable_steps import DeconvolvedRefocus

@@ -16,12 +16,12 @@ from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..optics import guards
 from ..prescription.lens_data import image_distance
+from ..refocus_options import FOOTPRINTS
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
 from .full_fields import BackwardFields
 from .lens_tiles import fine_bins
-from .methods import FOOTPRINTS
 from .passages import BinSums
 from .planning import plan, require_feasible
 from .radiance import LensSpread, divisors, is_reached, lens_scale
@@ -73,7 +73,7 @@ class RayRefocus:
         return self._factor.shape
 
     def forward(self, capture: Any) -> np.ndarray:
-        """Refocus a capture.
+        """Return the refocused capture.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class RayRefocus:
         return made[..., 0] if np.ndim(capture) == 2 else made
 
     def adjoint(self, bins: Any) -> np.ndarray:
-        """Apply the transpose of `forward`.
+        """Return the transpose of `forward`, applied to bins.
 
         Parameters
         ----------
@@ -116,16 +116,16 @@ class RayRefocus:
 
 
 class _RefocusOp(dr.CustomOp):
-    """One use of a refocus by Dr.Jit."""
+    """One use of a refocus as an operation of Dr.Jit."""
 
     def eval(self, capture: Any, refocus: RayRefocus | CoherentRefocus) -> Any:
-        """Refocus."""
+        """Return the refocused capture."""
         image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
         self._kind = type(capture)
         return drjit_array(self._kind, image)
 
     def forward(self) -> None:
-        """Refocus the change of the capture."""
+        """Set the change of the image from the change of the capture."""
         self.set_grad_out(drjit_array(self._kind, self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
@@ -133,7 +133,7 @@ class _RefocusOp(dr.CustomOp):
         self.set_grad_in("capture", drjit_array(self._kind, self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
-        """Return what Dr.Jit calls it."""
+        """Return the name of the operation for Dr.Jit."""
         return "refocusing"
 
 
@@ -208,7 +208,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def forward(self, capture: Any) -> NDArray[np.float32]:
-        """Refocus a capture.
+        """Return the refocused capture.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def derivative(self, capture: Any, change: Any) -> NDArray[np.float32]:
-        """Differentiate `forward` at a capture, in the direction of a change of it.
+        """Return the derivative of `forward` at a capture, in the direction of a change of the capture.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Apply the transpose of `derivative`: propagate a gradient from the image to the capture.
+        """Return the gradient by the capture from a gradient by the image, the transpose of `derivative`.
 
         Parameters
         ----------
@@ -257,7 +257,7 @@ class CoherentRefocus:
         return self.at(capture).vjp(image_gradient)
 
     def at(self, capture: Any) -> CoherentImage:
-        """Refocus a capture, and keep what its derivatives need."""
+        """Return the refocused capture with the data for its derivatives."""
         return CoherentImage(self, capture)
 
     def __call__(self, capture: Any) -> Any:
@@ -270,7 +270,7 @@ class CoherentRefocus:
 
 
 class _BinnedPower:
-    """The power in bins that a capture of no negative pixels gives, and its derivatives there.
+    """Power in bins from a capture without negative pixels, with its derivatives at this capture.
 
     With the field u at the directions of the object plane, and its change du, a bin changes by the sum of 2 Re(u* du)
     over it. Where a pixel is zero the square root has no derivative, and 0 is taken.
@@ -302,7 +302,7 @@ class _BinnedPower:
         return found, passed
 
     def jvp(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the bins with that of the capture."""
+        """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
         power: Any = sum(2 * (field.conj() * other).real for field, other in zip(self._at, moved, strict=True))
         bins = backend().to_host(self._sums.jvp(power))
@@ -318,7 +318,7 @@ class _BinnedPower:
 
 
 class CoherentImage:
-    """A refocused capture, and its derivatives there; see `CoherentRefocus`."""
+    """A refocused capture, with its derivatives; see `CoherentRefocus`."""
 
     def __init__(self, refocus: CoherentRefocus, capture: Any) -> None:
         pixels = as_channels(as_array("capture", capture), refocus.camera.shape, "capture")

@@ -31,7 +31,7 @@ from .differentiable import as_channels
 
 
 class DeconvolvedRefocus:
-    """Deconvolve captures of one camera at one distance by a given count of steps, with derivatives by the pixels.
+    """Deconvolution of captures of one camera and distance by a fixed number of steps, with derivatives by pixels.
 
     The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The response of the
     camera is computed once. The image is no linear function of the capture.
@@ -84,7 +84,7 @@ class DeconvolvedRefocus:
 
     @one_at_a_time
     def forward(self, capture: Any) -> NDArray[np.float32]:
-        """Deconvolve a capture.
+        """Return the deconvolved capture.
 
         Parameters
         ----------
@@ -104,13 +104,13 @@ class DeconvolvedRefocus:
         return self.at(capture).image
 
     def at(self, capture: Any) -> DeconvolvedImage:
-        """Deconvolve a capture, and keep what its derivatives need."""
+        """Return the deconvolved capture with the data for its derivatives."""
         return DeconvolvedImage(self, capture)
 
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """A step that has been made: from these bins, with this image of theirs and this adjoint of the ratio."""
+    """A finished step: its bins, the image of these bins, and the adjoint of the ratio."""
 
     point: NDArray[np.float32]
     model: NDArray[np.float32]
@@ -134,7 +134,7 @@ class _Channel:
         self.bins = values[0]
 
     def jvp(self, change: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the change of the bins with that of the capture."""
+        """Return the change of the bins for a change of the capture."""
         step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
         lit, known = self._image > 0, self._image + self._step.shift > 0
         light = float(change[lit].sum(dtype=np.float64))
@@ -169,7 +169,7 @@ class _Channel:
 
 
 class DeconvolvedImage:
-    """A deconvolved capture, and its derivatives there; see `DeconvolvedRefocus`."""
+    """A deconvolved capture, with its derivatives; see `DeconvolvedRefocus`."""
 
     def __init__(self, refocus: DeconvolvedRefocus, capture: Any) -> None:
         pixels = as_channels(as_array("capture", capture), refocus.camera.shape, "capture")
@@ -183,7 +183,7 @@ class DeconvolvedImage:
         self.image = self._visible([each.bins for each in self._channels])
 
     def jvp(self, change: Any) -> NDArray[np.float32]:
-        """Return the change of the image with that of the capture."""
+        """Return the change of the image for a change of the capture."""
         given = np.asarray(as_channels(as_array("change", change), self._refocus.camera.shape, "change"), np.float32)
         return self._visible([made.jvp(given[..., k]) for k, made in enumerate(self._channels)])
 

@@ -245,7 +245,7 @@ class BackwardFields:
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
 
     def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
-        """Take the light of a strip to the MLA, that of all lenses or of a subset.
+        """Return the field on the MLA from a strip of the detector, from all lenses or from a subset.
 
         Light that strays to a cell from another lens's pixels is deflected by a micro-image and misses the main lens.
         So the light of all lenses may propagate to the MLA at once, and a subset is the light that passes its lenses.
@@ -260,7 +260,7 @@ class BackwardFields:
         return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
 
     def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
-        """Repeat pixels sample by sample."""
+        """Yield pixels repeated at each sample, in blocks of rows."""
         arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
         together = max(1, self._workspace.block // n)
         for rows in self._workspace.runs(len(amplitude), together):
@@ -289,7 +289,7 @@ class BackwardFields:
 
 
 class _Pupil:
-    """The samples of a round pupil, line by line along y, with those at its edge, which pass in part."""
+    """Samples of a round pupil, line by line along y, with fractions for samples on the edge."""
 
     def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
         arrays = backend().arrays
@@ -351,7 +351,7 @@ def converging(
     interleave: int = 1,
     subset: tuple[int, int] | None = None,
 ) -> ThinElement:
-    """Return what lets light on the detector converge to the centres of all lenses, or of those of a subset only."""
+    """Return the element that makes light on the detector converge to the centres of all lenses, or of a subset."""
     b, z = camera.mla_distance, camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
@@ -372,7 +372,7 @@ def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, flo
 
 
 def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
-    """Darken what belongs to lenses, by their indices, that are not of the subset."""
+    """Return light with the contributions of lenses outside the subset set to 0."""
     period = dr.opaque(type(index[0]), interleave)
     mine = [
         i - period * dr.floor((i + 0.5) / period) == dr.opaque(type(i), remainder)

@@ -66,7 +66,7 @@ class LensBatch:
 
 
 class LensSet:
-    """The lenses that any recorded pixel belongs to, and some around them.
+    """Lenses that any recorded pixel belongs to, and some lenses around them.
 
     `first` are the first column and row of bins in which a lens lies, counted from the axis, and `bins` the columns and
     rows from there to the last.
@@ -179,13 +179,13 @@ class _DetectorSamples:
 
 
 def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
-    """Return what shifts spectra along an axis from each lens's first pixel sample to the first one of its cell."""
+    """Return the factor that shifts spectra along an axis from a lens's first pixel to the start of its cell."""
     way = centre + tile.cell[0] - first
     return phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch)))
 
 
 def _tilt(centre: np.ndarray, tile: LensTile) -> Field:
-    """Return what takes out, along an axis, the direction from lenses to the main lens's centre, and its curvature."""
+    """Return the factor that removes, along an axis, the direction to the main lens's centre, and its curvature."""
     wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
     return phasor((centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path)
 
@@ -267,14 +267,14 @@ def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, rel
 
 
 def _product(fields: Field, matrix: Field) -> Field:
-    """Multiply a matrix (p, i) with fields (n, i, j) over i, and turn them: (n, j, p)."""
+    """Return the product of a matrix (p, i) with fields (n, i, j) over i, transposed: (n, j, p)."""
     return backend().arrays.tensordot(fields, matrix, (1, 1))
 
 
 def object_patches(
     fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
 ) -> np.ndarray:
-    """Return the power of each lens in the bins around its own, upright; float32 (n, bins, bins)."""
+    """Return the power of each lens in the bins around the lens's bin, upright; float32 (n, bins, bins)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
     count, size = tile.pupil.size, tile.object_samples

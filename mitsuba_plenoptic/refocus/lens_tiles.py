@@ -72,7 +72,7 @@ class LensTile:
 
     @cached_property
     def subsamples(self) -> int:
-        """Samples across a pixel."""
+        """Number of samples across a pixel."""
         return field_subsamples(self.camera, self.wavelength)
 
     @cached_property
@@ -95,7 +95,7 @@ class LensTile:
 
     @property
     def cell_samples(self) -> int:
-        """Samples across an aperture."""
+        """Number of samples across an aperture."""
         return math.ceil(self.lens_width / self.pitch - 1e-6)
 
     @cached_property
@@ -136,7 +136,7 @@ class LensTile:
 
     @property
     def object_samples(self) -> int:
-        """Object samples across the patch."""
+        """Number of object samples across the patch."""
         return self.lenses * self.samples
 
     @cached_property
@@ -158,7 +158,7 @@ class LensTile:
 
     @property
     def pupil_pitch(self) -> float:
-        """Distance of pupil samples: the object patch is one period."""
+        """Distance of pupil samples, for which the object patch is one period."""
         return in_millimetres(self.wavelength) * self.camera.mla_distance / (self.lenses * self.camera.mla_pitch)
 
     @cached_property
@@ -169,7 +169,7 @@ class LensTile:
 
     @property
     def pupil_samples(self) -> int:
-        """Samples across the pupil."""
+        """Number of samples across the pupil."""
         return min(self.object_samples, 2 * math.ceil(self.camera.aperture_radius / self.pupil_pitch) + 1)
 
     @cached_property
@@ -205,7 +205,7 @@ class LensTile:
 
     @property
     def batch(self) -> int:
-        """Lenses that are transformed together."""
+        """Number of lenses that are transformed together."""
         samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
         return max(1, samples // max(self.object_samples, self.padded) ** 2)
 

@@ -44,6 +44,7 @@ from scipy.ndimage import map_coordinates
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import refuse_if
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import in_millimetres, soft_edge
 from ..runtime.fft import blur, convolve
@@ -57,7 +58,7 @@ _LEAST_SAMPLES = 512
 
 
 class PupilCentroid:
-    """The centroid in the pupil of the light that a pixel receives, given the diffraction of its microlens."""
+    """Centroid in the pupil of the light of a pixel, given the diffraction by its microlens."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         window = _PLANE * camera.aperture_radius
@@ -114,7 +115,7 @@ _results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] 
 
 
 def once_a_camera(function: _F) -> _F:
-    """Remember what a function returns of a camera for as long as the camera lives."""
+    """Cache a function's result for a camera as long as the camera lives; a decorator."""
 
     @functools.wraps(function)
     def known(camera: PlenopticCamera, *given: Any) -> Any:
@@ -138,7 +139,7 @@ def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]
 
     Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
     """
-    at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
+    at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
     farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
     return _SLOPE / farthest, farthest, of_pupil
@@ -177,7 +178,7 @@ def _places(
         p = px, down[first : first + height, None]
         cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
         found = [
-            np.broadcast_arrays(*rays.follow_back(q, c, c, distance, camera))
+            np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
             for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
         ]
         P = np.broadcast_arrays(found[0][0], found[1][0])
@@ -206,7 +207,7 @@ def displacements(
 def brought_back(
     image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
 ) -> NDArray[np.float64]:
-    """Draw an image back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
+    """Return an image drawn back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
     known = np.isfinite(image)
     values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
     rows, columns = image.shape[:2]
@@ -245,7 +246,7 @@ _LEAST_WHITE = 0.25
 
 
 def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
-    """Yield what a method has to sum over bins, (rows, columns, channels), with the distances and the progress of it.
+    """Yield the images that a method sums over bins, (rows, columns, channels), with their distances and progress.
 
     That is the capture and, where there is one, the white capture; where displacements are known, too, for every
     distance two that are made of it.
@@ -265,7 +266,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 def to_radiance(
     task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Divide the sums of a capture over bins by those of white; NaN where no light can come from.
+    """Return sums of a capture over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
     ----------
@@ -298,14 +299,14 @@ def to_radiance(
 
 
 def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.ndarray:
-    """Divide the bins that are reached; the others are NaN."""
+    """Return the reached bins divided by the divisor, NaN elsewhere."""
     image = np.full(total.shape, np.nan, np.float32)
     np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
     return image
 
 
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return by what the sums over bins of a plane are divided, and which bins are."""
+    """Return the divisors of a plane's sums over bins, and a mask of the bins that are divided."""
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
@@ -317,7 +318,7 @@ def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: 
 
 
 def is_reached(rays: np.ndarray) -> np.ndarray:
-    """Return which bins get enough of the rays of white, (rows, columns), to be divided by what they get."""
+    """Return a mask (rows, columns) of bins with enough rays of white for a division."""
     return np.asarray((rays >= _LEAST_REACHED * rays.max()) & (rays > 0))
 
 
@@ -346,7 +347,7 @@ class LensSpread:
         return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
     def vjp(self, bins: np.ndarray) -> np.ndarray:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to bins."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
         whole = convolve(fine, self._aperture[::-1, ::-1])
         rows, columns = (k - 1 - (k - 1) // 2 for k in self._aperture.shape)
@@ -356,5 +357,5 @@ class LensSpread:
 def over_lenses(
     power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
 ) -> np.ndarray:
-    """Spread fine bins over lenses; the rounding of the transform below zero is not light."""
+    """Return fine bins spread over lenses, without negative rounding errors of the transform."""
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)

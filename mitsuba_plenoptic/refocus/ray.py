@@ -21,6 +21,7 @@ from scipy.sparse import csr_matrix
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
+from ..light.walk import follow_back
 from ..optics import rays
 from ..runtime.backend import array_module, drjit_array
 from ..runtime.limits import require_memory
@@ -30,7 +31,7 @@ from .radiance import captures, once_a_camera, to_radiance
 from .splatting import Splat, traced_white
 
 
-@method("ray", options=("footprint",), waves=False)
+@method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
     r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
 
@@ -99,7 +100,7 @@ def ray_sums(
 def aligned_axes(
     camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> tuple[AxisBins, AxisBins] | None:
-    """Return where the pixels of each axis go, if pixels and bins are arranged alike; None where they are not."""
+    """Return the bins of the pixels along each axis, None where pixels and bins are not arranged alike."""
     if not camera.lens_data.is_thin or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         return None
     x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
@@ -115,7 +116,7 @@ def _axis(
     chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
     c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
 
-    pupil, position = rays.follow_back(p, c, c, distance, camera)
+    pupil, position = follow_back(p, c, c, distance, camera)
     centre = position * (oversample / camera.mla_pitch) + count / 2
     if footprint == "point":
         return axis_bins(centre, centre, pupil, count, radius)
@@ -129,7 +130,7 @@ def _axis(
 def ray_sums_vjp(
     bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> np.ndarray:
-    """Apply the transpose of `ray_sums`."""
+    """Return the transpose of `ray_sums`, applied to bins."""
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
     if axes is not None:
         return _bin_image_vjp(bins, *axes, radius)
@@ -137,7 +138,7 @@ def ray_sums_vjp(
 
 
 def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
-    """Apply the transpose of `bin_image`."""
+    """Return the transpose of `bin_image`, applied to bins."""
     given = np.asarray(bins, np.float64)
     pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
     pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
@@ -213,12 +214,12 @@ def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, strid
 
 @once_a_camera
 def white_sums(camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int) -> np.ndarray:
-    """Return `ray_sums` of what the camera records of a scene of uniform radiance 1; (rows, columns) float64 array."""
+    """Return `ray_sums` of the capture of a scene of uniform radiance 1, a float64 array (rows, columns)."""
     white = white_pixels(camera)[..., None]
     return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
 
 
 @once_a_camera
 def white_pixels(camera: PlenopticCamera) -> np.ndarray:
-    """Return the camera's white image."""
+    """Return the white image of the camera."""
     return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)

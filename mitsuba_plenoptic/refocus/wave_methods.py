@@ -50,6 +50,7 @@ from ..design import focus_type
 from ..errors import MOST_PIXELS, refuse_if
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
+from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import soft_edge
 from ..runtime.backend import backend
@@ -132,7 +133,7 @@ def _pixel_parts(camera: PlenopticCamera, distance: float) -> int:
 
     Light of waves comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses.
     """
-    _, image = rays.follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
+    _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
     return max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
 
@@ -159,7 +160,7 @@ def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = T
 def _traced_throughput(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `white_throughput` does of some lenses behind a real main lens, by their distance from the axis.
+    """Return `white_throughput` of some lenses behind a real main lens, by their distance from the axis.
 
     Micro-images that the lens cuts have more edge for their area, and lose more.
     """
@@ -198,7 +199,7 @@ def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool)
 
 
 def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
-    """Power that comes back, and power sent by pixels whose own ray passes the main lens, for a lens of every type."""
+    """Return the power that comes back, and the power sent by pixels whose ray passes the main lens, per lens type."""
     camera = _around_axis(camera, 3)
     lenses = LensSet(LensTile(camera, wavelength, _THROUGHPUT_LENSES, 1))
     back = sent = 0.0
@@ -278,20 +279,20 @@ _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-@method("coherent", options=("relay",), waves=True)
+@method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "relay"), waves=True)
+@method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Follow the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
 def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Refocus every channel.
+    """Return the refocused images, channel by channel.
 
     The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
     waves lose of a micro-image at the edge of the pupil.
@@ -317,7 +318,7 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
 
 
 def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Return the pixels that are not negative and, where there are others, the magnitudes of these, with their signs.
+    """Return the non-negative pixels with the sign 1 and, if any, magnitudes of negative ones with the sign -1.
 
     Amplitudes are square roots. Pixels below zero, which `expose` makes of dark ones, are refocused apart, and what
     they give is subtracted: so noise of mean zero leaves no light on average.

@@ -16,13 +16,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from PIL import Image
 
 from .. import design
+from ..io.checkpoints import write_json
 from ..io.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, lit_window
 from .images import Brightness, to_bytes
 from .metrics import ssim_text
-from .stage_store import software, time_summary, write_json
+from .stage_store import software, time_summary
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",

@@ -287,7 +287,7 @@ def _calibrate(
 
 
 def _print_outliers(seen: Evaluation) -> None:
-    """Print which rows are outliers, and the error without them."""
+    """Print the rows that are outliers, and the error without them."""
     import numpy as np
 
     rows = seen.outliers

@@ -71,7 +71,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Read a camera as every command does, and how the data of its calibration count lenses.
+    """Return a camera, read as by every command, and the indexing of lenses that the data of its calibration use.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
 
 
 def lens_index(record: Any) -> LensIndex | None:
-    """Return how data count lenses, from the object ``calibration`` of a camera's file; None without that object."""
+    """Return the indexing of lenses that the object ``calibration`` of a camera's file states, or None."""
     if record is None:
         return None
     with refusing(

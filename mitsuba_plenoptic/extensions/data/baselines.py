@@ -32,7 +32,7 @@ Answers = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Question:
-    """A capture and the white capture of its camera."""
+    """A capture to be answered, with the white capture of its camera."""
 
     capture: Capture
     white: Capture
@@ -41,12 +41,12 @@ class Question:
 
     @property
     def camera(self) -> PlenopticCamera:
-        """The camera."""
+        """Camera of the capture."""
         return self.capture.camera
 
     @cached_property
     def light_field(self) -> xr.DataArray:
-        """The decoded light field."""
+        """Light field decoded from the capture."""
         return decode(self.capture, white=self.white)
 
 
@@ -62,7 +62,7 @@ def _plain(question: Question) -> Answers:
 
 
 def _ray(question: Question) -> Answers:
-    """Answer by rays: agreement of views, refocusing by the footprints of lenses, interpolated views."""
+    """Return answers by rays: depth by agreement of views, refocusing by footprints of lenses, interpolated views."""
     lf, radius = question.light_field, question.camera.aperture_radius
     found = depth_map(lf, micro_images=micro_images(question.capture, white=question.white))
     views = [lf.interp(u=x * radius, v=y * radius, kwargs={"fill_value": None}).values for x, y in PUPIL_POINTS]
@@ -94,7 +94,7 @@ def _by_white(question: Question, method: str) -> Answers:
 
 
 def _coherent(question: Question) -> Answers:
-    """Refocus by one coherent wave."""
+    """Return pictures refocused by one coherent wave."""
     return _by_white(question, "coherent")
 
 

@@ -185,7 +185,7 @@ def describe_benchmark(folder: Path, recipe: Recipe, made: DataSet) -> None:
 
 
 def _sentence(scene: str) -> str:
-    """Return what a scene shows, in a few words."""
+    """Return the content of a scene in a few words."""
     return str(SCENES[scene].__doc__).partition("\n")[0].removeprefix("Show ").rstrip(".")
 
 

@@ -171,7 +171,7 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 
 def _write(output: Path, found: Fit) -> None:
-    """Write the camera, and print what is known of it."""
+    """Write the camera's file, and print parameters, deviations and warnings of the fit."""
     from ...io.files import write_text
 
     write_text(output, found.camera.to_json(), ".json")

@@ -108,7 +108,7 @@ def coherent_capture(
 
 @dataclass(frozen=True)
 class _Realisation:
-    """One mode, as a batch."""
+    """One mode, as a batch of a computation."""
 
     fields: CoherentFields
     moduli: NDArray[np.float64]
@@ -121,7 +121,7 @@ class _Realisation:
         return math.prod(self.fields.grids.count)
 
     def prepare(self) -> Callable[[], Part]:
-        """Compute the whole batch."""
+        """Return a function that computes the whole batch."""
         waves = np.random.default_rng(self.seed).random(len(self.moduli))
         amplitudes = (self.moduli * np.exp(2j * math.pi * waves)).astype(np.complex64)
         image = self.fields.intensity(amplitudes) * np.float32(self.scale)

@@ -127,7 +127,7 @@ class PhotodiodeResponse:
 
 
 def known_response(name: str, value: Any) -> PhotodiodeResponse | None:
-    """Return a response of photodiodes from any of its forms; None means that of the microlenses."""
+    """Return a response of photodiodes, given in any of its forms; None means that the microlenses refract light."""
     if value is None or isinstance(value, PhotodiodeResponse):
         return value
     if isinstance(value, (str, Path)):

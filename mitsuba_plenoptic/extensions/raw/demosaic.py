@@ -104,7 +104,7 @@ def demosaic(
 
 
 def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
-    """Return a mosaic of something white with each of its pixels divided by the mean of those of its filter."""
+    """Return a mosaic of a white capture, each pixel divided by the mean over pixels of the same filter."""
     own, image = filters(white.camera, mosaic), white.image
     means = np.bincount(own.ravel(), image.ravel(), minlength=3) / np.bincount(own.ravel(), minlength=3)
     refuse_if(not means.min() > 0, "white: the pixels of a filter are black")
@@ -144,7 +144,7 @@ def _interpolate(
     lenses: NDArray[np.int64],
     reach: int,
 ) -> NDArray[np.float32]:
-    """Return all three channels (rows, columns, 3)."""
+    """Return an image (rows, columns, 3) with the missing channels of each pixel interpolated."""
     rows, columns = image.shape
     light, weight = np.zeros((2, rows, columns, 3), np.float32)
     for across, down, kernel in _shifts(reach):

@@ -128,7 +128,7 @@ def _write_parameters(
     views: int,
     ours: dict[str, str],
 ) -> None:
-    """Write the geometry of the cameras, of which `views` stand in a row, and what only this package reads."""
+    """Write the geometry of `views` cameras in a row, and entries that only this package reads."""
     columns, rows = camera.bin_count
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)

@@ -27,7 +27,7 @@ def read_source(
     linear: bool = False,
     camera: PlenopticCamera | None = None,
 ) -> Recording | xr.DataArray | xr.Dataset:
-    """Read a source of the viewer.
+    """Return the recording, focal stack or depth map that a source of the viewer contains.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ _HALF = 13
         "refocused at 210, 240, 280 mm (dB)": "{psnr_db[0]:.1f}, {psnr_db[1]:.1f}, {psnr_db[2]:.1f}",
     },
     (at_most("largest", "limit"),),
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     quick={"spp": 16, "reference_spp": 16, "lattices": ("square",)},
 )  # fmt: skip
 def lattices(
@@ -160,7 +160,7 @@ def chart_capture(name: str, model: str, spp: int) -> Capture:
         "camera": "{camera}", "scene": "{scene}", "bins per lens": "{bins_per_lens}", "PSNR (dB)": "{psnr_db:.1f}",
         "correlation": "{correlation:.4f}", "scale": "{scale:.3f}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     quick={"spp": 2, "reference_spp": 16, "cameras": ("keplerian",)},
 )  # fmt: skip
 def focused_agreement(
@@ -191,7 +191,7 @@ def focused_agreement(
         "samples per lens": "{samples:.1f}", "expected": "{expected:.1f}", "MTF50 (lp/mm)": "{mtf50:.1f}",
         "edge width (um)": "{edge:.0f}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     quick={"spp": 2, "cameras": ("keplerian",)},
 )  # fmt: skip
 def focused_resolution(
@@ -398,7 +398,7 @@ def _of_cells(camera: PlenopticCamera, coefficient: float) -> Callable[..., Any]
     "a paraboloid against those of a parabolic phase",
     {"microlenses": "{name}", "full_field": "{full_field:.2%}", "patch": "{patch:.2%}", "orders": "{orders:.1e}"},
     (at_most("full_field", "most"), at_most("patch", "most"), at_most("orders", 1e-4)),
-    page="docs/numbers.md",
+    page="docs/howto/microlens_shapes.md",
     quick={"names": ("sphere",)},
 )
 def microlens_shapes(*, names: tuple[str, ...] = ()) -> Iterator[Row]:

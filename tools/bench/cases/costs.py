@@ -72,7 +72,7 @@ _PARTS = (
     "the error, on parts of scenes",
     SPEED,
     (at_most("difference", DEFAULT_ACCURACY),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"count": 1},
 )
 def sharing(*, scene: str = "", count: int = 5) -> Iterator[Row]:
@@ -283,7 +283,7 @@ _Point = tuple[float, float, float]
         "": "{unit} at {points}",
     },
     (at_most("exponent", "most"),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"sizes": (512, 1024), "runs": 1, "only": ("ray capture",)},
 )  # fmt: skip
 def growth(
@@ -442,7 +442,7 @@ STARTS: dict[str, tuple[list[str], dict[str, str], float | None]] = {
     "Processor time of a new process, over that of one that imports Mitsuba alone",
     {"what": "{what}", "seconds": "{seconds:.2f}", "over `import mitsuba`": "{ratio:.1f}"},
     (at_most("ratio", "limit"),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"runs": 1, "names": ("--help",)},
 )
 def start(*, runs: int = 7, names: tuple[str, ...] = tuple(STARTS)) -> Iterator[Row]:

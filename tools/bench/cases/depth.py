@@ -69,7 +69,7 @@ TUNING = {"letters": (HALF, 195, 310), "made 1": ({}, 195, 310), "made 2": ({}, 
         "confidence: rate, by tenths of the bins": "{tenths}", "worst tenth": "{worst:.2f}", "chance": "{chance:.2f}",
     },
     (at_most("sure_median", 0.005), at_most("sure_high", 0.02), at_most("all_worst", NEAR_RATE)),
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     quick={"scenes": ("made 3",), "spp": 4},
 )  # fmt: skip
 def maps(*, spp: int = 16, tuning: bool = False, scenes: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -212,7 +212,7 @@ Result = dict[str, np.ndarray]
         at_most("worst_apart", 0.2),
         at_most("all_apart", 0.1),
     ),
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     pivot=Pivot("{scene}", "{camera}", "{stated_percent}, {sure_percent}", lambda row: row["camera"] != "all"),
     quick={"scenes": ("two planes",), "cameras": ("square",)},
 )  # fmt: skip
@@ -351,7 +351,7 @@ EXPOSURES = (0, 500)
         "right of these sure": "{sure_right:.0%}", "confidence: rate (bins)": "{tenths}",
     },
     (at_least("sure_right", 0.85),),
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     pivot=Pivot(
         "{scene}", "{camera}", "{stated_percent}, {right_percent}, {sure_percent}", lambda row: row["camera"] != "all"
     ),
@@ -402,7 +402,7 @@ Observed = tuple[np.ndarray, np.ndarray]
         "confidence: rate, by tenths of the bins": "{tenths}", "worst tenth": "{worst:.2f}", "weights": "{weights}",
         "-log likelihood per bin": "{loss:.4f}", "of the weights in use": "{used:.4f}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     quick={"cameras": ("square",), "scenes": 4},
 )  # fmt: skip
 def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 20) -> Iterator[Row]:

@@ -65,7 +65,7 @@ WAVELENGTH = 633.0
         "chi-square per pixel": "{chi_square:.3f}",
     },
     (at_most("square_off", 0.25), at_most("bound_off", 0.2)),
-    page="docs/numbers.md",
+    page="docs/fitting.md",
     quick={"seeds": 1, "points": 2, "accuracy": 0.1},
 )  # fmt: skip
 def spread(
@@ -160,7 +160,7 @@ Array = NDArray[np.float64]
         at_most("last", 0.05),
         at_most("far", 0.05),
     ),
-    page="docs/numbers.md",
+    page="docs/fitting.md",
     quick={"lenses": 4, "seeds": 2, "far": 0, "derivatives": 0.05},
 )  # fmt: skip
 def noise(

@@ -98,7 +98,7 @@ SHOWN = "{psnr_db:.1f} dB, {correlation:.3f}"
     "Ray reconstructions of ray captures against Mitsuba's thin lens, one scale factor for a scene and a version",
     {"scene": "{scene}", "version": "{footprint}", **AGREEMENT},
     AGREEMENT_LIMITS,
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{footprint} version", "{scene}, {distance:g} mm", SHOWN),
     quick={"spp": 4, "reference_spp": 16, "scenes": ("letters",)},
 )
@@ -147,7 +147,7 @@ def letters_captures(wave: str, size: int) -> dict[str, Capture]:
         "method": "{method}", **AGREEMENT, "highest PSNR (dB)": "{highest:.1f}", "s, all distances": "{seconds:.1f}",
     },
     AGREEMENT_LIMITS,
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{method}", "{distance:g} mm", SHOWN),
     quick={"reference_spp": 16, "size": 1024},
 )  # fmt: skip
@@ -184,7 +184,7 @@ FULL_SIZE = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "
         "least, mean, most": "{least:.3f}, {mean:.3f}, {most:.3f}",
     },
     (at_most("memory", 8.0), at_most("unreached", 0.0)),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     pivot=Pivot("{camera}, {columns} x {rows} bins, {method}", "{place}", "{processor:.0f} s, {memory:.1f} GiB"),
     quick={"cameras": ("lytro",), "methods": ("coherent",), "spp": 1},
 )  # fmt: skip
@@ -257,7 +257,7 @@ class Refocused:
         "partition": "{kind}", "propagations": "{propagations}", "g (mm)": "{distance:g}", "letter": "{letter}",
         "interference": "{shown}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{kind}, {propagations}", "{letter} at {distance:g} mm", "{shown}"),
     quick={"size": 1024, "periods": (1, 2, 3), "grids": (2,), "counts": (2, 4, 7)},
 )  # fmt: skip
@@ -348,7 +348,7 @@ REFERENCE = 400.0
         "worst bin without": "{without:.4f}",
     },
     (at_most("unexplained", "limit"),),
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{lenses} lenses, {model} capture, {lattice}, {wall}, {method}", "{distance:g} mm", "{worst:.3f}"),
     quick={"lenses": (12,), "lattices": ("square",), "distances": (210.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip

@@ -213,7 +213,7 @@ def in_focus(camera: PlenopticCamera, distance: float, frequency: float, angle: 
     {"camera": "{camera}", "capture": "{model}", "distance (mm)": "{distance:g}", "method": "{method}",
      "contrasts, edge": "{cell}", "off the closed form": "{difference:.3f}", "off rays": "{apart:.3f}"},
     (at_most("difference", 0.02), at_most("apart", 0.05)),
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{camera}, {model} capture, {method}", "{distance:g} mm", "{cell}"),
     quick={"distances": (240.0,), "relative": (0.5,), "methods": ("rays",), "models": ("ray",), "lenses": 12},
 )  # fmt: skip
@@ -414,7 +414,7 @@ BINNING = (1, 2, 4, 8)
         "energy, rays over waves": "{energy:.4f}",
     },
     (at_most("by_pixels", 1.0), at_most("by_lenses", 1.0)),
-    page="docs/numbers.md",
+    page="docs/howto/waves.md",
     pivot=Pivot(
         "f/{f_number:g}, {um:g} um, Fresnel number {fresnel:.2f}", "{focus}: rays, with sinc²",
         "{rays:.1%}, {convolved:.1%}", lambda row: row["binning"] == 2,

@@ -45,7 +45,7 @@ from .lens_models import WAVELENGTH, camera_of, distance_of, scene_of
     "speed.rays",
     "Samples per second of ray captures against Mitsuba's own `thinlens`: the same film, the same scene, `path`",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 512, "runs": 2},
 )
 def samples_per_second(*, resolution: int = 4096, runs: int = 5) -> Iterator[Row]:
@@ -76,7 +76,7 @@ def samples_per_second(*, resolution: int = 4096, runs: int = 5) -> Iterator[Row
 @case(
     "speed.command",
     "Peak memory and time of the command that renders a capture",
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 512},
 )
 def command(*, resolution: int = 4096, spp: int = 16) -> Iterator[Row]:
@@ -158,7 +158,7 @@ def _capture(name: str, spp: int, size: int, file: Path) -> Row:
     "Sums of point spreads on worker processes against one process, with the same bits",
     {**SPEED, "pixels of other bits": "{other}"},
     (at_most("other", 0),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 256, "runs": 1},
 )
 def workers(*, resolution: int = 1024, runs: int = 5, count: int = 2) -> Iterator[Row]:
@@ -262,7 +262,7 @@ _LIT, _NOISY = 0.1, 0.01
         "99 % of noisy pixels": "{highest_of_noisy:.1f}",
     },
     (at_most("light_off", 0.01), at_most("median", 1.3), at_most("highest_of_noisy", "most")),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"scenes": ("letters",), "pixels": 256, "runs": 1, "seeds": 2},
 )  # fmt: skip
 def signed_ray_cost(
@@ -346,7 +346,7 @@ def _camera(f_number: float, pixels: int, film: int, lattice: str) -> PlenopticC
         "memory above that of rays (GiB)": "{memory:.2f}",
     },
     (at_most("ratio", "limit"), at_most("memory", _MOST_MEMORY)),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"films": (100,), "f_numbers": (5.6,), "samples": (8,)},
 )  # fmt: skip
 def cost(

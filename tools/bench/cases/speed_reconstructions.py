@@ -66,7 +66,7 @@ DISTANCES = [210.0, 240.0, 280.0]
     "Reconstructions on one core at the paper's size, against bare FFTs, a pass over the image, whole-bin "
     "shift-and-add, and the paper's seconds",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 2048, "runs": 1},
 )
 def reconstructions(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:
@@ -260,7 +260,7 @@ LONG = 30.0
         "estimated GiB": "{estimated_memory:.2f}",
     },
     (at_most("off", "most_off"),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     pivot=Pivot("{method}", "{camera}", "{seconds:.3g} s, {memory:.1f} GiB"),
     quick={"f_numbers": (10.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip
@@ -281,7 +281,7 @@ def fast_cameras(
     "that of their Fourier transforms alone, and what finer sampling changes (L2)",
     {"camera": "{camera}", "method": "{method}", "over transforms": "{ratio:.2f}", "change": "{change:.2%}"},
     (at_most("ratio", "most"), at_most("change", 0.01)),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"f_numbers": (10.0,), "lenses": 8},
 )
 def fast_sampling(*, f_numbers: tuple[float, ...] = (2.8, 5.6, 10.0), lenses: int = 100) -> Iterator[Row]:
@@ -352,7 +352,7 @@ _PAIR = "bare FFT pair"
     "speed.steps",
     "The angular-spectrum step against a pair of FFTs (ours over the pair), in processes of one and of all threads",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"sizes": (512,), "runs": 2},
 )
 def steps(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:
@@ -390,7 +390,7 @@ _BYTES_PER_SAMPLE = 80
     "On a CUDA device: steps against bare transforms and the memory's speed, whole captures and reconstructions",
     SPEED,
     (at_most("difference", 1e-5),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"sizes": (1024,), "runs": 1},
 )
 def gpu(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:

@@ -185,7 +185,7 @@ def rms(terms: np.ndarray) -> float:
         "Shack-Hartmann": "{spots:.4f}", "the same without noise": "{spots_noiseless:.4f}",
     },
     (at_most("fitted", "spots"), at_most("over_stated", 3.0)),
-    page="docs/numbers.md",
+    page="docs/theory/wavefront_reconstruction.md",
     needs=("hcipy",),
     quick={"seeds": 1, "ratios": (5.0,), "photons": (1000.0,), "modes": 6, "accuracy": 0.3},
 )  # fmt: skip
@@ -280,7 +280,7 @@ def image(sensor: ArrayInFocus | ShackHartmann, phase: np.ndarray, places: np.nd
         "fit": "{fitted:.4f}", "deviation that the fit states": "{stated:.4f}", "Shack-Hartmann": "{spots:.4f}",
     },
     (at_most("fitted", "spots"), at_most("over_stated", 3.0)),
-    page="docs/numbers.md",
+    page="docs/theory/wavefront_reconstruction.md",
     needs=("hcipy",),
     quick={"ratios": (5.0,), "modes": 6, "accuracy": 0.3},
 )  # fmt: skip
@@ -362,7 +362,7 @@ def _contrast(values: np.ndarray, places: np.ndarray) -> float:
         "misfit per pixel, 1 is noise": "{misfit:.2f}", "turns": "{turns}",
     },
     (at_least("correlation", "least"),),
-    page="docs/numbers.md",
+    page="docs/theory/wavefront_reconstruction.md",
     quick={"modes": 5, "turns": 1, "iterations": 5, "lenses": 12},
 )  # fmt: skip
 def digital_optics(
