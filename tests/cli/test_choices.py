@@ -8,7 +8,7 @@ from mitsuba_plenoptic.cli import COMMANDS, choices
 from mitsuba_plenoptic.cli.render_command import expose
 from mitsuba_plenoptic.io import captures, examples
 from mitsuba_plenoptic.io import truth_files as ground_truth
-from mitsuba_plenoptic.light import detector, scene_unit
+from mitsuba_plenoptic.light import detector, scene
 from mitsuba_plenoptic.onchip import LAYOUTS
 from mitsuba_plenoptic.refocus import methods
 from mitsuba_plenoptic.refocus_options import METHODS
@@ -17,7 +17,7 @@ from mitsuba_plenoptic.views.viewpoints import AXES
 
 LIBRARY = {
     "MODELS": captures.MODELS,
-    "UNITS": scene_unit.UNITS,
+    "UNITS": scene.UNITS,
     "VIEW_METHODS": VIEW_METHODS,
     "AXES": AXES,
     "LAYOUTS": ["x".join(map(str, layout)) for layout in LAYOUTS],

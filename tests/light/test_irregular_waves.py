@@ -6,8 +6,7 @@ import pytest
 from wave_cases import HALF, error, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.light.figure_error import FigureError
-from mitsuba_plenoptic.light.lens_kinds import irregularities
+from mitsuba_plenoptic.light.lens_kinds import FigureError, irregularities
 from tools.bench.cases.arrays import GREEN, SHAPES, propagated
 
 POINT = np.array([0.03, -0.02, 114.0])

@@ -18,8 +18,8 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...camera.camera_files import camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
-from ...io.files import write_text
 from ...lenses.distortion import undistort
+from ...runtime.files import write_text
 from .board_model import NAMES, camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
@@ -113,7 +113,7 @@ def lens_index(record: Any) -> LensIndex | None:
 
 
 def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
-    """Translate a configuration that libpleno and COMPOTE write (``intrinsics.js``).
+    """Return the camera of a configuration that libpleno and COMPOTE write (``intrinsics.js``).
 
     COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.
     The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The

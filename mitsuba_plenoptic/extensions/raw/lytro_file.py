@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io.captures import RECORDED, Capture, recording_of
-from ...io.files import read_text, require_size
+from ...runtime.files import read_text, require_size
 from ...runtime.limits import require_memory
 
 CONTAINERS = (".lfp", ".lfr")
@@ -262,7 +262,7 @@ def _capture_of(picture: _Picture) -> Capture:
 
 
 def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
-    """Unpack the digital numbers of the pixels."""
+    """Return the digital numbers of the pixels, unpacked."""
     packing = f"{picture.details}.pixelPacking"
     bits, order = picture.entry(f"{packing}.bitsPerPixel"), picture.entry(f"{packing}.endianness")
     refuse_if(
@@ -304,7 +304,7 @@ def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.
 
 
 def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
-    """Return the camera that the metadata describe; their lengths are metres."""
+    """Return the camera that metadata in metres describe."""
 
     def length(name: str, **rules: Any) -> float:
         return picture.number(f"devices.{name}", **rules) * _MILLIMETRES

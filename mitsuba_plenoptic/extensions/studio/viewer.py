@@ -14,10 +14,10 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
 from ...io.captures import Capture
-from ...io.files import write_text
 from ...refocus import Reconstruction
 from ...report.images import Brightness, encode, shrink
 from ...report.page import scene_name, template
+from ...runtime.files import write_text
 from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
 from ...views.coordinates import DIMS, light_field, require_light_field, view_steps
 from ...views.lens_grid import bin_grid
@@ -60,7 +60,7 @@ class Recording:
 
 
 def _through(camera: PlenopticCamera) -> str:
-    """Describe a camera in a few words."""
+    """Return a camera's description in a few words."""
     columns, rows = camera.lens_count
     lattice = "" if camera.mla_lattice == "square" else f"{camera.mla_lattice} "
     lens = f"f/{camera.f_number:.3g}" if camera.lens_data.converges else camera.lens_data.label
@@ -170,7 +170,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
     )
     shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
-    white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
+    white = Brightness().peak(shown or [np.asarray(depths[0]["image"])])
     # Alike for both, so that they have the same views.
     wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
     thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]
@@ -196,7 +196,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
-    """Sort sources into light fields, planes from near to far as distance, image and method, and depth maps."""
+    """Return light fields, planes from near to far (distance, image and method), and depth maps among sources."""
     recordings: list[Recording] = []
     planes: list[tuple[float, np.ndarray, str]] = []
     depths: list[xr.Dataset] = []
@@ -256,7 +256,7 @@ def _recording(
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
-    """Leave out views until so few samples are left."""
+    """Return a light field with so few views that a limit of samples is kept."""
     count = most = min(lf.sizes["v"], lf.sizes["u"])
     each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     if lf.size <= samples:

@@ -42,7 +42,7 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.refocus.partitions import blocks, coloured, refocused, sublattice
+from mitsuba_plenoptic.extensions.paper.partitions import blocks, coloured, refocused, sublattice
 from mitsuba_plenoptic.report.experiment import bounding_boxes, thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.metrics import interference, shape_window

@@ -44,9 +44,9 @@ from mitsuba_plenoptic.extensions.paper.paper_limits import plain_seconds, plain
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.refocus import METHODS, planning
 from mitsuba_plenoptic.refocus.deconvolution import response
-from mitsuba_plenoptic.refocus.full_fields import lit_window
 from mitsuba_plenoptic.refocus.planning import plan
-from mitsuba_plenoptic.refocus.ray import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.wave_methods import lit_window
 from mitsuba_plenoptic.runtime.backend import Backend, backend
 from mitsuba_plenoptic.runtime.fft import resting_drjit, worker_count
 from mitsuba_plenoptic.views import distance_of, refocus
