@@ -10,7 +10,6 @@ import warnings
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from xml.etree.ElementTree import Element
 
 import typer
 
@@ -21,6 +20,8 @@ from .choices import MODELS, UNITS
 from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
     from ..report.images import Drawing
@@ -376,6 +377,8 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
+    from xml.etree.ElementTree import Element
+
     from ..light.scene import scene_defaults
 
     roots = scene_roots(scene, parameters)
