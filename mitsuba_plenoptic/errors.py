@@ -15,6 +15,7 @@ import itertools
 import math
 import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
@@ -233,6 +234,13 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
         rule = f"it must be one of {', '.join(choices)}"
         raise InputError(f"{name} = {short_repr(value)}: {rule}{did_you_mean(value, choices)}")
     return value
+
+
+def require_suffix(path: Path, suffixes: Collection[str]) -> None:
+    """Refuse the name of a file that ends in none of the suffixes."""
+    refuse_if(
+        not path.name.lower().endswith(tuple(suffixes)), f"{path}: give a name that ends in {' or '.join(suffixes)}"
+    )
 
 
 def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, refuse_if, require_count, require_number
+from ..errors import InputError, naming, refuse_if, require_count, require_number
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
@@ -296,6 +296,22 @@ def drawing_of(
 def named_camera(source: str | None) -> PlenopticCamera | None:
     """Return the camera that an option names, None where it is not given."""
     return None if source is None else load_camera(source, {})[0]
+
+
+def require_in_sight(source: Path, camera: PlenopticCamera | None, *distances: float) -> PlenopticCamera | None:
+    """Refuse distances that a camera, or else the one in the source's header, cannot focus on; return the first."""
+    seen_by = camera
+    if camera is None and source.suffix.lower() == ".exr":
+        from ..camera import PlenopticCamera
+        from ..io.exr import read_attributes
+
+        record = read_attributes(source).get("camera")
+        with naming(source):
+            seen_by = PlenopticCamera.from_dict(record) if isinstance(record, dict) else None
+    if seen_by is not None:
+        for distance in distances:
+            seen_by.lens_data.require_distance(seen_by, distance)
+    return camera
 
 
 def open_scene(

@@ -10,7 +10,7 @@ import typer
 
 from ..errors import naming, refuse_if, require_choice
 from ..runtime.progress import progress_bar
-from .choices import AXES, VIEW_METHODS
+from .choices import ANIMATED, AXES, PICTURES, VIEW_METHODS
 from .inputs import (
     CameraFile,
     Distances,
@@ -27,7 +27,9 @@ from .inputs import (
     named_camera,
     numeric,
     output_option,
+    require_in_sight,
 )
+from .judging import ends_in
 
 
 def views(
@@ -39,6 +41,7 @@ def views(
             "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled "
             "grid if in .pdf, a tour round the pupil if in .gif or .mp4.",
         ),
+        ends_in(*PICTURES, *ANIMATED),
     ],
     count: Annotated[int | None, numeric("Write N x N views, evenly spread over the pupil.", "all")] = None,
     white: White = None,
@@ -66,7 +69,6 @@ def views(
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
     from ..io.files import require_apart
-    from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
     from ..views import pick_views
     from ..views.light_field_files import open_light_field
@@ -88,7 +90,7 @@ def views(
 
 def epi(
     source: LightFieldSource,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes.")],
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes."), ends_in(*PICTURES)],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float | None,
@@ -150,6 +152,7 @@ def stack(
             "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
             "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif or .mp4.",
         ),
+        ends_in(*PICTURES, *ANIMATED),
     ],
     distance: Distances,
     method: Annotated[
@@ -176,16 +179,18 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
+    known = require_in_sight(source, named_camera(camera), *distance)
+
+    # Brings libraries that take a while to load.
     from ..io.files import require_apart
     from ..report.animations import sweep_distances
-    from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
     from ..views import focal_stack
     from ..views.light_field_files import open_light_field
 
     require_apart(require_picture_path(output, animated=True), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, sweep_distances(distance) if animated else distance, method=method, progress=progress)
@@ -213,6 +218,7 @@ def depth(
             "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence; if in .pdf "
             "these with their scales.",
         ),
+        ends_in(*PICTURES),
     ],
     near: Annotated[
         float | None, numeric("Nearest distance to search.", "as near as the capture shows depth", unit="MM")

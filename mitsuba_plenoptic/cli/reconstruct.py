@@ -11,7 +11,7 @@ import typer
 
 from ..errors import InputError
 from ..runtime.progress import in_words, progress_bar
-from .choices import FOOTPRINTS, METHODS, RESPONSES
+from .choices import FOOTPRINTS, METHODS, PICTURES, RESPONSES, VOLUMES
 from .inputs import (
     EXPERT,
     WAVES,
@@ -30,9 +30,10 @@ from .inputs import (
     numeric,
     output_option,
     read_recorded,
+    require_in_sight,
     require_linear,
 )
-from .judging import COUNTED, WAVELENGTH, one_of
+from .judging import COUNTED, WAVELENGTH, ends_in, one_of
 from .stopping import Resume, existing_checkpoint, stopped_by_hand
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def reconstruct(
             "All go into one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif "
             "(ImageJ), .ome.tif (OME) or .zarr.",
         ),
+        ends_in(*PICTURES, *VOLUMES),
     ] = None,
     method: Annotated[
         str,
@@ -166,6 +168,7 @@ def reconstruct(
             "depth as colour.",
             rich_help_panel=EXPERT,
         ),
+        ends_in(".png"),
     ] = None,
     resume: Resume = False,
     workers: Annotated[
@@ -217,6 +220,9 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
+    known = require_in_sight(capture, named_camera(camera), *distance)
+
+    # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
     from ..io.checkpoints import SUFFIX, Checkpoint
     from ..io.files import require_apart, require_different, require_writable
@@ -252,7 +258,6 @@ def reconstruct(
     )
     white, resume, workers, scheduler = (options.pop(name) for name in ("white", "resume", "workers", "scheduler"))
     options |= {"method": method, "oversample": oversample}
-    known = named_camera(camera)
     require_linear(linear, capture, white)
     if output is None:
         with progress_bar("Estimating") as progress:
@@ -267,7 +272,7 @@ def reconstruct(
     if whole:
         require_volume_path(output, distance)
     if overview:
-        require_writable(overview, ".png")
+        require_writable(overview)
     written = [*(paths or [output]), overview]
     require_different(*written)
     for path in filter(None, written):
@@ -300,7 +305,7 @@ def sheet(
     results: Annotated[
         list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
     ],
-    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.")],
+    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png."), ends_in(".pdf", ".png")],
     exposure: Exposure = None,
     percentile: Percentile = None,
 ) -> None:
@@ -316,7 +321,7 @@ def sheet(
     from ..refocus import read_reconstruction
     from ..report.images import Brightness
 
-    require_apart(require_writable(output, ".pdf", ".png"), *results)
+    require_apart(require_writable(output), *results)
     read = [read_reconstruction(path) for path in results]
     # Brings Matplotlib, which takes a while to load.
     from ..report.figures import contact_sheet
