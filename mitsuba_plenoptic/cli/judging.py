@@ -61,7 +61,7 @@ def one_of(choices: Collection[str]) -> Judged:
 
 def ends_in(*suffixes: str) -> Judged:
     """Return the metadata of the name of a file to be written."""
-    return Judged(lambda _, path: path.is_dir() or require_suffix(path, suffixes))
+    return Judged(lambda _, path: None if path.is_dir() else require_suffix(path, suffixes))
 
 
 def _require_wavelengths(name: str, text: str) -> None:
