@@ -14,6 +14,8 @@ import inspect
 import itertools
 import math
 import reprlib
+import sys
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -234,6 +236,14 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
         rule = f"it must be one of {', '.join(choices)}"
         raise InputError(f"{name} = {short_repr(value)}: {rule}{did_you_mean(value, choices)}")
     return value
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line outside this package that called it, through decorators and contexts."""
+    ours, level, frame = str(Path(__file__).parent), 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith((ours, contextlib.__file__)):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
 
 
 def require_suffix(path: Path, suffixes: Collection[str]) -> None:

@@ -6,14 +6,13 @@ import contextlib
 import dataclasses
 import logging
 import re
-import warnings
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, naming, refuse_if, require_count, require_number
+from ..errors import InputError, naming, refuse_if, require_count, require_number, warn
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
@@ -342,7 +341,7 @@ def open_scene(
     if colours:
         _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
     for text in design_warnings(seen):
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return loaded
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..errors import naming, refuse_if, require_choice
+from ..errors import naming, refuse_if, require_choice, warn
 from ..runtime.progress import progress_bar
 from .choices import ANIMATED, AXES, PICTURES, VIEW_METHODS
 from .inputs import (
@@ -270,16 +269,14 @@ def depth(
     ends = dict(zip(("near", "far"), beyond_search(found), strict=True))
     for end, beyond in ends.items():
         if beyond >= _LITTLE:
-            warnings.warn(
+            warn(
                 f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
-                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}",
-                stacklevel=2,
+                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}"
             )
     if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
-        warnings.warn(
+        warn(
             "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
-            "farther than --far; look at the confidence before you use a depth",
-            stacklevel=2,
+            "farther than --far; look at the confidence before you use a depth"
         )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")

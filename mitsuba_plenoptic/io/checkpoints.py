@@ -12,7 +12,6 @@ import logging
 import math
 import os
 import time
-import warnings
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, require_choice, require_count, require_number, warn
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum
 from ..runtime.jobs import Snapshot
@@ -202,7 +201,7 @@ class Checkpoint:
         except (OSError, InputError) as error:
             if not self._complained:
                 cause = getattr(error.__cause__ or error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
-                warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
+                warn(f"{self.path}: no checkpoint can be written: {cause}")
                 self._complained = True
         now = time.monotonic()
         self._due = now + max(INTERVAL, (now - start) / FRACTION)

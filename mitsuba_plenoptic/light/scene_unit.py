@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..design import depth_ranges
-from ..errors import InputError, advice, require_choice
+from ..errors import InputError, advice, require_choice, warn
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """Millimetres in each unit of lengths of scenes."""
@@ -178,8 +177,7 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     else:
         return
     instead = advice(python='load_scene(..., unit="m") scales them', shell="--unit m scales them")
-    warnings.warn(
+    warn(
         f"the whole scene is nearer than {farthest:.4g} mm, {where}: lengths are taken as millimetres; if the scene's "
-        f"are metres, {instead}",
-        stacklevel=3,
+        f"are metres, {instead}"
     )

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
-import warnings
 
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
+from ..errors import refuse_if, warn
 from ..light.lens_kinds import regular_array
 from ..optics import rays
 from ..runtime.fft import blur
@@ -253,7 +252,7 @@ def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
     """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
     refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
-        warnings.warn(f"{text}: {rule}", stacklevel=2)
+        warn(f"{text}: {rule}")
 
 
 def _mean_response(camera: PlenopticCamera) -> float:

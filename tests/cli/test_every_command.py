@@ -186,7 +186,10 @@ BEFORE_A_REFUSAL |= {
         ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
         ("view {there} -o page.pdf", "page.pdf: give a name that ends in .html"),
         ("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc"),
-        ("fit {there} --scene letters -o camera.xml --parameter mla_pitch", "camera.xml: give a name that ends in .json"),
+        (
+            "fit {there} --scene letters -o camera.xml --parameter mla_pitch",
+            "camera.xml: give a name that ends in .json",
+        ),
         ("example letterz", "it must be one of letters-ray"),
         ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
         ("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?"),
