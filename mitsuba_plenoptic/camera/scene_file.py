@@ -15,14 +15,14 @@ def describe(parameters: dict[str, Any], to_world: Any) -> dict[str, Any]:
     sensor = {"type": "plenoptic"} | {name: _plain(value) for name, value in values.items() if value != ()}
     if to_world is not None:
         sensor["to_world"] = to_world
+    crop = {"crop_offset_x": left, "crop_offset_y": top, "crop_width": width, "crop_height": height}
+    is_cropped = (width, height) != (columns, rows)
     sensor["film"] = {
         "type": "hdrfilm",
         "width": columns,
         "height": rows,
-        "crop_offset_x": left,
-        "crop_offset_y": top,
-        "crop_width": width,
-        "crop_height": height,
+        # Of a full film a crop would remain where its size is changed later.
+        **(crop if is_cropped else {}),
         "rfilter": {"type": "box"},
         "pixel_format": "luminance",
         "component_format": "float32",
