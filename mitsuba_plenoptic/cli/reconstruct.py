@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..runtime.progress import in_words, progress_bar
 from .choices import FOOTPRINTS, METHODS, PICTURES, RESPONSES, VOLUMES
 from .inputs import (
@@ -306,6 +306,10 @@ def sheet(
         list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
     ],
     output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png."), ends_in(".pdf", ".png")],
+    distance: Annotated[
+        list[float] | None,
+        numeric("Show the results at this distance alone; repeat for several.", "all", unit="MM"),
+    ] = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
 ) -> None:
@@ -313,9 +317,11 @@ def sheet(
 
     All share one scale. They must be by one camera.
 
-    [bold]Example:[/bold]
+    [bold]Examples:[/bold]
 
       mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
+
+      mitsuba-plenoptic sheet *.exr -o sheet.png --distance 210 --distance 240
     """
     from ..io.files import require_apart, require_writable
     from ..refocus import read_reconstruction
@@ -323,6 +329,13 @@ def sheet(
 
     require_apart(require_writable(output), *results)
     read = [read_reconstruction(path) for path in results]
+    there = sorted({one.distance for one in read})
+    for value in distance or ():
+        refuse_if(
+            value not in there,
+            f"distance = {value:g}: no result is refocused there, but to {', '.join(f'{one:g}' for one in there)}",
+        )
+    read = [one for one in read if not distance or one.distance in distance]
     # Brings Matplotlib, which takes a while to load.
     from ..report.figures import contact_sheet
 
