@@ -76,7 +76,7 @@ def preview(
         progress(2, 4)
         view = seen.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
-        previews = [(f"{scene}, in focus {where}", seen)]
+        previews = [(Path(scene).name, seen)]
         lines = []
         if fit:
             proposal = propose(loaded, seen)
