@@ -133,9 +133,9 @@ def render(
     """
     from ..io.captures import Capture, write_capture
     from ..io.checkpoints import SUFFIX, Checkpoint
-    from ..io.files import remove_leftovers, require_different, require_writable
     from ..io.truth_files import NAME, require_quantities, truth_path, write_ground_truth
     from ..light.render_capture import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+    from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
     options = {"wavelength": wavelength, "method": method}
@@ -258,9 +258,9 @@ def expose(
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
     from ..io.captures import read_capture, write_capture, write_raw
-    from ..io.files import require_apart, require_writable
     from ..light.detector import Detector
     from ..light.detector import expose as record
+    from ..runtime.files import require_apart, require_writable
 
     require_apart(require_writable(output), capture)
     detector = Detector(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import json
 import os
 import re
@@ -15,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
+from ..refocus_options import with_parameters
 from .inputs import EXPERT
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
@@ -84,7 +84,7 @@ def _word(name: str, value: Any) -> str:
 
 def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
-    from ..io.files import read_yaml
+    from ..runtime.files import read_yaml
 
     content = read_yaml(path)
     with naming(path):
@@ -139,22 +139,14 @@ def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, 
     @functools.wraps(function)
     def command(*, save_run: Path | None, context: typer.Context, **options: Any) -> None:
         if save_run is not None:
-            from ..io.files import require_writable
+            from ..runtime.files import require_writable
 
             require_writable(save_run, ".yaml", ".yml")
         function(**options)
         if save_run is not None:
             add_step(save_run, _step_of(context, save_run.parent), parameters_of(commands()))
 
-    given = inspect.signature(function, eval_str=True)
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    added = [
-        inspect.Parameter("save_run", keyword, default=None, annotation=SaveRun),
-        inspect.Parameter("context", keyword, annotation=typer.Context),
-    ]
-    command.__signature__ = given.replace(parameters=[*given.parameters.values(), *added])  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in (*given.parameters.values(), *added)}
-    return command
+    return with_parameters(command, {"save_run": SaveRun, "context": typer.Context})
 
 
 def _step_of(context: Any, folder: Path) -> RunStep:
@@ -184,8 +176,8 @@ def _seen_from(folder: Path, name: str, value: Any) -> str:
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
-    from ..io.files import parse_yaml, write_text
     from ..io.versions import KEY, VERSION
+    from ..runtime.files import parse_yaml, write_text
 
     # It is read as a run file first, which refuses what is none.
     steps = read_run_file(path, commands) if path.exists() else []
@@ -213,7 +205,7 @@ def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tupl
 
 def _yaml(value: Any) -> str:
     """Write a word, a list of words or a flag as YAML, as plain text where it is read back as the same word."""
-    from ..io.files import parse_yaml
+    from ..runtime.files import parse_yaml
 
     if isinstance(value, bool):
         return str(value).lower()

@@ -119,7 +119,7 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
 
 
 def _range(lens: Prescription, first: int, last: int, behind: float) -> tuple[float, float]:
-    """Return how far a group can move towards the scene and towards the array, where `behind` is left."""
+    """Return the distances that a group can move towards the scene and towards the array, leaving the gap `behind`."""
     room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else behind
     ahead = lens.surfaces[first - 1].thickness if first > 0 else room
     return -(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room

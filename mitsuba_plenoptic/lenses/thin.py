@@ -56,7 +56,7 @@ def zernike(j: int) -> NDArray[np.float64]:
 
 
 class Wavefront:
-    """A sum of Zernike polynomials, and a phase screen where one is given."""
+    """Path over the pupil in mm: a sum of Zernike polynomials and an optional phase screen."""
 
     def __init__(
         self,
@@ -140,12 +140,12 @@ class ThinLens(UniformLens, FinitePupil):
 
     @property
     def is_round(self) -> bool:
-        """True for a lens without aberrations."""
+        """Whether the lens has neither aberrations nor a phase screen."""
         return len(self.aberrations) == 0 and self.screen is None
 
     @property
     def refraction(self) -> Any:
-        """The focal length."""
+        """Focal length, which determines how the lens refracts rays."""
         return self.focal_length
 
     def vergence(self, distance: Any) -> Any:
@@ -170,7 +170,7 @@ class ThinLens(UniformLens, FinitePupil):
         return tx, ty
 
     def convergence(self, distance: Any) -> Any:
-        """Return `vergence`: the lens is its own pupil."""
+        """Return `vergence`, as the lens is its own pupil."""
         return self.vergence(distance)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:

@@ -100,7 +100,7 @@ def require_upsampled(spectrum: Spectrum) -> None:
 
 
 def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
-    """Return a wavelength outside the bounds if more than 1 % of the channels' responses lie outside them."""
+    """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, None otherwise."""
     outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
     return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 

@@ -92,7 +92,7 @@ class Convolution:
         return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
-        """Apply the adjoint of `forward`: yield an image for each kernel.
+        """Yield an image for each kernel, by the adjoint of `forward`.
 
         Shapes: `pixels` (rows, columns).
         """
@@ -179,7 +179,7 @@ class Block:
 
     @property
     def samples(self) -> int:
-        """Count of samples in all images."""
+        """Number of samples in all images together."""
         return sum(image.size for image in self.images)
 
     def prepare(self) -> Callable[[], Part]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def mix_pixels(image: NDArray[Any], fraction: float) -> NDArray[Any]:
-    """Give a fraction of each pixel's value to each of its four neighbours; `image` is (rows, columns[, channels]).
+    """Return an image with a fraction of each pixel moved to each neighbour; `image` is (rows, columns[, channels]).
 
     What would leave across the edge stays, so that the sum is unchanged. The operation is its own adjoint.
     """

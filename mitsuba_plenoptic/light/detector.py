@@ -104,7 +104,7 @@ class Detector:
             require_choice("mosaic", self.mosaic, ALL_MOSAICS)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Expose pixels that are hit by a given mean number of photons.
+        """Return the digital numbers of pixels that are hit by a given mean number of photons.
 
         Parameters
         ----------

@@ -29,7 +29,7 @@ _COSINES = 32
 
 @dataclass(frozen=True, eq=False)
 class FigureError:
-    """The figure error of one array."""
+    """Figure error of one array: a random optical path."""
 
     amplitude: float  # of each cosine, in millimetres
     frequencies: NDArray[np.float64]  # (2, cosines), in 1/mm
@@ -46,7 +46,7 @@ class FigureError:
         return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of the path."""
+        """Return the gradient of the path at positions."""
         across: Any = 0.0
         up: Any = 0.0
         for _, sine, u, v in self._waves(x, y):
@@ -71,7 +71,7 @@ class FigureError:
 
 @functools.lru_cache(maxsize=4)
 def _drawn(size: float, length: float, seed: int) -> FigureError:
-    """Draw the error of an array."""
+    """Return a figure error drawn at random."""
     random = np.random.default_rng([seed, _COSINES])
     frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
     return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))

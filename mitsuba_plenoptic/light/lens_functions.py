@@ -54,12 +54,12 @@ class LensFunctions:
         return cls(scale, exponents, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in exponents])
 
     def values(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of the polynomials."""
+        """Return the values of the polynomials at positions."""
         return np.asarray(_monomials(u, v, self.exponents, self.scale) @ self.triangle)
 
     @property
     def count(self) -> int:
-        """The number of functions."""
+        """Number of functions."""
         return self.functions.shape[1]
 
     @cached_property

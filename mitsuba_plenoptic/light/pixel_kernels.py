@@ -158,7 +158,7 @@ def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
 
 
 def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
-    """Return the sums over pixels (values, places, k, k) of kernels of cells, for each place of a cell in its pixel."""
+    """Return sums over pixels (values, places, k, k) of cells' kernels, for each place of a cell in its pixel."""
     count = kernels.shape[1] // 2
     reach = -(-count // parts)
     own = np.zeros((len(kernels), parts, parts, 2 * reach + 1, 2 * reach + 1))

@@ -36,7 +36,7 @@ _BISECTIONS = 6
 
 @dataclass(frozen=True)
 class Footprint:
-    """Geometric images of scene points on the MLA, and the directions in which their light arrives there.
+    """Geometric images of scene points on the MLA, with the directions of their light there.
 
     Every array has the shape (n, 2), for x and y.
     """
@@ -67,7 +67,7 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Move the last points (n, m, 2), those of the rim, inwards to the edges of beams; move other blocked points, too.
+    """Return points (n, m, 2) with points of the rim, the last ones, and blocked points moved inwards to open places.
 
     Rim points move towards the mean of the open points, and other blocked points to it.
     """
@@ -103,7 +103,7 @@ def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprin
 def check_positions(
     positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
 ) -> NDArray[np.float64]:
-    """Return scene points as a float64 array (n, 3), or refuse them."""
+    """Return scene points as a float64 array (n, 3); refuse anything else."""
     try:
         points = np.asarray(positions, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -126,7 +126,7 @@ def check_positions(
 
 
 def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
-    """Refuse points if any is bad, and name the first."""
+    """Refuse points if any is bad, with the first bad one in the message."""
     if bad.any():
         raise InputError(f"position = {_format(points[bad][0])}: {rule}")
 

@@ -38,9 +38,8 @@ from ..light.sampling import check_memory
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
-from ..runtime.jobs import Job
 from .arrival import (
     FieldGrids,
     SampledField,
@@ -139,7 +138,7 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
-    """Multiply a field just before the array by the transmission of the microlenses, in its own memory."""
+    """Multiply a field just before the array in place by the transmission of the microlenses."""
     if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
         samples *= _irregular(system, grids)
     else:
@@ -233,7 +232,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """A batch of a single point."""
+    """One point, as a batch."""
 
     system: OpticalSystem
     position: NDArray[np.float64]
@@ -246,7 +245,7 @@ class _FullField:
         return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
-        """Compute the whole batch."""
+        """Return a function that computes the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
         part = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
@@ -280,7 +279,7 @@ class FullFieldPlan:
 
     @property
     def box(self) -> Box:
-        """The recorded pixels."""
+        """Box of the recorded pixels."""
         return recorded_pixels(self._camera)
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
@@ -306,7 +305,7 @@ class FullFieldPlan:
 
 
 class FullFieldSum:
-    """A sum of full fields, with the interface of `runtime.jobs.LongSum`."""
+    """A sum of full fields, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights.astype(np.float32)

@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing
 from ..light.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT, _ROUNDING = 0.1, 1e-6
@@ -29,7 +29,7 @@ class SpectralSum:
     after: NDArray[np.float32]  # factors from the sum's channels to those of the image, (channels, k)
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
-        """Return it with the fewest columns that determine the weights of some points: one if all have one spectrum.
+        """Return the sum with the fewest columns that determine the weights of points: one if all have one spectrum.
 
         Spectra that change little between nodes give channels with weights that are nearly proportional, and every
         column costs one addition for each copy.
@@ -107,7 +107,7 @@ class WeightChannels:
         return channels
 
     def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
-        """Return the weights of `count` points as (count, columns), or refuse them."""
+        """Return the weights of `count` points as an array (count, columns); refuse anything else."""
         with refusing(f"weights: they must be numbers, ({count},) or ({count}, channels)", *NO_ARRAY):
             factors = np.asarray(weights, np.float64)
         refuse_if(
@@ -150,7 +150,7 @@ class WavelengthPlans:
         return self._systems[wavelength]
 
     def at(self, wavelength: float) -> Any:
-        """Return the plan at a wavelength."""
+        """Return the plan of a wavelength."""
         if wavelength not in self._plans:
             self._plans[wavelength] = self._make(self.system_at(wavelength), *self._planned_for)
         return self._plans[wavelength]

@@ -60,7 +60,7 @@ class PlaneWaves:
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
-        """Return an upper bound of the memory in bytes that the sums need, besides that of each plane wave.
+        """Return an upper bound in bytes of the memory of the sums, without the memory of each plane wave.
 
         `band` is the part of the frequencies from -1/2 to 1/2, along each axis, that occurs.
         """

@@ -47,7 +47,7 @@ from .patch_factors import Fields, PatchFactors
 
 
 class _Sizes(NamedTuple):
-    """Samples of the fields that are transformed together, enough for calls to cost little, and of a block of them.
+    """Numbers of samples for fields that are transformed together, and for a block of one field.
 
     A block fits into a core's own cache; on CUDA there is nothing to gain from blocks.
     """
@@ -94,7 +94,7 @@ class PatchBatch:
 
     @property
     def is_separable(self) -> bool:
-        """Whether all factors on the array are along one axis."""
+        """Whether every factor on the array depends on one axis alone."""
         return len(self.factors.axes) == 2
 
     @cached_property
@@ -104,7 +104,7 @@ class PatchBatch:
 
     @property
     def together(self) -> int:
-        """Points to transform at a time: small ones in groups, so that the calls cost little."""
+        """Number of points transformed at a time: small fields in groups, so that calls cost little."""
         return min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
     def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[int, slice, Field]]:
@@ -156,7 +156,7 @@ class PatchBatch:
 
 
 def _to_array(spectra: Field, work: Field) -> Field:
-    """Transform lines of spectra, with zeros behind them, to positions on the array, in the memory of `work`."""
+    """Return fields on the array, in the memory of `work`, from lines of spectra that are padded with zeros."""
     count = spectra.shape[2]
     work[..., :count], work[..., count:] = spectra, 0
     return inverse_along(work, axis=2)
@@ -174,7 +174,7 @@ def _largest(blocks: Iterator[slice]) -> int:
 
 
 def forward_along(field: Field, axis: int) -> Field:
-    """Transform unscaled, on this thread alone."""
+    """Return the unscaled transform of a field along an axis, computed on this thread alone."""
     return fft(field, axis=axis, workers=1)
 
 
@@ -276,7 +276,7 @@ class FieldChain:
 
     @property
     def intensity(self) -> Any:
-        """The square of the field, float32."""
+        """Squared modulus of the field, float32."""
         return self.field.real**2 + self.field.imag**2
 
     def jvp(self, changes: Parts) -> Any:
@@ -344,7 +344,7 @@ class FieldChain:
         return field
 
     def _cotangent(self, product: Field, factors: list[_Factor], which: int) -> Field:
-        """Return the cotangent of one factor of a stage from that of the product of all."""
+        """Return the cotangent of one factor of a stage from the cotangent of the product of all its factors."""
         for _, factor in factors[:which] + factors[which + 1 :]:
             product = self._memory.product(product, self._arrays.conj(factor))
         # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.

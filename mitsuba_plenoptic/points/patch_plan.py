@@ -18,9 +18,8 @@ from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
 from ..runtime.fft import resting_drjit
-from ..runtime.jobs import Job
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
 from .patch_factors import Fields
@@ -94,7 +93,7 @@ class PatchPlan:
         self._chunks = self._sort()
 
     def _sort(self) -> list[NDArray[np.int64]]:
-        """Divide the patterns into chunks."""
+        """Return the patterns divided into chunks."""
         samples, corner = self._placement.samples, self._placement.corner
         if not len(samples):
             return []
@@ -120,7 +119,7 @@ class PatchPlan:
         return PatchSum(self, weights)
 
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
-        """Describe a chunk: fields are scaled by their largest weights, and copies have weights relative to these.
+        """Return the data of a chunk's fields: scaled by their largest weights, with copies weighted relative to these.
 
         Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
         """
@@ -248,7 +247,7 @@ class PatchPlan:
         return result
 
     def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
-        """Describe a chunk with the samples of its tile; samples outside the recorded ones are zero."""
+        """Return a chunk with the samples of its tile; samples outside the recorded area are zero."""
         fields = self._fields(chunk)
         placement = fields.placement
         copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
@@ -323,12 +322,12 @@ def _areas(samples: Any) -> Any:
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of `count` patterns at regular intervals, each in its own array."""
+    """Return a few of `count` patterns at regular intervals, each as an array of one index."""
     return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 
 class PatchSum:
-    """A sum of point spreads, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+    """A sum of point spreads, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights

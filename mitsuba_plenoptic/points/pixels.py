@@ -49,7 +49,7 @@ class PixelAxis:
         return self._integrals_of_means() if self.means else self._integrals(moment=False)
 
     def _integrals_of_means(self) -> scipy.sparse.csr_array:
-        """Return the weights of the integrals, those up to an edge interpolated from those up to the samples' borders.
+        """Return the weights of integrals up to edges, interpolated from integrals up to the borders of samples.
 
         Between six borders a polynomial is taken.
         """
@@ -177,7 +177,7 @@ class PixelIntegrals:
         return PixelIntegrals(*self._axes, [*self.widened(middle, -scale)._terms, growth])
 
     def turned(self, middle: tuple[float, float]) -> PixelIntegrals:
-        """Return the derivatives by a clockwise rotation of the detector in degrees, against that of the lattice."""
+        """Return the derivatives of the integrals by a clockwise rotation of the detector against the lattice."""
         moment_x, moment_y = (axis.moments(centre) for axis, centre in zip(self._axes, middle, strict=True))
         edges_x, edges_y = (axis.at_edges(np.full(axis.count + 1, math.pi / 180)) for axis in self._axes)
         return PixelIntegrals(*self._axes, [(moment_y, edges_x), (edges_y, -moment_x)])
@@ -193,7 +193,7 @@ class PixelIntegrals:
         return _sum_of_products(self._terms, intensity)
 
     def adjoint(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return for each sample the sum of the pixels, weighted by its contribution to each of them."""
+        """Return the adjoint of the integrals: for each sample, the pixels weighted by the sample's contributions."""
         return _sum_of_products([(along_y.T.tocsr(), along_x.T.tocsr()) for along_y, along_x in self._terms], pixels)
 
 
@@ -216,7 +216,7 @@ _BLOCK = 2**22
 
 
 class TurnedSamples:
-    """Samples of an intensity on a new grid, relative to which its own is rotated counter-clockwise about the axis.
+    """Samples of an intensity on a new grid, relative to which the intensity's grid is rotated counter-clockwise.
 
     `samples` and `shape` are the rows and columns of the intensity's own samples and of the new ones; `pitch` and
     `origin` (x, y) are those of its own samples in their own frame. Outside its own samples the intensity is zero.
@@ -258,7 +258,7 @@ class TurnedSamples:
         return result
 
     def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return for each of the intensity's own samples the new ones, weighted by its contribution to each of them.
+        """Return the adjoint: for each sample of the intensity, the new samples weighted by its contributions.
 
         The rounding of the result depends on the order in which threads add.
         """

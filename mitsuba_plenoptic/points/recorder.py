@@ -53,7 +53,7 @@ class Recorder:
     def _turned(
         self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Bound a rectangle, given from the detector's corner, after a turn about the axis."""
+        """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
         if degrees == 0:
             return low, high
         x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self._grid.origin[axis] for axis in (0, 1))
@@ -62,7 +62,7 @@ class Recorder:
 
     @property
     def count(self) -> int:
-        """Number of the pixels."""
+        """Number of recorded pixels."""
         return self._pixels.rows * self._pixels.columns
 
     @property
@@ -91,7 +91,7 @@ class Recorder:
         return backend().to_host(self._pixels_of(move).forward(upright))
 
     def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Apply the adjoint of `record`."""
+        """Return the adjoint of `record`: samples from an image."""
         arrays = backend().arrays
         channels = []
         for channel in np.moveaxis(image[self.window], -1, 0):

@@ -32,7 +32,7 @@ from ..light.optical_system import OpticalSystem
 from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import drjit_array
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
@@ -164,7 +164,7 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Trace the rays of the given indices.
+        """Return the points at which traced rays of the given indices meet the scene.
 
         Return the positions, radiance, slants, visible pupil cells as bits, and lenses of the lit points that rays
         hit, and the lenses of all rays that pass the main lens.
@@ -237,7 +237,7 @@ class _Finder:
 def _landing(
     system: OpticalSystem, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
 ) -> NDArray[np.float64]:
-    """Return for each point the fraction f of its light to the visible pupil that lands in a window's lenses."""
+    """Return the fraction of each point's light through the visible pupil that lands in the lenses of a window."""
     fraction = np.ones(len(positions))
     if not len(positions):
         return fraction
@@ -279,7 +279,7 @@ class PointsCapture:
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Capture the scene.
+        """Return the capture of the scene.
 
         The result has the shape (rows, columns, channels).
         """

@@ -73,7 +73,7 @@ def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
 
 
 def _cropped(camera: PlenopticCamera, rows: slice, columns: slice) -> PlenopticCamera:
-    """Return the camera that records those rows and columns of its image alone."""
+    """Return the camera that records only the given rows and columns of its image."""
     (left, right, _), (top, bottom, _) = (
         some.indices(count) for some, count in zip((columns, rows), camera.crop_size, strict=True)
     )

@@ -76,7 +76,7 @@ class ThinElement:
             self._lit = backend().to_host(self.along_y) != 0
 
     def lit(self, rows: slice) -> list[slice]:
-        """Return those of the rows that the element does not darken, in runs."""
+        """Return runs of the rows that the element leaves lit."""
         runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
         return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
 
@@ -125,11 +125,11 @@ class FieldWorkspace:
         self._buffers: dict[str, Field] = {}
 
     def columns(self, step: Step) -> Field:
-        """Return the memory of a step's columns, which is that of the last step's, too."""
+        """Return the memory of a step's columns, which the last step's columns share."""
         return self._columns[: step.x.held]
 
     def array(self, name: str, shape: tuple[int, int]) -> Field:
-        """Return an array with any content; it holds until the same name is asked for again."""
+        """Return an uninitialised array, valid until the same name is requested again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
@@ -142,7 +142,7 @@ class FieldWorkspace:
             yield slice(first, min(first + block, count))
 
     def blocks(self, field: Field) -> Rows:
-        """Yield all rows of a field; the blocks are its own memory."""
+        """Yield all rows of a field in blocks, which are views of the field."""
         for rows in self.runs(len(field)):
             yield rows, field[rows]
 
@@ -156,7 +156,7 @@ class FieldWorkspace:
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """A length of free space in millimetres, for light of a wavelength there in nanometres, by slopes or by cosines.
+    """Free space of a length in mm, for light of a wavelength there in nm, by slopes or by cosines.
 
     With `beyond_paraxial`, only what it does beyond its paraxial part.
     """
@@ -344,7 +344,7 @@ _EDGES = 2**19
 
 
 def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> NDArray[np.float64]:
-    """Return by how much the integral up to an edge, f samples beyond one, exceeds the sum of those up to that one.
+    """Return the part of an integral from one edge of samples up to an edge f samples further.
 
     The values a to d are those of the samples `_NEAR`.
     """
@@ -375,7 +375,7 @@ class Integrals:
         return before.astype(np.int64), position - before
 
     def _blocks(self, lines: slice) -> Iterator[slice]:
-        """Yield parts of some lines, of so many edges that all that is worked out for them is small."""
+        """Yield slices of the lines with so few edges that intermediate arrays stay small."""
         start, stop, _ = lines.indices(self._shape[0])
         height = max(1, _EDGES // (self._shape[1] + 1))
         for first in range(start, stop, height):
@@ -392,7 +392,7 @@ class Integrals:
         return found
 
     def _forward(self, values: Any, lines: slice) -> Any:
-        """Integrate a block of lines."""
+        """Return the integrals of a block of lines."""
         arrays, (before, f) = backend().arrays, self._places(lines)
         numbers, parts = self._padded(values)
         flat, row = numbers.reshape(-1), arrays.arange(len(values))[:, None] * self._size
@@ -446,7 +446,7 @@ class Integrals:
 
 
 class BinSums:
-    """Sums over the bins of one object plane, `oversample` of them to a lens, of the power at directions.
+    """Sums of power over the bins of one object plane, with `oversample` bins to a lens.
 
     Sums are in pixel values times pixels. Negative sums, which cubics may produce, are set to zero.
     """
@@ -497,7 +497,7 @@ class BinSums:
         return (arrays.where(self._lit, self._along_y.forward(along_x.T), 0) * self._scale).T
 
     def vjp(self, bins: Any) -> Any:
-        """Apply the transpose of `jvp`."""
+        """Return the transpose of `jvp`, applied to bins."""
         arrays = backend().arrays
         along_x = self._along_y.vjp(arrays.where(self._lit, bins.T, 0) * self._scale).T
         return self._along_x.vjp(arrays.where(self._lit_x, along_x, 0))

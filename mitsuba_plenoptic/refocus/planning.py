@@ -92,7 +92,7 @@ OBJECT_MARGIN = 6.0
 
 @dataclass(frozen=True)
 class AxisStep:
-    """One axis of a propagation step, lengths in millimetres: its source samples, their window, and the next plane's.
+    """One axis of a propagation step in mm: source samples, their window, and samples of the next plane.
 
     The field is zero beyond `count` samples from `first` on. Of the frequencies of the window of `padded` samples the
     lowest go to one of `new_padded` samples, `wanted` of which are taken from `start` on.
@@ -113,7 +113,7 @@ class AxisStep:
 
     @property
     def held(self) -> int:
-        """Frequencies that both windows have."""
+        """Number of frequencies that both windows have."""
         return min(self.padded, self.new_padded)
 
     @property
@@ -161,7 +161,7 @@ class Step:
 
     @property
     def reversed(self) -> Step:
-        """The step back."""
+        """Return the reversed step."""
         return Step(self.x.reversed, self.y.reversed)
 
     @property
@@ -209,7 +209,7 @@ class Strip:
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """All steps, in their order."""
+        """All steps of the strip, in their order."""
         return self.to_mla, self.beyond_paraxial, self.to_main_lens
 
 
@@ -299,7 +299,7 @@ def field_memory() -> float:
 def _plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int, count: int
 ) -> FieldPlan:
-    """Choose the grids for a given count of strips."""
+    """Return the plan of grids for a given number of strips."""
     subsamples = field_subsamples(camera, wavelength)
     pitch = camera.pixel_size / subsamples
     across = _detector_step(camera, wavelength, 0, lit[0], pitch)
@@ -348,7 +348,7 @@ def require_feasible(made: FieldPlan) -> None:
 
 
 def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
-    """Plan the step from pixels to the cells of their own lenses; light that leaves these cells misses the pupil.
+    """Return the step from pixels to the cells of their lenses; light that leaves these cells misses the pupil.
 
     All directions are included, and the window has room for them on both sides.
     """
@@ -419,7 +419,7 @@ def _beyond_paraxial(
 
 
 def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
-    """Extent of the cells that hold what lies between two coordinates of the MLA plane."""
+    """Return the range of the cells that contain all points between two coordinates on the MLA."""
     lattice = camera.lattice
     if lattice.axis_aligned:
         pitch = camera.mla_pitches[axis]

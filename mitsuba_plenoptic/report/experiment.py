@@ -15,14 +15,13 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import naming, refuse_if
 from ..io.captures import Capture
-from ..light.passes import pass_counts
-from ..light.render_capture import plenoptic_sensor, render_capture
+from ..light.render_capture import pass_counts, plenoptic_sensor, render_capture
 from ..light.scene import load_scene
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
-from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
+from .stage_store import Progress, StageOptions, Stages, scene_fingerprint
 
 _RAYS_PER_PASS = 2**24
 
@@ -172,7 +171,7 @@ class Experiment:
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
-def run_experiment(settings: Settings, store: StageStore) -> Experiment:
+def run_experiment(settings: Settings, store: Stages) -> Experiment:
     """Capture and refocus, taking from the store what is already there."""
     refuse_if(
         "mono" not in settings.variant,
@@ -270,18 +269,18 @@ def load_with_sensor(
     return scene
 
 
-def open_store(output: Path, stages: StageOptions | None) -> StageStore:
+def open_store(output: Path, stages: StageOptions | None) -> Stages:
     """Check, before the work, that the output folder can be made; it is made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
         f"{output}: the folder cannot be made: {there} is not a folder that can be written to",
     )
-    return StageStore(output / "data", stages)
+    return Stages(output / "data", stages)
 
 
 def refocused(
-    store: StageStore, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
+    store: Stages, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
 ) -> np.ndarray:
     """Return the reconstruction of a capture with some key, by options of `reconstruct`, as a stage."""
 

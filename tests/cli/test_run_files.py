@@ -12,6 +12,7 @@ from mitsuba_plenoptic import read_capture
 from mitsuba_plenoptic.cli import command_group, commands_of, step_commands
 from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
 from mitsuba_plenoptic.cli.stopping import existing_checkpoint
+from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.exr import read_exr
 
 STEPS = """
@@ -95,6 +96,13 @@ def test_a_damaged_log_is_no_log(folder, fresh):
     log = json.loads((folder / "run.steps.json").read_text())
     (folder / "run.steps.json").write_text(json.dumps(log | dict.fromkeys(log, 3) | {"x": {"written": 3}}))
     assert fresh() == [1, 2, 3]
+
+
+def test_a_file_that_another_process_runs_is_refused(folder, complaint):
+    log = folder / "run.steps.json"
+    with checkpoints.locked(checkpoints.lock_of(log), "never"):
+        assert f"{folder / 'run.yaml'}: another process is running it; wait" in complaint("run", folder / "run.yaml")
+    assert not log.exists()
 
 
 def test_save_run_repeats_a_command(raw, tmp_path, run):

@@ -261,7 +261,7 @@ def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) ->
 
 
 def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
+    """Return a mask of centres on a lattice, which a tilt may make denser at one side, and the weight of the fit.
 
     It is the deviation of the corners' residuals over that of centres that err together.
     """
@@ -275,7 +275,7 @@ def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
 
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return how far from its prediction each corner is seen, in pixels."""
+    """Return the distance between predicted and observed position of each corner, in pixels."""
     return np.asarray(np.hypot(*problem.residuals(numbers, poses).T))
 
 
@@ -313,7 +313,7 @@ def _require_matching_pupil(
 
 
 def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarray:
-    """Return the weights of corners: less for those far from their prediction, 0 for outliers."""
+    """Return the weight of each corner: smaller for residuals beyond a limit, 0 for outliers."""
     distance = _distance(problem, found.numbers, found.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose

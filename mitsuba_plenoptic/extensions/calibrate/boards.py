@@ -55,7 +55,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class BoardView:
-    """The approximate position of a board."""
+    """Approximate position of a board in a picture."""
 
     disparity: float
     # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
@@ -97,7 +97,7 @@ def _upright(corners: np.ndarray) -> np.ndarray:
 
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
-    """Return disparities in order of how well neighbouring lenses agree about what they see."""
+    """Return disparities, sorted by how well neighbouring lenses agree about the picture at each of them."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
     position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
@@ -220,7 +220,7 @@ _FARTHEST = 3.0
 
 @dataclass(frozen=True)
 class Saddles:
-    """Candidates for corners: arrays with one row each."""
+    """Candidates for corners, as arrays with one row per candidate."""
 
     # Column and row of the corner, 0 at the centre of the first pixel, (n, 2).
     position: np.ndarray
@@ -243,7 +243,7 @@ def find_saddles(
     even: float,
     seen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Saddles:
-    """Refine corners, each within a window of its micro-image.
+    """Return corners refined by least squares, each within a window of its micro-image.
 
     Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
@@ -320,7 +320,7 @@ def _descend(
 def _model(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return level and contrast, the weighted sum of squares, derivatives by the parameters p, and what is left."""
+    """Return level and contrast of a blurred corner, the weighted sum of squares, its derivatives, and residuals."""
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]
     edges = []

@@ -132,7 +132,7 @@ def _slant(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _balls(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a field of textured spheres."""
+    """Return a field of textured spheres."""
     places = zip(_places(random, 12, 0.5), _depths(random, 12), random.uniform(0.06, 0.14, 12), strict=True)
     balls = {
         f"ball_{k}": frame.ball(x, y, z, float(r), frame.pattern(random, 4 * r * frame.width(z), z))
@@ -236,7 +236,7 @@ def _plain(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _repeated(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show checks of a period of a few lenses, which look alike at several depths."""
+    """Return checks with a period of a few lenses, which look alike at several depths."""
     shapes = {"wall": frame.wall(random, period=float(random.uniform(2.5, 4)))}
     for k, ((x, y), z) in enumerate(zip(_places(random, 4, 0.4), _depths(random, 4), strict=True)):
         shapes[f"card_{k}"] = frame.card(random, x, y, z, 0.18, period=float(random.uniform(2, 5)))
@@ -254,8 +254,8 @@ def _lamps(frame: Frame, random: np.random.Generator) -> Shapes:
     return shapes
 
 
-def _white(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a wall that shines evenly."""
+def _luminous(frame: Frame, random: np.random.Generator) -> Shapes:
+    """Return an evenly luminous wall."""
     black = {"type": "diffuse", "reflectance": 0.0}
     return {"wall": frame.wall(random) | {"bsdf": black, "emitter": {"type": "area", "radiance": 1.0}}}
 
@@ -286,11 +286,11 @@ class SceneMaker:
     frame: Frame
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> Shapes:
-        """Describe it for ``mi.load_dict``; what is given, which depends on the sample, changes nothing."""
+        """Return the scene as ``mi.load_dict`` takes it; camera and light of the sample do not change the objects."""
         own = np.random.default_rng(self.seed)
         return {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 8},
             **_LIGHT.get(self.name, Illumination(0.5, 0.4)).emitters(own, (NEAR + FAR) / 2),
-            **(_white if self.name == WHITE else SCENES[self.name])(self.frame, own),
+            **(_luminous if self.name == WHITE else SCENES[self.name])(self.frame, own),
         }

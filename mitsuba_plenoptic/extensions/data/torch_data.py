@@ -38,7 +38,7 @@ class TorchDataset(torch.utils.data.Dataset):
         return len(self.samples)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Read a sample: its arrays as tensors, and its index as ``index``."""
+        """Return the arrays of a sample as tensors, and its index as ``index``."""
         sample = self.samples[index]
         tensors: dict[str, Any] = {
             name: torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0)) if array.ndim == 3 else array)

@@ -18,7 +18,7 @@ from .point_rays import RayModels, check_numbers, vector_of
 
 
 def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
-    """Return a camera with the pitches, the angle and the offset of its microlens array taken from a white capture.
+    """Return the camera with pitches, angle and offset of the microlens array found from a white capture.
 
     Parameters
     ----------

@@ -93,10 +93,10 @@ def fit(
 
     from ...io.captures import read_capture
     from ...io.checkpoints import SUFFIX, Checkpoint
-    from ...io.files import require_apart, require_writable
     from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
+    from ...runtime.files import require_apart, require_writable
     from . import fitting
     from .point_rays import vector_of
 
@@ -172,8 +172,8 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 
 def _write(output: Path, found: Fit) -> None:
-    """Write the camera, and print what is known of it."""
-    from ...io.files import write_text
+    """Write the camera's file, and print parameters, deviations and warnings of the fit."""
+    from ...runtime.files import write_text
 
     write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():

@@ -58,7 +58,7 @@ def check_claims(
 
 
 def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict[str, Any]]:
-    """List our seconds next to the paper's, with their ratio where the detectors are alike."""
+    """Return our seconds next to the paper's, with their ratio where the detectors are alike."""
     same = experiment.camera.resolution == PAPER_RESOLUTION
     return [
         {

@@ -17,7 +17,7 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...prescription.lens_data import image_distance
-from ...refocus.ray import pupil_radius, ray_sums
+from ...refocus.ray_sums import pupil_radius, ray_sums
 from ...report.page import Claim
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY
 
@@ -38,7 +38,7 @@ _SAME = 1e-3
 
 @dataclass(frozen=True)
 class FocusedCamera:
-    """A camera by its virtual depth, with its samples across the field and the distances at which it has them."""
+    """A camera of a given virtual depth, with samples across the field and the range of distances that has them."""
 
     camera: PlenopticCamera
     virtual_depth: float
@@ -100,7 +100,7 @@ def _pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
 
 
 def deconvolved_fraction(camera: PlenopticCamera, wavelength: float) -> tuple[float, float]:
-    """Return the distance at which deconvolution resolves most of what the bare sensor would, and that fraction."""
+    """Return the distance at which deconvolution resolves most of the bare sensor's lines, and their fraction."""
     found = []
     for distance in np.geomspace(0.6 * camera.focus_distance, 3 * camera.focus_distance, 800).tolist():
         limit = design.resolution_limit(camera, distance, wavelength)

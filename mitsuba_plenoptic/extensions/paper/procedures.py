@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, FancyArrowPatch
 
 from ...camera import PlenopticCamera
+from ...light.walk import follow_back
 from ...optics import rays
 from ...prescription.lens_data import image_distance
 from ...report.framing import Canvas
@@ -46,7 +47,7 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
         For each pixel (z, x) at the detector, the centre of the lens, the main lens and the object plane.
     """
     b, z = camera.mla_distance, camera.detector_distance
-    P, place = rays.follow_back(pixels, lens, lens, distance, camera)
+    P, place = follow_back(pixels, lens, lens, distance, camera)
     along = np.broadcast_to([b + z, b, 0.0, -distance], (len(pixels), 4))
     across = [pixels, np.full_like(pixels, lens), P, -place * distance / b]
     return np.stack([along, np.stack(across, axis=-1)], axis=-1)

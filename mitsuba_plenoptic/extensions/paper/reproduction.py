@@ -158,13 +158,13 @@ def _main() -> None:
 
 
 def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
-    """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
+    """Return close-ups of micro-images in the middle of shapes, which are given as ids with titles."""
     middles = {title: np.add(*experiment.boxes[name]) / 2 for name, title in letters.items()}
     return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
 
 
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
-    """Draw the paper's figure 2: the object and, by waves, the detector image, with micro-images close up.
+    """Draw the paper's figure 2: the object, its detector image by waves, and micro-images close up.
 
     These are of three shapes, given with titles by their ids.
     """
@@ -217,7 +217,7 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))
     images = [experiment.images[panel] for panel in panels]
-    peak = Brightness().white([window.of(image) for image in images])
+    peak = Brightness().peak([window.of(image) for image in images])
     edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
     tall = wide * window.aspect
     figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)

@@ -26,7 +26,7 @@ _FAR = 1e5
 
 @dataclass(frozen=True)
 class PreviewView(ABC):
-    """What a camera sees; distances are from the main lens, behind an objective from the native object plane."""
+    """View of a camera without microlenses; distances are from the main lens or from the native object plane."""
 
     camera: PlenopticCamera
 
@@ -50,7 +50,7 @@ class PreviewView(ABC):
 
     @abstractmethod
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Take a picture of a scene whose lengths are `scale` times as large, from another pose if one is given."""
+        """Return a picture of the scene, whose lengths are scaled by `scale`, optionally from another pose."""
 
     @abstractmethod
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
@@ -61,7 +61,7 @@ class PreviewView(ABC):
 
     @abstractmethod
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
-        """Return whether the picture blurs what is there by less than a bin of reconstructions."""
+        """Return a mask of distances that the picture blurs by less than a bin of reconstructions."""
 
     @abstractmethod
     def field(self, distance: float) -> tuple[float, float]:
@@ -74,14 +74,14 @@ class PreviewView(ABC):
 
     @abstractmethod
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Return from which to which distance to draw the field, with what is at some distances."""
+        """Return the range of distances over which the field is drawn, given the distances of visible points."""
 
     @abstractmethod
     def ticks(self, reach: float) -> dict[float, str]:
         """Return the distances to mark on a drawing as far as `reach`, with their names."""
 
     def in_units(self, distance: float) -> str:
-        """Write a distance with its unit."""
+        """Return a distance as text with its unit."""
         return "infinity" if math.isinf(distance) else f"{self._digits(distance)} {self.unit}"
 
     def between(self, near: float, far: float) -> str:
@@ -108,7 +108,7 @@ class LensView(PreviewView):
         return min(distance, _FAR * camera.focal_length)
 
     def in_units(self, distance: float) -> str:
-        """Write a distance with its unit; the distance that represents infinity is named so."""
+        """Return a distance as text with its unit, or the word for infinity."""
         return super().in_units(math.inf if distance >= _FAR * self.camera.focal_length else distance)
 
     def field_in_units(self) -> str:
@@ -131,7 +131,7 @@ class LensView(PreviewView):
         )
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return the rays of Mitsuba's pinhole."""
+        """Return the rays of Mitsuba's `perspective` sensor."""
         near = 1e-6 * self.focus / scale
         pinhole = photographic_sensor(scene, self.camera, size, type="perspective", near_clip=near, **_posed(pose))
         x, y = _pixel_centres(size)
@@ -146,13 +146,13 @@ class LensView(PreviewView):
         return np.asarray(blur <= camera.mla_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return what grows with the distance."""
+        """Return width and height of the field at a distance, which grow with the distance."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size
 
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Draw from the lens on."""
+        """Return the range from the lens to the farthest visible point."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
     def ticks(self, reach: float) -> dict[float, str]:
@@ -168,7 +168,7 @@ class MicroscopeView(PreviewView):
 
     @property
     def focus(self) -> float:
-        """The native object plane."""
+        """Distance of the native object plane, which is in focus: 0."""
         return 0.0
 
     @property
@@ -177,7 +177,7 @@ class MicroscopeView(PreviewView):
         return "in focus in the native object plane"
 
     def sharp_range(self) -> tuple[float, float]:
-        """Return `design.depth_of_field`."""
+        """Return the range of depths that `design.depth_of_field` states."""
         return design.depth_of_field(self.camera)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
@@ -205,7 +205,7 @@ class MicroscopeView(PreviewView):
         return total
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return rays along the axis."""
+        """Return rays parallel to the axis."""
         return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)), scale, pose)
 
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
@@ -214,7 +214,7 @@ class MicroscopeView(PreviewView):
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return the same for all depths."""
+        """Return width and height of the field, the same at every depth."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.bin_size(0)
         return columns * bin_size, rows * bin_size
@@ -226,7 +226,7 @@ class MicroscopeView(PreviewView):
         return -half, half
 
     def ticks(self, reach: float) -> dict[float, str]:
-        """Mark the native object plane, and the ends of the depth of field where there is room."""
+        """Return marks at the native object plane and, where there is room, at the ends of the depth of field."""
         ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
         return {**ends, 0.0: "native plane"}
 
@@ -249,12 +249,12 @@ class MicroscopeView(PreviewView):
 
 
 def view_of(camera: PlenopticCamera) -> PreviewView:
-    """Return how a camera sees."""
+    """Return the view of a camera: through a thin lens, or through an objective."""
     return LensView(camera) if camera.objective is None else MicroscopeView(camera)
 
 
 def _posed(pose: Any) -> dict[str, Any]:
-    """Return the position of a sensor, the scene's own by default."""
+    """Return the entries of a sensor that state its pose, the scene's own pose by default."""
     return {} if pose is None else {"to_world": pose}
 
 

@@ -41,7 +41,7 @@ _LEAST_FALL = 0.99
 
 @dataclass(frozen=True, eq=False)
 class CorrectedObject:
-    """An object and its wavefronts.
+    """An object and the wavefronts that were found together with it.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ class _ZoneSum:
             self._matrices.append(matrix)
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the pixels of some weights."""
+        """Return the image of given weights."""
         total = sum(matrix @ own for matrix, own in zip(self._matrices, values, strict=True))
         return np.asarray(total, np.float32).reshape(self._search.image.shape)
 

@@ -202,7 +202,7 @@ _POINTS = 16
 
 
 def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the slopes of the terms as `slopes` states them, and which of its squares are in the pupil."""
+    """Return the slopes of the terms as means over the squares of `slopes`, and a mask of the squares in the pupil."""
     if slopes.width == 0:
         return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
     step = ((np.arange(_POINTS) + 0.5) / _POINTS - 0.5) * slopes.width

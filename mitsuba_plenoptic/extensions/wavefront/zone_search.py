@@ -184,7 +184,7 @@ def fit_wavefronts(
 
 
 def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
-    """Return how far from the recorded lenses the nearest ray of a zone arrives, behind the camera's own wavefront."""
+    """Return the distance between the recorded lenses and the nearest ray of a zone behind the camera's wavefront."""
     lens = main_lens(camera)
     radius, angle = np.linspace(0, lens.pupil_radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
@@ -196,7 +196,7 @@ def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
 
 
 class Search:
-    """A capture, and what a camera is expected to record of zones."""
+    """A capture, and the captures of zones that a camera is expected to record."""
 
     def __init__(self, camera: PlenopticCamera, image: Any, wavelength: float, noise: Any, accuracy: float) -> None:
         refuse_if(noise is None, "noise: give that of the capture")
@@ -207,7 +207,7 @@ class Search:
         self.wavelength, self.accuracy = wavelength, accuracy
 
     def operator(self, camera: PlenopticCamera, points: Array) -> CaptureOperator:
-        """Return the operator of some points."""
+        """Return the capture operator of given points."""
         return CaptureOperator(camera, points, wavelength=self.wavelength, accuracy=self.accuracy)
 
     def expected(self, camera: PlenopticCamera, zone: Zone) -> Array:
@@ -258,7 +258,7 @@ class Search:
 
 
 def known_zones(zones: Any) -> list[Zone]:
-    """Return zones as a list, or refuse them."""
+    """Return zones as a list; refuse anything else."""
     some = [zones] if isinstance(zones, Zone) else list(zones) if isinstance(zones, Iterable) else []
     refuse_if(
         not some or not all(isinstance(zone, Zone) for zone in some), "zones: give at least one Zone, and no other"
@@ -278,7 +278,7 @@ def terms_of(camera: PlenopticCamera, count: int) -> Array:
 
 
 def _start(camera: PlenopticCamera, image: Array, zone: Zone, modes: int) -> PlenopticCamera:
-    """Return the camera where the search of a zone starts, from the image of its pixels."""
+    """Return the camera at which the search of a zone starts, found from the pixels of the zone's image."""
     if camera.wavefront:
         return camera.replace(wavefront=tuple(terms_of(camera, max(modes, len(camera.wavefront))).tolist()))
     slopes = view_slopes(camera, image, zone.weights @ zone.points)
