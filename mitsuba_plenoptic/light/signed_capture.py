@@ -114,8 +114,8 @@ class SignedCapture:
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         if not found.any():
             warn(
-                "plenoptic_wave: none of some rays meets anything that shines; a nested integrator with "
-                "hide_emitters sees no emitters"
+                "plenoptic_wave: none of some rays meets anything that shines; plain BSDFs are black from "
+                "behind, and a nested integrator with hide_emitters sees no emitters"
             )
         image = job.run(tasks, shape, sum(task.items for task in tasks), lambda: {"scene_digest": digest(found)})
         if noise:
