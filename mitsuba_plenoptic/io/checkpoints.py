@@ -17,7 +17,6 @@ import math
 import os
 import sys
 import time
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -27,7 +26,7 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_choice, require_count, require_number
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number, warn
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum, Snapshot
 from ..runtime.files import FilesUsed, atomic_output, read_text, remove_leftovers, write_text
@@ -229,7 +228,7 @@ class Checkpoint:
         except (OSError, InputError) as error:
             if not self._complained:
                 cause = getattr(error.__cause__ or error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
-                warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
+                warn(f"{self.path}: no checkpoint can be written: {cause}")
                 self._complained = True
         now = time.monotonic()
         self._due = now + max(INTERVAL, (now - start) / FRACTION)

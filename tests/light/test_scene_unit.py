@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -184,6 +185,24 @@ def test_a_scene_in_metres_that_is_larger_than_the_focal_length_is_told(depth, t
         mp.load_scene(scene, variant="llvm_ad_mono")
     words = r"nearer than 40 mm, and refocusing makes nothing sharp that is nearer than 106\.6 mm"
     assert [bool(re.search(words, str(one.message))) for one in found] == [True] * told
+
+
+@pytest.mark.parametrize("depth", [79.0, 81.0, 94.0])
+def test_scenes_beyond_the_focal_length_but_within_half_of_what_is_sharp_are_told(depth):
+    """The camera's focal length is 80 mm, and it makes sharp what is 188.5 mm away or more."""
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, depth]).scale(0.5)}
+    scene = {"type": "scene", "wall": wall, "sensor": mp.PlenopticCamera.preset("paper").to_sensor()}
+    with pytest.warns(UserWarning, match=f"the whole scene is nearer than {depth:g} mm"):
+        mp.load_scene(scene, variant="llvm_ad_mono")
+
+
+def test_warnings_point_at_the_line_of_the_user():
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 2])}
+    scene = {"type": "scene", "wall": wall, "sensor": mp.PlenopticCamera.preset("paper").to_sensor()}
+    with pytest.warns(UserWarning, match="the whole scene is nearer") as found:
+        mp.load_scene(scene, variant="llvm_ad_mono")
+    assert [one.filename for one in found] == [__file__]
+    assert "mp.load_scene(scene" in Path(__file__).read_text().splitlines()[found[0].lineno - 1]
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in mp.scene_path("letters").parent.glob("*.xml")))
