@@ -35,7 +35,7 @@ Resume = Annotated[
 def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Checkpoint:
     """Return the checkpoint of what a command writes, next to it or at another path, with what `Resume` says of it."""
     from ..io.checkpoints import SUFFIX, Checkpoint
-    from ..io.files import require_writable
+    from ..runtime.files import require_writable
 
     path = require_writable(path or output.with_name(output.name + SUFFIX))
     return Checkpoint(path, "resume" if resume else "resume_if_same")

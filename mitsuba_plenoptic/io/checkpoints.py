@@ -29,10 +29,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
-from ..runtime.batches import PartialSum
-from ..runtime.jobs import Snapshot
+from ..runtime.batches import PartialSum, Snapshot
+from ..runtime.files import FilesUsed, atomic_output, read_text, remove_leftovers, write_text
 from ..runtime.limits import require_memory, software
-from .files import FilesUsed, atomic_output, read_text, remove_leftovers, write_text
 from .versions import KEY, VERSION, stamped
 
 if sys.platform != "win32":

@@ -35,15 +35,15 @@ from ..lenses.main_lens import Pair
 from ..optics import rays
 from ..runtime.backend import drjit_array
 from .array_kernels import REACH, displaced
-from .control_variate import known_means
 from .lens_kinds import LensKinds
+from .noise import known_means
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
 from .signed_draws import Drawn, Lot
-from .signed_rays import SignedRaySum
+from .signed_rays import SignedRaySum, known_means
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""

@@ -15,8 +15,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import naming, refuse_if
 from ..io.captures import Capture
-from ..light.passes import pass_counts
-from ..light.render_capture import plenoptic_sensor, render_capture
+from ..light.render_capture import pass_counts, plenoptic_sensor, render_capture
 from ..light.scene import load_scene
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct

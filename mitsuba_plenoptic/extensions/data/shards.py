@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
 from ...io.captures import MODELS
 from ...io.checkpoints import digest, flattened, write_json
-from ...io.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
 from ...io.versions import KEY, is_of_1_0, stamped
 from ...report.stage_store import scene_fingerprint
+from ...runtime.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
 from ...runtime.limits import require_memory, software
 from .recipe import Recipe
 from .sample import Sample

@@ -91,10 +91,10 @@ def fit(
     import numpy as np
 
     from ...io.captures import read_capture
-    from ...io.files import require_apart, require_writable
     from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
+    from ...runtime.files import require_apart, require_writable
     from . import fitting
     from .point_rays import vector_of
 
@@ -170,7 +170,7 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 def _write(output: Path, found: Fit) -> None:
     """Write the camera's file, and print parameters, deviations and warnings of the fit."""
-    from ...io.files import write_text
+    from ...runtime.files import write_text
 
     write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():
